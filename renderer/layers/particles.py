@@ -15,6 +15,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from renderer.frame import Effect, Frame
 from renderer.frame.air import bind_fog
 from renderer.frame.passes import NEARER
@@ -22,20 +23,6 @@ from renderer.scene.arrays import Floats, Rows
 from renderer.shaders import ViewConstants, tone_map
 from renderer.shaders.fog import FogConstants, pass_fog
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device
-from rhi.shading import (
-    Shader,
-    Storage,
-    Struct,
-    Uniform,
-    cross,
-    dot,
-    length,
-    max,
-    vec2,
-    vec3,
-    vec4,
-    vertex_index,
-)
 
 _CORNERS: Final = 6  # of the two triangles
 _CAPACITY: Final = 1024  # particles at first
@@ -52,75 +39,75 @@ class EmitsParticles(Protocol):
         ...
 
 
-class Particle(Struct):
+class Particle(sl.Struct):
     """A particle along the axes of the world: its place relative to the eye, its way in the time of an exposure."""
 
-    centre: vec3
-    way: vec3
+    centre: sl.vec3
+    way: sl.vec3
 
 
-class ParticleVarying(Struct):
+class ParticleVarying(sl.Struct):
     """The varyings of `ParticleShader`; `place` is -1 to 1 from edge to edge."""
 
-    clip: vec4
-    place: vec2
+    clip: sl.vec4
+    place: sl.vec2
 
 
-class ParticleShader(Shader):
+class ParticleShader(sl.Shader):
     """Draws particles as soft sprites that face the eye."""
 
-    view: Uniform[ViewConstants]
-    particles: Storage[Particle]
-    radius: Uniform[float]
+    view: sl.Uniform[ViewConstants]
+    particles: sl.Storage[Particle]
+    radius: sl.Uniform[float]
 
     def vertex(self) -> ParticleVarying:
-        number = vertex_index()
+        number = sl.vertex_index()
         particle = self.particles[number // 6]
         turn = number % 6
         x = float((22 >> turn) & 1) * 2.0 - 1.0  # the corners of the two triangles: 00 10 11, 00 11 01
         y = float((52 >> turn) & 1) * 2.0 - 1.0
         along = particle.way
-        if dot(along, along) < 1e-12:
-            along = vec3(0.0, 1e-6, 0.0)
-        along = along / length(along)
-        aside = cross(along, particle.centre)
-        aside = aside / max(length(aside), 1e-6)
+        if sl.dot(along, along) < 1e-12:
+            along = sl.vec3(0.0, 1e-6, 0.0)
+        along = along / sl.length(along)
+        aside = sl.cross(along, particle.centre)
+        aside = aside / sl.max(sl.length(aside), 1e-6)
         offset = along * (self.radius * x) + particle.way * (0.5 * x) + aside * (self.radius * y)
-        offset -= particle.centre * (self.radius / max(length(particle.centre), 1e-6))  # in front of the drop itself
+        offset -= particle.centre * (self.radius / sl.max(sl.length(particle.centre), 1e-6))  # before the drop itself
         return ParticleVarying(
-            clip=self.view.relative_view_projection @ vec4(particle.centre + offset, 1.0), place=vec2(x, y)
+            clip=self.view.relative_view_projection @ sl.vec4(particle.centre + offset, 1.0), place=sl.vec2(x, y)
         )
 
-    def fragment(self, v: ParticleVarying) -> vec4:
-        light = max(1.0 - dot(v.place, v.place), 0.0)
-        return vec4(vec3(0.16, 0.24, 0.32) * light, 0.2 * light)
+    def fragment(self, v: ParticleVarying) -> sl.vec4:
+        light = sl.max(1.0 - sl.dot(v.place, v.place), 0.0)
+        return sl.vec4(sl.vec3(0.16, 0.24, 0.32) * light, 0.2 * light)
 
 
-class FoggedVarying(Struct):
+class FoggedVarying(sl.Struct):
     """The varyings of `FoggedParticles`: of the fog before a particle, how much of it is seen, and what passes it."""
 
-    clip: vec4
-    place: vec2
-    fog: vec3
+    clip: sl.vec4
+    place: sl.vec2
+    fog: sl.vec3
     passing: float
 
 
 class FoggedParticles(ParticleShader):
     """Draws particles in fog. Theirs are colours of the image, so they are mixed with that of the fog."""
 
-    fog: Uniform[FogConstants]
+    fog: sl.Uniform[FogConstants]
 
     def vertex(self) -> FoggedVarying:  # type: ignore[override]  # more varyings
         v = super().vertex()
-        centre = self.particles[vertex_index() // 6].centre
+        centre = self.particles[sl.vertex_index() // 6].centre
         passing = pass_fog(centre, self.fog)
         return FoggedVarying(
             clip=v.clip, place=v.place, fog=tone_map(self.fog.color) * (1.0 - passing), passing=passing
         )
 
-    def fragment(self, v: FoggedVarying) -> vec4:  # type: ignore[override]  # as `vertex`
+    def fragment(self, v: FoggedVarying) -> sl.vec4:  # type: ignore[override]  # as `vertex`
         color = super().fragment(ParticleVarying(clip=v.clip, place=v.place))
-        return vec4(color.rgb * v.passing + v.fog * color.a, color.a)
+        return sl.vec4(color.rgb * v.passing + v.fog * color.a, color.a)
 
 
 class Particles:

@@ -17,25 +17,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from rhi.shading import (
-    Struct,
-    abs,
-    clamp,
-    cross,
-    dot,
-    float_bits_to_int,
-    floor,
-    fract,
-    function,
-    int_bits_to_float,
-    ivec2,
-    max,
-    normalize,
-    round,
-    uint,
-    vec2,
-    vec3,
-)
+import rhi.shading as sl
 
 _FINEST: Final = 32767.0
 _FRAME_STEPS: Final = 1023.0
@@ -45,180 +27,180 @@ _SMALLEST: Final = 107 << 8
 """The bits of 2^-20, with 8 bits of mantissa: the code 0 of lengths."""
 
 
-@function
+@sl.function
 def away_from_zero(x: float) -> float:
     """Return -1 for negative numbers, otherwise 1."""
     return -1.0 if x < 0.0 else 1.0
 
 
-@function
-def unfold_octahedron(normal: vec3) -> vec2:
+@sl.function
+def unfold_octahedron(normal: sl.vec3) -> sl.vec2:
     """Return the place of a direction on an octahedron that is unfolded to a square from -1 to 1: the lower half is
     folded over the corners."""
-    place = normal.xy / max(abs(normal.x) + abs(normal.y) + abs(normal.z), 1e-30)
+    place = normal.xy / sl.max(sl.abs(normal.x) + sl.abs(normal.y) + sl.abs(normal.z), 1e-30)
     if normal.z < 0.0:
-        x = (1.0 - abs(place.y)) * away_from_zero(place.x)
-        y = (1.0 - abs(place.x)) * away_from_zero(place.y)
-        place = vec2(x, y)
+        x = (1.0 - sl.abs(place.y)) * away_from_zero(place.x)
+        y = (1.0 - sl.abs(place.x)) * away_from_zero(place.y)
+        place = sl.vec2(x, y)
     return place
 
 
-@function
-def fold_octahedron(place: vec2, steps: float) -> vec3:
+@sl.function
+def fold_octahedron(place: sl.vec2, steps: float) -> sl.vec3:
     """Return the point of an octahedron of radius `steps` whose place on the unfolded square is given in steps. With
     whole steps the point is exact."""
-    z = steps - abs(place.x) - abs(place.y)
-    fold = max(-z, 0.0)
-    return vec3(place.x - away_from_zero(place.x) * fold, place.y - away_from_zero(place.y) * fold, z)
+    z = steps - sl.abs(place.x) - sl.abs(place.y)
+    fold = sl.max(-z, 0.0)
+    return sl.vec3(place.x - away_from_zero(place.x) * fold, place.y - away_from_zero(place.y) * fold, z)
 
 
-@function
-def encode_octahedral(normal: vec3, steps: float) -> ivec2:
+@sl.function
+def encode_octahedral(normal: sl.vec3, steps: float) -> sl.ivec2:
     """Return a unit vector as two whole numbers from -`steps` to `steps`; b bits each have 2^(b-1) - 1 steps."""
-    return ivec2(round(unfold_octahedron(normal) * steps))
+    return sl.ivec2(sl.round(unfold_octahedron(normal) * steps))
 
 
-@function
-def encode_octahedral_best(normal: vec3, steps: float) -> ivec2:
+@sl.function
+def encode_octahedral_best(normal: sl.vec3, steps: float) -> sl.ivec2:
     """Return a unit vector like `encode_octahedral`, but of the four pairs of numbers around its place choose the one
     that is decoded nearest to it. The largest error is two thirds of that of rounding."""
-    corner = clamp(floor(unfold_octahedron(normal) * steps), vec2(-steps), vec2(steps - 1.0))
+    corner = sl.clamp(sl.floor(unfold_octahedron(normal) * steps), sl.vec2(-steps), sl.vec2(steps - 1.0))
     best = corner
     least = 9.0
     for i in range(4):
-        place = corner + vec2(float(i & 1), float(i >> 1))
-        off = normalize(fold_octahedron(place, steps)) - normal
-        if dot(off, off) < least:
-            least = dot(off, off)
+        place = corner + sl.vec2(float(i & 1), float(i >> 1))
+        off = sl.normalize(fold_octahedron(place, steps)) - normal
+        if sl.dot(off, off) < least:
+            least = sl.dot(off, off)
             best = place
-    return ivec2(best)
+    return sl.ivec2(best)
 
 
-@function
-def decode_octahedral(code: ivec2, steps: float) -> vec3:
+@sl.function
+def decode_octahedral(code: sl.ivec2, steps: float) -> sl.vec3:
     """Return the unit vector that `encode_octahedral` or `encode_octahedral_best` has stored with as many steps."""
-    return normalize(fold_octahedron(vec2(code), steps))
+    return sl.normalize(fold_octahedron(sl.vec2(code), steps))
 
 
-@function
-def encode_normal(normal: vec3) -> uint:
+@sl.function
+def encode_normal(normal: sl.vec3) -> sl.uint:
     """Return a unit vector in 2 × 16 bits, octahedral."""
     code = encode_octahedral(normal, _FINEST) + 32767
-    return uint(code.x) | uint(code.y) << 16
+    return sl.uint(code.x) | sl.uint(code.y) << 16
 
 
-@function
-def decode_normal(bits: uint) -> vec3:
+@sl.function
+def decode_normal(bits: sl.uint) -> sl.vec3:
     """Return the unit vector that `encode_normal` has stored, at most 0.0037° beside it."""
-    return decode_octahedral(ivec2(int(bits & 65535), int(bits >> 16)) - 32767, _FINEST)
+    return decode_octahedral(sl.ivec2(int(bits & 65535), int(bits >> 16)) - 32767, _FINEST)
 
 
-@function
-def encode_direction(direction: vec2, codes: int) -> int:
+@sl.function
+def encode_direction(direction: sl.vec2, codes: int) -> int:
     """Return the direction of a vector as a number below `codes`, a power of 2 of at least 4: the way to it around a
     square that stands on its corner. Multiples of 90° are exact. The largest error is 115° / `codes` near them and
     twice as much half-way between. (Equal angles have 180° / `codes` everywhere, and need sines.)"""
-    x = direction.x / max(abs(direction.x) + abs(direction.y), 1e-30)
+    x = direction.x / sl.max(sl.abs(direction.x) + sl.abs(direction.y), 1e-30)
     way = 3.0 + x if direction.y < 0.0 else 1.0 - x
-    return int(round(way * float(codes // 4))) & (codes - 1)
+    return int(sl.round(way * float(codes // 4))) & (codes - 1)
 
 
-@function
-def decode_direction(code: int, codes: int) -> vec2:
+@sl.function
+def decode_direction(code: int, codes: int) -> sl.vec2:
     """Return the vector with |x| + |y| = 1 whose direction `encode_direction` has stored; it is exact."""
     way = float(code) / float(codes // 4)
     if way < 2.0:
-        return vec2(1.0 - way, 1.0 - abs(1.0 - way))
-    return vec2(way - 3.0, abs(way - 3.0) - 1.0)
+        return sl.vec2(1.0 - way, 1.0 - sl.abs(1.0 - way))
+    return sl.vec2(way - 3.0, sl.abs(way - 3.0) - 1.0)
 
 
-class TangentFrame(Struct):
+class TangentFrame(sl.Struct):
     """A normal and the directions of a texture's axes: unit vectors that are at right angles. `side` is that of the
     bitangent: 1 if it is cross(normal, tangent), -1 if it is the opposite."""
 
-    normal: vec3
-    tangent: vec3
+    normal: sl.vec3
+    tangent: sl.vec3
     side: float
 
 
-@function
-def find_bitangent(frame: TangentFrame) -> vec3:
+@sl.function
+def find_bitangent(frame: TangentFrame) -> sl.vec3:
     """Return the third vector of a frame."""
-    return cross(frame.normal, frame.tangent) * frame.side
+    return sl.cross(frame.normal, frame.tangent) * frame.side
 
 
-@function
-def turn_from_octahedron(point: vec3, normal: vec3) -> vec3:
+@sl.function
+def turn_from_octahedron(point: sl.vec3, normal: sl.vec3) -> sl.vec3:
     """Return a unit vector at a right angle to `normal`, that of a point of an octahedron. It depends on nothing else,
     so a tangent is a direction from it (Duff et al. 2017). It jumps at z = 0, where the point is exact: so all programs
     that decode the same bits see the same vector."""
     half = away_from_zero(point.z)
     share = -normal.x / (half + normal.z)
-    return vec3(1.0 + half * normal.x * share, half * normal.y * share, -half * normal.x)
+    return sl.vec3(1.0 + half * normal.x * share, half * normal.y * share, -half * normal.x)
 
 
-@function
-def encode_frame(frame: TangentFrame) -> uint:
+@sl.function
+def encode_frame(frame: TangentFrame) -> sl.uint:
     """Return a frame in 32 bits. The tangent is measured around the normal as it will be decoded, so there is no
     direction in which an error of the normal adds to it."""
     code = encode_octahedral_best(frame.normal, _FRAME_STEPS)
-    point = fold_octahedron(vec2(code), _FRAME_STEPS)
-    normal = normalize(point)
+    point = fold_octahedron(sl.vec2(code), _FRAME_STEPS)
+    normal = sl.normalize(point)
     first = turn_from_octahedron(point, normal)
-    around = vec2(dot(frame.tangent, first), dot(frame.tangent, cross(normal, first)))
+    around = sl.vec2(sl.dot(frame.tangent, first), sl.dot(frame.tangent, sl.cross(normal, first)))
     turn = encode_direction(around, _TURN)
-    side = uint(1) if frame.side < 0.0 else uint(0)
-    return uint(code.x + 1023) | uint(code.y + 1023) << 11 | uint(turn) << 22 | side << 31
+    side = sl.uint(1) if frame.side < 0.0 else sl.uint(0)
+    return sl.uint(code.x + 1023) | sl.uint(code.y + 1023) << 11 | sl.uint(turn) << 22 | side << 31
 
 
-@function
-def decode_frame(bits: uint) -> TangentFrame:
+@sl.function
+def decode_frame(bits: sl.uint) -> TangentFrame:
     """Return the frame that `encode_frame` has stored: the normal at most 0.08° beside it, the tangent 0.46°."""
-    code = ivec2(int(bits & 2047), int(bits >> 11 & 2047)) - 1023
-    point = fold_octahedron(vec2(code), _FRAME_STEPS)
-    normal = normalize(point)
+    code = sl.ivec2(int(bits & 2047), int(bits >> 11 & 2047)) - 1023
+    point = fold_octahedron(sl.vec2(code), _FRAME_STEPS)
+    normal = sl.normalize(point)
     first = turn_from_octahedron(point, normal)
     around = decode_direction(int(bits >> 22 & 511), _TURN)
     return TangentFrame(
         normal=normal,
-        tangent=normalize(first * around.x + cross(normal, first) * around.y),
-        side=-1.0 if bits >> 31 != uint(0) else 1.0,
+        tangent=sl.normalize(first * around.x + sl.cross(normal, first) * around.y),
+        side=-1.0 if bits >> 31 != sl.uint(0) else 1.0,
     )
 
 
-@function
-def encode_uv(uv: vec2) -> uint:
+@sl.function
+def encode_uv(uv: sl.vec2) -> sl.uint:
     """Return the fractional part of texture coordinates in 2 × 16 bits. What is lost is whole repetitions of a texture,
     which its derivatives don't miss: they are stored beside it."""
-    code = round(fract(uv) * 65536.0)  # 65536 is 0: the next repetition
-    return uint(code.x) & 65535 | (uint(code.y) & 65535) << 16
+    code = sl.round(sl.fract(uv) * 65536.0)  # 65536 is 0: the next repetition
+    return sl.uint(code.x) & 65535 | (sl.uint(code.y) & 65535) << 16
 
 
-@function
-def decode_uv(bits: uint) -> vec2:
+@sl.function
+def decode_uv(bits: sl.uint) -> sl.vec2:
     """Return the fractional part of the texture coordinates that `encode_uv` has stored."""
-    return vec2(float(bits & 65535), float(bits >> 16)) / 65536.0
+    return sl.vec2(float(bits & 65535), float(bits >> 16)) / 65536.0
 
 
-@function
-def encode_change(change: vec2) -> uint:
+@sl.function
+def encode_change(change: sl.vec2) -> sl.uint:
     """Return a vector in 24 bits: a direction in 11, and its length |x| + |y| in 13, a float from 2^-20 to 4088.
     Shorter vectors are 0, longer ones are as long as that."""
-    change = clamp(change, vec2(-1e9), vec2(1e9))
-    bits = float_bits_to_int(abs(change.x) + abs(change.y)) + 16384 >> 15
-    length = clamp(bits - _SMALLEST, 0, 8191)
-    return uint(encode_direction(change, _CHANGE_TURN)) | uint(length) << 11
+    change = sl.clamp(change, sl.vec2(-1e9), sl.vec2(1e9))
+    bits = sl.float_bits_to_int(sl.abs(change.x) + sl.abs(change.y)) + 16384 >> 15
+    length = sl.clamp(bits - _SMALLEST, 0, 8191)
+    return sl.uint(encode_direction(change, _CHANGE_TURN)) | sl.uint(length) << 11
 
 
-@function
-def decode_change(bits: uint) -> vec2:
+@sl.function
+def decode_change(bits: sl.uint) -> sl.vec2:
     """Return the vector that `encode_change` has stored, at most 0.3 % of its length beside it."""
     code = int(bits >> 11 & 8191)
-    length = int_bits_to_float(code + _SMALLEST << 15) if code > 0 else 0.0
+    length = sl.int_bits_to_float(code + _SMALLEST << 15) if code > 0 else 0.0
     return decode_direction(int(bits & 2047), _CHANGE_TURN) * length
 
 
-@function
+@sl.function
 def material_depth(row: int) -> float:
     """Return the depth that stands for a material, for a depth buffer of 16 bits: rows from 0 to 65,535 are exact."""
     return float(row) / 65535.0

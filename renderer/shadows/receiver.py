@@ -26,40 +26,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from renderer.shaders.structs import PointLight, SpotLight
 from renderer.shadows.lamps import NEAR
 from renderer.shadows.settings import ShadowFilter
-from rhi.shading import (
-    Array,
-    DepthTexture2D,
-    IntTexture2D,
-    Shader,
-    Storage,
-    Struct,
-    Texture2D,
-    Uniform,
-    abs,
-    array,
-    clamp,
-    cos,
-    cross,
-    dot,
-    floor,
-    fract,
-    function,
-    ivec2,
-    length,
-    mat3,
-    max,
-    min,
-    mix,
-    sin,
-    smoothstep,
-    sqrt,
-    vec2,
-    vec3,
-    vec4,
-)
 
 MOST_CASCADES: Final = 8
 """The number of maps of all directional lights together."""
@@ -92,7 +62,7 @@ DISC: Final = make_disc(12, 2.0)
 """Places in texels around a point."""
 
 
-class SunMap(Struct):
+class SunMap(sl.Struct):
     """A map of a directional light.
 
     `axes` turns the world to the light's right, up and back. `place` is the middle of the map at depth 1, along these
@@ -102,10 +72,10 @@ class SunMap(Struct):
     its edge.
     """
 
-    axes: mat3
-    place: vec3
+    axes: sl.mat3
+    place: sl.vec3
     texel: float
-    middle: vec2
+    middle: sl.vec2
     half: float
     inner: float
     length: float
@@ -113,24 +83,24 @@ class SunMap(Struct):
     is_last: int
 
 
-class SunTable(Struct):
+class SunTable(sl.Struct):
     """The maps of directional lights, `count` of them, from the nearest of a light to its farthest, and their bias."""
 
-    maps: Array[SunMap] = array(SunMap, MOST_CASCADES)
-    bias: vec3
+    maps: sl.Array[SunMap] = sl.array(SunMap, MOST_CASCADES)
+    bias: sl.vec3
     count: int
 
 
-@function
-def turn(rotation: vec4, v: vec3) -> vec3:
+@sl.function
+def turn(rotation: sl.vec4, v: sl.vec3) -> sl.vec3:
     """Return a vector turned by a quaternion."""
-    return v + 2.0 * cross(rotation.xyz, cross(rotation.xyz, v) + rotation.w * v)
+    return v + 2.0 * sl.cross(rotation.xyz, sl.cross(rotation.xyz, v) + rotation.w * v)
 
 
-@function
-def cube_face(v: vec3) -> int:
+@sl.function
+def cube_face(v: sl.vec3) -> int:
     """Return the face of a cube that a direction leads to: +x, -x, +y, -y, +z, -z."""
-    size = abs(v)
+    size = sl.abs(v)
     if size.x >= size.y and size.x >= size.z:
         return 0 if v.x > 0.0 else 1
     if size.y >= size.z:
@@ -138,19 +108,19 @@ def cube_face(v: vec3) -> int:
     return 4 if v.z > 0.0 else 5
 
 
-class LampTable(Struct):
+class LampTable(sl.Struct):
     """What all maps of lamps have in common. Spot lights are numbered after the `points` point lights."""
 
-    bias: vec3
+    bias: sl.vec3
     points: int
 
 
-class ShadowReader(Shader):
+class ShadowReader(sl.Shader):
     """The base of filters: reads the atlas."""
 
     lean = True
 
-    def find_lit_share(self, at: vec2, depth: float, slope: vec2, middle: vec2, half: float) -> float:
+    def find_lit_share(self, at: sl.vec2, depth: float, slope: sl.vec2, middle: sl.vec2, half: float) -> float:
         """Return the share of the texels around a point that are lit.
 
         Args:
@@ -163,42 +133,42 @@ class ShadowReader(Shader):
 class TexelReader(ShadowReader):
     """The base of filters that compare texel by texel, each with the depth of the point's plane there."""
 
-    shadow_atlas: Texture2D
+    shadow_atlas: sl.Texture2D
 
-    def is_lit(self, at: vec2, texel: vec2, depth: float, slope: vec2, middle: vec2, half: float) -> float:
+    def is_lit(self, at: sl.vec2, texel: sl.vec2, depth: float, slope: sl.vec2, middle: sl.vec2, half: float) -> float:
         """Return 1 where the plane is lit at the middle of a texel, otherwise 0."""
-        inside = clamp(texel, middle - half, middle + (half - 1.0))
-        plane = depth + abs(dot(slope, inside + 0.5 - at))
-        return 1.0 if plane >= self.shadow_atlas.load(ivec2(inside)).x else 0.0
+        inside = sl.clamp(texel, middle - half, middle + (half - 1.0))
+        plane = depth + sl.abs(sl.dot(slope, inside + 0.5 - at))
+        return 1.0 if plane >= self.shadow_atlas.load(sl.ivec2(inside)).x else 0.0
 
 
 class HardShadows(TexelReader):
     """Compares one texel."""
 
-    def find_lit_share(self, at: vec2, depth: float, slope: vec2, middle: vec2, half: float) -> float:
-        return self.is_lit(at, floor(at), depth, slope, middle, half)
+    def find_lit_share(self, at: sl.vec2, depth: float, slope: sl.vec2, middle: sl.vec2, half: float) -> float:
+        return self.is_lit(at, sl.floor(at), depth, slope, middle, half)
 
 
 class HardwareShadows(ShadowReader):
     """Compares 2 × 2 texels with one depth: that of the plane where it is nearest to the light among them."""
 
-    shadow_compare: DepthTexture2D
+    shadow_compare: sl.DepthTexture2D
 
-    def find_lit_share(self, at: vec2, depth: float, slope: vec2, middle: vec2, half: float) -> float:
-        inside = clamp(at, middle - (half - 0.5), middle + (half - 0.5))
-        share = fract(inside - 0.5)
-        nearest = max(-slope * share, slope * (1.0 - share))
-        reference = depth + dot(slope, inside - at) + nearest.x + nearest.y
+    def find_lit_share(self, at: sl.vec2, depth: float, slope: sl.vec2, middle: sl.vec2, half: float) -> float:
+        inside = sl.clamp(at, middle - (half - 0.5), middle + (half - 0.5))
+        share = sl.fract(inside - 0.5)
+        nearest = sl.max(-slope * share, slope * (1.0 - share))
+        reference = depth + sl.dot(slope, inside - at) + nearest.x + nearest.y
         return self.shadow_compare.sample_compare_lod(
-            inside / vec2(self.shadow_compare.size()), clamp(reference, 0.0, 1.0), 0.0
+            inside / sl.vec2(self.shadow_compare.size()), sl.clamp(reference, 0.0, 1.0), 0.0
         )
 
 
 class SmoothShadows(TexelReader):
     """Compares the 4 × 4 texels that a square of 3 × 3 around the point overlaps, weighted by their areas in it."""
 
-    def find_lit_share(self, at: vec2, depth: float, slope: vec2, middle: vec2, half: float) -> float:
-        first = floor(at - 1.5)
+    def find_lit_share(self, at: sl.vec2, depth: float, slope: sl.vec2, middle: sl.vec2, half: float) -> float:
+        first = sl.floor(at - 1.5)
         share = at - 1.5 - first
         lit = 0.0
         for row in range(4):
@@ -207,7 +177,7 @@ class SmoothShadows(TexelReader):
             for column in range(4):
                 wide = 1.0 if column > 0 else 1.0 - share.x
                 wide = share.x if column == 3 else wide
-                texel = first + vec2(float(column), float(row))
+                texel = first + sl.vec2(float(column), float(row))
                 lit += wide * high * self.is_lit(at, texel, depth, slope, middle, half)
         return lit / 9.0
 
@@ -215,15 +185,15 @@ class SmoothShadows(TexelReader):
 class PoissonShadows(TexelReader):
     """Compares texels of a disc. The angle by which it is turned belongs to the place in the map: it doesn't swim."""
 
-    def find_lit_share(self, at: vec2, depth: float, slope: vec2, middle: vec2, half: float) -> float:
-        cell = floor(at * 8.0)
-        angle = 6.2831853 * fract(52.982918 * fract(dot(cell, vec2(0.06711056, 0.00583715))))
-        turn = vec2(cos(angle), sin(angle))
+    def find_lit_share(self, at: sl.vec2, depth: float, slope: sl.vec2, middle: sl.vec2, half: float) -> float:
+        cell = sl.floor(at * 8.0)
+        angle = 6.2831853 * sl.fract(52.982918 * sl.fract(sl.dot(cell, sl.vec2(0.06711056, 0.00583715))))
+        turn = sl.vec2(sl.cos(angle), sl.sin(angle))
         lit = 0.0
         for i in range(len(DISC)):
             tap = DISC[i]
-            place = at + vec2(turn.x * tap.x - turn.y * tap.y, turn.y * tap.x + turn.x * tap.y)
-            lit += self.is_lit(at, floor(place), depth, slope, middle, half)
+            place = at + sl.vec2(turn.x * tap.x - turn.y * tap.y, turn.y * tap.x + turn.x * tap.y)
+            lit += self.is_lit(at, sl.floor(place), depth, slope, middle, half)
         return lit / float(len(DISC))
 
 
@@ -241,28 +211,28 @@ class ShadowReceiver(ShadowReader):
     has_point_shadows = False
     has_spot_shadows = False
 
-    suns: Uniform[SunTable]
-    lamps: Uniform[LampTable]
-    lamp_slots: IntTexture2D
-    lamp_maps: Texture2D
-    point_lights: Storage[PointLight]
-    spot_lights: Storage[SpotLight]
+    suns: sl.Uniform[SunTable]
+    lamps: sl.Uniform[LampTable]
+    lamp_slots: sl.IntTexture2D
+    lamp_maps: sl.Texture2D
+    point_lights: sl.Storage[PointLight]
+    spot_lights: sl.Storage[SpotLight]
 
-    def unblocked_point(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
+    def unblocked_point(self, light: sl.vec3, position: sl.vec3, plane: sl.vec3, row: int) -> sl.vec3:
         """Return what arrives of the light of a point light at a surface."""
         if not self.has_point_shadows:
             return light
         away = position - self.point_lights[row].position
         return self.past_casters(light, away, self.point_lights[row].range, plane, row)
 
-    def unblocked_spot(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
+    def unblocked_spot(self, light: sl.vec3, position: sl.vec3, plane: sl.vec3, row: int) -> sl.vec3:
         """Return what arrives of the light of a spot light at a surface."""
         if not self.has_spot_shadows:
             return light
         away = position - self.spot_lights[row].position
         return self.past_casters(light, away, self.spot_lights[row].range, plane, row + self.lamps.points)
 
-    def unblocked_sun(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
+    def unblocked_sun(self, light: sl.vec3, position: sl.vec3, plane: sl.vec3, row: int) -> sl.vec3:
         """Return what arrives of the light of a directional light at a surface."""
         if not self.has_sun_shadows:
             return light
@@ -270,37 +240,37 @@ class ShadowReceiver(ShadowReader):
             return light
         # The first map that the position is in, if it has casters. What is read of it is read in the loop, where all
         # fragments read the same: a read at an index of each fragment's own takes a CPU twice as long.
-        place = vec3(0.0)
-        facing = vec3(0.0)
-        tile = vec4(0.0)
+        place = sl.vec3(0.0)
+        facing = sl.vec3(0.0)
+        tile = sl.vec4(0.0)
         deep = 0.0
         edge = 0.0
         for i in range(self.suns.count):
             if deep == 0.0 and self.suns.maps[i].light == row:
                 there = self.suns.maps[i].axes @ position - self.suns.maps[i].place
-                aside = max(abs(there.x), abs(there.y)) / self.suns.maps[i].inner
+                aside = sl.max(sl.abs(there.x), sl.abs(there.y)) / self.suns.maps[i].inner
                 if aside < 1.0 and -there.z < self.suns.maps[i].length:
                     place = there
                     facing = self.suns.maps[i].axes @ plane
-                    tile = vec4(self.suns.maps[i].middle, self.suns.maps[i].half, self.suns.maps[i].texel)
+                    tile = sl.vec4(self.suns.maps[i].middle, self.suns.maps[i].half, self.suns.maps[i].texel)
                     deep = self.suns.maps[i].length
                     edge = aside * float(self.suns.maps[i].is_last)
         if deep == 0.0:
             return light
-        sine = sqrt(max(1.0 - facing.z * facing.z, 0.0))
+        sine = sl.sqrt(sl.max(1.0 - facing.z * facing.z, 0.0))
         place += facing * (tile.w * (self.suns.bias.x + self.suns.bias.y * sine))
-        at = tile.xy + vec2(place.x, -place.y) / tile.w
-        slope = vec2(-facing.x, facing.y) * (self.suns.bias.z * tile.w / (max(facing.z, _STEEPEST) * deep))
+        at = tile.xy + sl.vec2(place.x, -place.y) / tile.w
+        slope = sl.vec2(-facing.x, facing.y) * (self.suns.bias.z * tile.w / (sl.max(facing.z, _STEEPEST) * deep))
         share = 0.0
         if facing.z > 0.0:
             share = self.find_lit_share(at, 1.0 + place.z / deep, slope, tile.xy, tile.z)
-        return light * mix(share, 1.0, smoothstep(0.9, 1.0, edge))
+        return light * sl.mix(share, 1.0, sl.smoothstep(0.9, 1.0, edge))
 
-    def lamp_map(self, texel: int) -> vec4:
+    def lamp_map(self, texel: int) -> sl.vec4:
         """Return a texel of `lamp_maps`."""
-        return self.lamp_maps.load(ivec2(texel % TABLE_WIDTH, texel // TABLE_WIDTH))
+        return self.lamp_maps.load(sl.ivec2(texel % TABLE_WIDTH, texel // TABLE_WIDTH))
 
-    def past_casters(self, light: vec3, away: vec3, reach: float, normal: vec3, number: int) -> vec3:
+    def past_casters(self, light: sl.vec3, away: sl.vec3, reach: float, normal: sl.vec3, number: int) -> sl.vec3:
         """Return what arrives of a lamp's light at a surface.
 
         Args:
@@ -308,20 +278,20 @@ class ShadowReceiver(ShadowReader):
         """
         if light.x + light.y + light.z <= 0.0:
             return light
-        slot = self.lamp_slots.load(ivec2(number % TABLE_WIDTH, number // TABLE_WIDTH)).x
+        slot = self.lamp_slots.load(sl.ivec2(number % TABLE_WIDTH, number // TABLE_WIDTH)).x
         if slot < 0:
-            return light if slot == NO_MAPS else vec3(0.0)
+            return light if slot == NO_MAPS else sl.vec3(0.0)
         first = 2 * (slot // 2)
         is_cube = slot % 2 == 1
-        distance = max(length(away), 1e-20)
-        facing = dot(normal, away) / distance
+        distance = sl.max(sl.length(away), 1e-20)
+        facing = sl.dot(normal, away) / distance
         if facing >= 0.0:
-            return vec3(0.0)
-        sine = sqrt(max(1.0 - facing * facing, 0.0))
-        depth = max(max(abs(away.x), abs(away.y)), abs(away.z))
+            return sl.vec3(0.0)
+        sine = sl.sqrt(sl.max(1.0 - facing * facing, 0.0))
+        depth = sl.max(sl.max(sl.abs(away.x), sl.abs(away.y)), sl.abs(away.z))
         if not is_cube:
             depth = -turn(self.lamp_map(first), away).z
-        texel = max(depth, 0.0) / self.lamp_map(first + 1).w
+        texel = sl.max(depth, 0.0) / self.lamp_map(first + 1).w
         moved = away + normal * (texel * (self.lamps.bias.x + self.lamps.bias.y * sine))
         if is_cube:
             first += 2 * cube_face(moved)
@@ -331,12 +301,12 @@ class ShadowReceiver(ShadowReader):
         rotation = self.lamp_map(first)
         place = turn(rotation, moved)
         near = reach * NEAR
-        nearness = 1.0 / max(-place.z, near)
-        at = tile.xy + vec2(place.x, -place.y) * (nearness * tile.w)
+        nearness = 1.0 / sl.max(-place.z, near)
+        at = tile.xy + sl.vec2(place.x, -place.y) * (nearness * tile.w)
         # On a plane n · p = d through the lamp's space, 1 / -z is linear in x / -z and y / -z: n.x / d and n.y / d.
-        plane = min(dot(normal, moved), -_STEEPEST * distance)
+        plane = sl.min(sl.dot(normal, moved), -_STEEPEST * distance)
         tilt = turn(rotation, normal)
-        slope = vec2(tilt.x, -tilt.y) * (self.lamps.bias.z * near / (plane * tile.w))
+        slope = sl.vec2(tilt.x, -tilt.y) * (self.lamps.bias.z * near / (plane * tile.w))
         return light * self.find_lit_share(at, near * nearness, slope, tile.xy, tile.z)
 
 

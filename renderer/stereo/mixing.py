@@ -13,23 +13,11 @@ from typing import Any, Final
 
 import numpy as np
 
+import rhi.shading as sl
 from renderer.stereo.outputs import ANAGLYPHS
 from renderer.stereo.words import Words, find_pitch
 from renderer.visibility.repeated import RepeatedCommands, copy
 from rhi import Device, Encoder, Texture, from_srgb, to_srgb
-from rhi.shading import (
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Uniform,
-    clamp,
-    global_id,
-    ivec2,
-    mat3,
-    uint,
-    vec3,
-)
 
 _GROUP: Final = 64
 _STEPS: Final = 8192
@@ -42,34 +30,34 @@ MIXED: Final = frozenset({*ANAGLYPHS, *_CHOICES})
 """The outputs whose image is made pixel by pixel."""
 
 
-class Mixture(Struct):
+class Mixture(sl.Struct):
     """The way in which two pictures of `size`, of rows that are `pitch` pixels apart, are mixed: the bits of each pixel
     that are the left one's, in even and in odd rows; or the matrices of both."""
 
-    size: ivec2
+    size: sl.ivec2
     pitch: int
-    even: uint
-    odd: uint
-    left: mat3
-    right: mat3
+    even: sl.uint
+    odd: sl.uint
+    left: sl.mat3
+    right: sl.mat3
 
 
-class Mixing(Shader):
+class Mixing(sl.Shader):
     """Makes one pixel of both pictures' at each place, in place of the right one's."""
 
     work_group = (_GROUP,)
-    mixture: Uniform[Mixture]
-    left: Storage[uint]
-    right: StorageRW[uint]
+    mixture: sl.Uniform[Mixture]
+    left: sl.Storage[sl.uint]
+    right: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        x = global_id().x
-        y = global_id().y
+        x = sl.global_id().x
+        y = sl.global_id().y
         if x < self.mixture.size.x:
             i = y * self.mixture.pitch + x
             self.right[i] = self.mix(self.left[i], self.right[i], y)
 
-    def mix(self, left: uint, right: uint, row: int) -> uint:
+    def mix(self, left: sl.uint, right: sl.uint, row: int) -> sl.uint:
         """Return the pixel of two in a row."""
         return right
 
@@ -77,7 +65,7 @@ class Mixing(Shader):
 class ChooseBits(Mixing):
     """Takes some bits of each pixel from one picture, and the others from a second one."""
 
-    def mix(self, left: uint, right: uint, row: int) -> uint:
+    def mix(self, left: sl.uint, right: sl.uint, row: int) -> sl.uint:
         chosen = self.mixture.odd if row % 2 == 1 else self.mixture.even
         return (left & chosen) | (right & ~chosen)
 
@@ -85,22 +73,22 @@ class ChooseBits(Mixing):
 class MixColors(Mixing):
     """Mixes the colours of two pictures in linear light."""
 
-    light: Storage[float]
-    levels: Storage[uint]
+    light: sl.Storage[float]
+    levels: sl.Storage[sl.uint]
 
-    def mix(self, left: uint, right: uint, row: int) -> uint:
+    def mix(self, left: sl.uint, right: sl.uint, row: int) -> sl.uint:
         color = self.mixture.left @ self.decode(left) + self.mixture.right @ self.decode(right)
-        step = clamp(color * float(_STEPS - 1) + 0.5, 0.5, float(_STEPS) - 0.5)
+        step = sl.clamp(color * float(_STEPS - 1) + 0.5, 0.5, float(_STEPS) - 0.5)
         red = self.levels[int(step.x)]
         green = self.levels[int(step.y)]
         blue = self.levels[int(step.z)]
-        return red | green << 8 | blue << 16 | uint(0xFF000000)
+        return red | green << 8 | blue << 16 | sl.uint(0xFF000000)
 
-    def decode(self, pixel: uint) -> vec3:
-        red = int(pixel & uint(255))
-        green = int(pixel >> 8 & uint(255))
-        blue = int(pixel >> 16 & uint(255))
-        return vec3(self.light[red], self.light[green], self.light[blue])
+    def decode(self, pixel: sl.uint) -> sl.vec3:
+        red = int(pixel & sl.uint(255))
+        green = int(pixel >> 8 & sl.uint(255))
+        blue = int(pixel >> 16 & sl.uint(255))
+        return sl.vec3(self.light[red], self.light[green], self.light[blue])
 
 
 class Mixer:
@@ -114,8 +102,10 @@ class Mixer:
             decoded = from_srgb(np.arange(256) / 255.0)
             levels = 255.0 * to_srgb(np.arange(_STEPS) / (_STEPS - 1.0))
             self._light = made.enter_context(device.storage(float, decoded.astype(np.float32), label="light"))
-            self._levels = made.enter_context(device.storage(uint, np.round(levels).astype(np.uint32), label="levels"))
-            self._left, self._right = Words(device, uint), Words(device, uint)
+            self._levels = made.enter_context(
+                device.storage(sl.uint, np.round(levels).astype(np.uint32), label="levels")
+            )
+            self._left, self._right = Words(device, sl.uint), Words(device, sl.uint)
             made.callback(self._left.destroy)
             made.callback(self._right.destroy)
             self._commands = RepeatedCommands(device, "")
@@ -137,7 +127,7 @@ class Mixer:
             "left": self._left.fit(size),
             "right": self._right.fit(size),
         }
-        shader: type[Shader] = ChooseBits
+        shader: type[sl.Shader] = ChooseBits
         if output not in _CHOICES:
             shader = MixColors
             given |= {"light": self._light, "levels": self._levels}

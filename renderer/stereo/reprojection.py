@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Pass, Target, Targets
 from renderer.frame.mirrors import MirroredValue
 from renderer.frame.passes import FARTHEST
@@ -28,112 +29,96 @@ from renderer.stereo.words import Words, find_pitch
 from renderer.techniques.parts.full_screen import bind_rays, make_triangle
 from renderer.visibility.repeated import RepeatedCommands, clear, copy
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Encoder, StorageBuffer
-from rhi.shading import (
-    FragmentDepth,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Uniform,
-    abs,
-    float_bits_to_uint,
-    floor,
-    fragment_coordinate,
-    global_id,
-    ivec2,
-    uint,
-    uint_bits_to_float,
-)
 
 _ROWS: Final = 16  # of a work-group
 _AHEAD: Final = np.array([(0.0, 0.0, -1.0, 1.0), (0.0, 0.0, -2.0, 1.0)])  # two points before the left eye
 
 
-class Shift(Struct):
+class Shift(sl.Struct):
     """The distance by which pixels move to the right: `least` + `rate` times their nearness, in pixels. `size` is that
     of the picture, whose rows are `pitch` pixels apart, `farthest` the depth of the background."""
 
-    size: ivec2
+    size: sl.ivec2
     pitch: int
     least: float
     rate: float
     farthest: float
 
 
-class MovePixels(Shader):
+class MovePixels(sl.Shader):
     """Moves the pixels of each row."""
 
     work_group = (_ROWS,)
-    shift: Uniform[Shift]
-    depth: Storage[float]
-    picture: Storage[uint]
-    moved: StorageRW[uint]
+    shift: sl.Uniform[Shift]
+    depth: sl.Storage[float]
+    picture: sl.Storage[sl.uint]
+    moved: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
         size = self.shift.size
-        if global_id().x >= size.y:
+        if sl.global_id().x >= size.y:
             return
-        row = global_id().x * self.shift.pitch
+        row = sl.global_id().x * self.shift.pitch
         for x in range(size.x):
-            nearness = abs(self.depth[row + x] - self.shift.farthest)
-            to = int(floor(float(x) + 0.5 + (self.shift.least + self.shift.rate * nearness)))
+            nearness = sl.abs(self.depth[row + x] - self.shift.farthest)
+            to = int(sl.floor(float(x) + 0.5 + (self.shift.least + self.shift.rate * nearness)))
             if to >= 0 and to < size.x:
                 self.moved[row + to] = self.picture[row + x]
 
 
-class FillPixels(Shader):
+class FillPixels(sl.Shader):
     """Fills each hole with the next pixel to its right, and those at the right edge with the last one of the row."""
 
     work_group = (_ROWS,)
-    shift: Uniform[Shift]
-    moved: Storage[uint]
-    picture: StorageRW[uint]
+    shift: sl.Uniform[Shift]
+    moved: sl.Storage[sl.uint]
+    picture: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
         size = self.shift.size
-        if global_id().x >= size.y:
+        if sl.global_id().x >= size.y:
             return
-        end = global_id().x * self.shift.pitch + size.x
-        pixel = uint(0)
+        end = sl.global_id().x * self.shift.pitch + size.x
+        pixel = sl.uint(0)
         for i in range(1, size.x + 1):
             pixel = self.moved[end - i]
-            if pixel != uint(0):
+            if pixel != sl.uint(0):
                 break
         for i in range(1, size.x + 1):
             here = self.moved[end - i]
-            if here != uint(0):
+            if here != sl.uint(0):
                 pixel = here
             self.picture[end - i] = pixel
 
 
-class EncodeDepth(Shader):
+class EncodeDepth(sl.Shader):
     """Makes depths pixels that aren't 0, which stands for a hole."""
 
     work_group = (64,)
-    depth: Storage[float]
-    picture: StorageRW[uint]
+    depth: sl.Storage[float]
+    picture: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         if i < len(self.depth):
-            self.picture[i] = float_bits_to_uint(self.depth[i]) + uint(1)
+            self.picture[i] = sl.float_bits_to_uint(self.depth[i]) + sl.uint(1)
 
 
-class MovedDepth(Struct):
+class MovedDepth(sl.Struct):
     """The depth of a moved pixel."""
 
-    depth: FragmentDepth
+    depth: sl.FragmentDepth
 
 
 class TakeDepth(BackgroundScreen):
     """Writes the moved depth: that of a surface is the same for both eyes."""
 
-    shift: Uniform[Shift]
-    picture: Storage[uint]
+    shift: sl.Uniform[Shift]
+    picture: sl.Storage[sl.uint]
 
     def fragment(self) -> MovedDepth:
-        place = ivec2(fragment_coordinate().xy)
-        return MovedDepth(depth=uint_bits_to_float(self.picture[place.y * self.shift.pitch + place.x] - uint(1)))
+        place = sl.ivec2(sl.fragment_coordinate().xy)
+        return MovedDepth(depth=sl.uint_bits_to_float(self.picture[place.y * self.shift.pitch + place.x] - sl.uint(1)))
 
 
 class Reprojector:
@@ -147,8 +132,8 @@ class Reprojector:
     def __init__(self, device: Device) -> None:
         self.shift = MirroredValue(device, Shift(size=(0, 0), pitch=0, least=0.0, rate=0.0, farthest=0.0))
         self.depth = Words(device, float)
-        self.picture, self.moved = Words(device, uint), Words(device, uint)
-        self.depths = Words(device, uint), Words(device, uint)
+        self.picture, self.moved = Words(device, sl.uint), Words(device, sl.uint)
+        self.depths = Words(device, sl.uint), Words(device, sl.uint)
         self._commands = RepeatedCommands(device, "")
         self._device = device
 

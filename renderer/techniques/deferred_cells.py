@@ -13,6 +13,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, Final
 
+import rhi.shading as sl
 from renderer.frame import Effect, Frame, Needs, Pass, Target
 from renderer.lights.culling.cells import Cell, CellGrid, block_cell, padded_radius, range_of
 from renderer.lights.culling.cone_tests import Cone, cone_overlaps_tightly
@@ -33,31 +34,6 @@ from renderer.techniques.parts.resolve import LIGHT_FORMAT, resolve_pass
 from renderer.techniques.parts.scene_shader import LampShader
 from renderer.techniques.parts.variants import FORWARD, bind, explain_lamps, find_variant, list_lamps
 from rhi import Texture
-from rhi.shading import (
-    Image2D,
-    Precision,
-    Storage,
-    Texture2D,
-    Uniform,
-    atomic_max,
-    atomic_min,
-    atomic_or,
-    barrier,
-    find_lsb,
-    float_bits_to_uint,
-    global_id,
-    group_id,
-    image,
-    ivec2,
-    local_index,
-    min,
-    shared,
-    uint,
-    uint_bits_to_float,
-    uvec4,
-    vec3,
-    vec4,
-)
 
 TILE: Final = 16
 """The side of a tile in pixels: a work-group has a pixel for each of its threads."""
@@ -70,23 +46,23 @@ class TiledLighting(GeometryReader, LampShader):
     """Adds up the light of each pixel. A work-group has one tile."""
 
     # As in other passes: highlights end up in 8 bits.
-    precision = Precision.FAST
+    precision = sl.Precision.FAST
     work_group = (TILE, TILE)
 
-    grid: Uniform[CellGrid]
-    lights: Uniform[LightCounts]
-    spheres: Storage[vec4]
-    cones: Storage[Cone]
-    depth: Texture2D
-    lit: Image2D = image(LIGHT_FORMAT)
-    least = shared(uint)
-    greatest = shared(uint)
-    kept = shared(uint, _CHUNK)
+    grid: sl.Uniform[CellGrid]
+    lights: sl.Uniform[LightCounts]
+    spheres: sl.Storage[sl.vec4]
+    cones: sl.Storage[Cone]
+    depth: sl.Texture2D
+    lit: sl.Image2D = sl.image(LIGHT_FORMAT)
+    least = sl.shared(sl.uint)
+    greatest = sl.shared(sl.uint)
+    kept = sl.shared(sl.uint, _CHUNK)
 
     def compute(self) -> None:
-        lane = local_index()
-        tile = group_id().xy
-        pixel = global_id().xy
+        lane = sl.local_index()
+        tile = sl.group_id().xy
+        pixel = sl.global_id().xy
         inside = pixel.x < self.grid.size.x and pixel.y < self.grid.size.y
         depth = self.grid.background
         if inside:
@@ -94,50 +70,50 @@ class TiledLighting(GeometryReader, LampShader):
         has_surface = depth != self.grid.background
         cell = self.find_cell(lane, tile, depth, has_surface)
 
-        texel = uvec4(0)
-        row = uvec4(0)
+        texel = sl.uvec4(0)
+        row = sl.uvec4(0)
         if has_surface:
             texel = self.surface.load(pixel)
             row = self.material.load(pixel)
         position = self.find_place(texel, pixel)
         surface = self.read_surface(row, texel, pixel, position)
-        color = vec3(0.0)
+        color = sl.vec3(0.0)
         words = self.lights.words
         for base in range(0, words, _CHUNK):
             if lane < _CHUNK:
-                self.kept[lane] = uint(0)
-            barrier()
+                self.kept[lane] = sl.uint(0)
+            sl.barrier()
             if cell.near <= cell.far:
-                for k in range(lane, WORD * min(words - base, _CHUNK), _GROUP):
+                for k in range(lane, WORD * sl.min(words - base, _CHUNK), _GROUP):
                     if self.reaches(WORD * base + k, cell):
-                        atomic_or(self.kept[k // WORD], uint(1) << uint(k % WORD))
-            barrier()
+                        sl.atomic_or(self.kept[k // WORD], sl.uint(1) << sl.uint(k % WORD))
+            sl.barrier()
             if has_surface:
-                for w in range(min(words - base, _CHUNK)):
+                for w in range(sl.min(words - base, _CHUNK)):
                     bits = self.kept[w]
-                    while bits != uint(0):
-                        light = WORD * (base + w) + find_lsb(bits)
-                        bits = bits & (bits - uint(1))
+                    while bits != sl.uint(0):
+                        light = WORD * (base + w) + sl.find_lsb(bits)
+                        bits = bits & (bits - sl.uint(1))
                         color += self.light_of(surface, light)
-            barrier()
+            sl.barrier()
         if inside:
             self.lit.store(pixel, self.encode_light(color))
 
-    def encode_light(self, color: vec3) -> vec4:
-        return vec4(color, 0.0)
+    def encode_light(self, color: sl.vec3) -> sl.vec4:
+        return sl.vec4(color, 0.0)
 
-    def find_cell(self, lane: int, tile: ivec2, depth: float, has_surface: bool) -> Cell:
+    def find_cell(self, lane: int, tile: sl.ivec2, depth: float, has_surface: bool) -> Cell:
         """Return the tile's cell between its nearest and its farthest surface; it is empty without any."""
         if lane == 0:
-            self.least = uint(0x7F7FFFFF)  # the largest float: as long as no depth is below it, there is none
-            self.greatest = uint(0)
-        barrier()
+            self.least = sl.uint(0x7F7FFFFF)  # the largest float: as long as no depth is below it, there is none
+            self.greatest = sl.uint(0)
+        sl.barrier()
         if has_surface:
-            bits = float_bits_to_uint(depth)  # ordered as the depths are, none of which is below 0
-            atomic_min(self.least, bits)
-            atomic_max(self.greatest, bits)
-        barrier()
-        ends = range_of(self.grid, uint_bits_to_float(self.least), uint_bits_to_float(self.greatest))
+            bits = sl.float_bits_to_uint(depth)  # ordered as the depths are, none of which is below 0
+            sl.atomic_min(self.least, bits)
+            sl.atomic_max(self.greatest, bits)
+        sl.barrier()
+        ends = range_of(self.grid, sl.uint_bits_to_float(self.least), sl.uint_bits_to_float(self.greatest))
         return block_cell(self.grid, tile, 1, ends.x, ends.y)
 
     def reaches(self, light: int, cell: Cell) -> bool:
@@ -157,13 +133,13 @@ class TiledLighting(GeometryReader, LampShader):
         cone = self.cones[spot]
         return cone_overlaps_tightly(cell, cone, padded_radius(cell, cone.apex, cone.range) - cone.range)
 
-    def light_of(self, surface: SurfacePoint, light: int) -> vec3:
+    def light_of(self, surface: SurfacePoint, light: int) -> sl.vec3:
         spot = light - WORD * self.lights.point_words
         if self.has_point_lights and spot < 0:
             return self.pointlight(surface, light)
         if self.has_spot_lights and spot >= 0:
             return self.spotlight(surface, spot)
-        return vec3(0.0)
+        return sl.vec3(0.0)
 
 
 _make_uploads: Final = partial(LightUploads, tile=TILE)

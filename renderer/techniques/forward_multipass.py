@@ -18,6 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
+import rhi.shading as sl
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.scene.arrays import Rows
 from renderer.shaders.structs import Object, SurfaceVarying
@@ -33,19 +34,6 @@ from renderer.techniques.parts.variants import (
     scene_pass,
 )
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Format, Program, State, Texture
-from rhi.shading import (
-    Storage,
-    Struct,
-    UintTexture2D,
-    fragment_coordinate,
-    instance_index,
-    ivec2,
-    ivec3,
-    uint,
-    uvec4,
-    vec3,
-    vec4,
-)
 
 _ADDED: Final[tuple[State, ...]] = (
     DepthTest.ON,
@@ -55,28 +43,28 @@ _ADDED: Final[tuple[State, ...]] = (
 )
 
 
-class BaseTexels(Struct):
+class BaseTexels(sl.Struct):
     """The texels that `Unmapped` writes: light, and 1 more than the row of the object."""
 
-    light: vec4
-    shown: uvec4
+    light: sl.vec4
+    shown: sl.uvec4
 
 
 class Unmapped(ForwardShader):
     """Leaves light linear and of any strength, to be added to other light, and tells which object is shown. The lists
     of its lights aren't used; their place in the varyings has the object's row."""
 
-    def list_lights(self, thing: Object) -> ivec3:
-        return ivec3(self.find_object())
+    def list_lights(self, thing: Object) -> sl.ivec3:
+        return sl.ivec3(self.find_object())
 
     def fragment(self, v: SurfaceVarying) -> BaseTexels:  # type: ignore[override]  # more targets
-        return BaseTexels(light=self.light(v, self.materials[v.material]), shown=uvec4(uint(v.lights.x + 1)))
+        return BaseTexels(light=self.light(v, self.materials[v.material]), shown=sl.uvec4(sl.uint(v.lights.x + 1)))
 
-    def finish(self, color: vec3, position: vec3) -> vec4:
-        return vec4(color, 1.0)
+    def finish(self, color: sl.vec3, position: sl.vec3) -> sl.vec4:
+        return sl.vec4(color, 1.0)
 
 
-class Pair(Struct):
+class Pair(sl.Struct):
     """An object and one of its lights: the rows `object` of the objects, and `entry` of the light rows."""
 
     object: int
@@ -86,34 +74,34 @@ class Pair(Struct):
 class LampPairs(MaterialShader, LampShader):
     """Adds the light of pairs of an object and one lamp of a kind that reaches it; a pair is an instance."""
 
-    pairs: Storage[Pair]
+    pairs: sl.Storage[Pair]
 
     def find_object(self) -> int:
-        return self.pairs[instance_index()].object
+        return self.pairs[sl.instance_index()].object
 
-    def list_lights(self, thing: Object) -> ivec3:
-        entry = self.pairs[instance_index()].entry
-        return ivec3(entry, entry + 1 if self.has_point_lights else entry, entry + 1)
+    def list_lights(self, thing: Object) -> sl.ivec3:
+        entry = self.pairs[sl.instance_index()].entry
+        return sl.ivec3(entry, entry + 1 if self.has_point_lights else entry, entry + 1)
 
-    def fragment(self, v: SurfaceVarying) -> vec4:
-        return vec4(self.lamplight(self.find_surface(v, self.materials[v.material]), v.lights), 0.0)
+    def fragment(self, v: SurfaceVarying) -> sl.vec4:
+        return sl.vec4(self.lamplight(self.find_surface(v, self.materials[v.material]), v.lights), 0.0)
 
 
 class ShownPairs(LampPairs):
     """Adds the light of pairs where their object is shown. The place of the lists in the varyings has the light's entry
     and the object's row."""
 
-    shown: UintTexture2D
+    shown: sl.UintTexture2D
 
-    def list_lights(self, thing: Object) -> ivec3:
-        return ivec3(self.pairs[instance_index()].entry, self.find_object(), 0)
+    def list_lights(self, thing: Object) -> sl.ivec3:
+        return sl.ivec3(self.pairs[sl.instance_index()].entry, self.find_object(), 0)
 
-    def fragment(self, v: SurfaceVarying) -> vec4:
-        if self.shown.load(ivec2(fragment_coordinate().xy)).x != uint(v.lights.y + 1):
-            return vec4(0.0)
+    def fragment(self, v: SurfaceVarying) -> sl.vec4:
+        if self.shown.load(sl.ivec2(sl.fragment_coordinate().xy)).x != sl.uint(v.lights.y + 1):
+            return sl.vec4(0.0)
         entry = v.lights.x
-        lights = ivec3(entry, entry + 1 if self.has_point_lights else entry, entry + 1)
-        return vec4(self.lamplight(self.find_surface(v, self.materials[v.material]), lights), 0.0)
+        lights = sl.ivec3(entry, entry + 1 if self.has_point_lights else entry, entry + 1)
+        return sl.vec4(self.lamplight(self.find_surface(v, self.materials[v.material]), lights), 0.0)
 
 
 class ForwardMultipass:

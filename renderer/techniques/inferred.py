@@ -23,6 +23,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Final
 
+import rhi.shading as sl
 from renderer import rules
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.encodings import decode_normal
@@ -45,31 +46,6 @@ from renderer.techniques.parts.resolve import EXACT_BITS, check_bits
 from renderer.techniques.parts.scene_shader import ForwardShader, SceneShader
 from renderer.techniques.parts.variants import FORWARD, Lighting, draw_full_screen, lit_pass, scene_pass
 from rhi import DepthFunction, DepthWrite, refuse
-from rhi.shading import (
-    FragmentDepth,
-    Struct,
-    Texture2D,
-    UintTexture2D,
-    Uniform,
-    abs,
-    clamp,
-    discard,
-    dot,
-    float_bits_to_uint,
-    floor,
-    fragment_coordinate,
-    function,
-    instance_index,
-    ivec2,
-    ivec3,
-    length,
-    min,
-    step,
-    uvec4,
-    vec2,
-    vec3,
-    vec4,
-)
 
 _NEAR_PLANE: Final = 0.01
 """The largest distance of a texel's surface from a fragment's plane, in distances from the eye."""
@@ -83,83 +59,83 @@ _LEAST: Final = 1e-3
 """Where texels of the fragment's surface have less of the bilinear weights, all of them count the same."""
 
 
-class Shrunk(Struct):
+class Shrunk(sl.Struct):
     """The size of shrunk buffers in texels."""
 
-    size: ivec2
+    size: sl.ivec2
 
 
-class ShrunkTexels(Struct):
+class ShrunkTexels(sl.Struct):
     """The texels that `ShrinkShader` writes."""
 
-    surface: uvec4
+    surface: sl.uvec4
     shininess: float
-    depth: FragmentDepth
+    depth: sl.FragmentDepth
 
 
 class ShrinkShader(BackgroundScreen):
     """Copies every so many pixels. The background is put out of reach of the filter."""
 
-    surface: UintTexture2D
-    shininess: Texture2D
-    depth: Texture2D
-    shrunk: Uniform[Shrunk]
+    surface: sl.UintTexture2D
+    shininess: sl.Texture2D
+    depth: sl.Texture2D
+    shrunk: sl.Uniform[Shrunk]
 
     def fragment(self) -> ShrunkTexels:
-        place = ivec2(find_shrunk(fragment_coordinate().xy, self.rays.size, self.shrunk.size))
+        place = sl.ivec2(find_shrunk(sl.fragment_coordinate().xy, self.rays.size, self.shrunk.size))
         surface = self.surface.load(place)
         depth = self.depth.load(place).x
         if depth == self.rays.farthest:
-            surface.y = float_bits_to_uint(-1e30)
+            surface.y = sl.float_bits_to_uint(-1e30)
         return ShrunkTexels(surface=surface, shininess=self.shininess.load(place).x, depth=depth)
 
 
-class Taps(Struct):
+class Taps(sl.Struct):
     """The four texels that a pixel takes its light from, at the corners `first` and `last`, and their weights: of the
     first, of the one to its right, of the one below, and of the last."""
 
-    first: ivec2
-    last: ivec2
-    weights: vec4
+    first: sl.ivec2
+    last: sl.ivec2
+    weights: sl.vec4
 
 
-@function
-def filter_light(light: Texture2D, taps: Taps) -> vec3:
+@sl.function
+def filter_light(light: sl.Texture2D, taps: Taps) -> sl.vec3:
     """Return the mean of four texels of light."""
-    sum = min(light.load(taps.first).rgb, BRIGHTEST) * taps.weights.x
-    sum += min(light.load(ivec2(taps.last.x, taps.first.y)).rgb, BRIGHTEST) * taps.weights.y
-    sum += min(light.load(ivec2(taps.first.x, taps.last.y)).rgb, BRIGHTEST) * taps.weights.z
-    return sum + min(light.load(taps.last).rgb, BRIGHTEST) * taps.weights.w
+    sum = sl.min(light.load(taps.first).rgb, BRIGHTEST) * taps.weights.x
+    sum += sl.min(light.load(sl.ivec2(taps.last.x, taps.first.y)).rgb, BRIGHTEST) * taps.weights.y
+    sum += sl.min(light.load(sl.ivec2(taps.first.x, taps.last.y)).rgb, BRIGHTEST) * taps.weights.z
+    return sum + sl.min(light.load(taps.last).rgb, BRIGHTEST) * taps.weights.w
 
 
 class Stippled(SceneShader):
     """Tells the texels of an object. The lists of its lights aren't used; their place in the varyings has the number of
     the texel in each 2 × 2, from 1 to 3."""
 
-    def list_lights(self, thing: Object) -> ivec3:
-        return ivec3(1 + instance_index() % _LAYERS)
+    def list_lights(self, thing: Object) -> sl.ivec3:
+        return sl.ivec3(1 + sl.instance_index() % _LAYERS)
 
 
 class StippleShader(Stippled, NormalShader):
     """Writes normal, distance and shininess to an object's texels."""
 
     def fragment(self, v: SurfaceVarying) -> NormalTexels:
-        place = ivec2(fragment_coordinate().xy)
+        place = sl.ivec2(sl.fragment_coordinate().xy)
         if place.x % 2 + 2 * (place.y % 2) != v.lights.x:
-            discard()
+            sl.discard()
         return super().fragment(v)
 
 
 class Inference(ForwardShader, SurfaceReader):
     """Adds the light of terms in buffers that are smaller than the image."""
 
-    diffuse: Texture2D
-    specular: Texture2D
-    grazing: Texture2D
+    diffuse: sl.Texture2D
+    specular: sl.Texture2D
+    grazing: sl.Texture2D
     is_shrunk = True
     is_stippled = False
 
-    def lamplight(self, surface: SurfacePoint, lights: ivec3) -> vec3:
+    def lamplight(self, surface: SurfacePoint, lights: sl.ivec3) -> sl.vec3:
         taps = self.find_taps(surface, lights.x)
         diffuse = filter_light(self.diffuse, taps)
         color = surface.base_color * diffuse + surface.specular_color * filter_light(self.specular, taps)
@@ -170,33 +146,33 @@ class Inference(ForwardShader, SurfaceReader):
     def find_taps(self, surface: SurfacePoint, begin: int) -> Taps:
         """Return the texels that the surface's pixel takes its light from."""
         size = self.surface.size()
-        at = fragment_coordinate().xy * vec2(size) / self.rays.size - 0.5
+        at = sl.fragment_coordinate().xy * sl.vec2(size) / self.rays.size - 0.5
         stride = 1
-        offset = ivec2(0)
+        offset = sl.ivec2(0)
         if self.is_stippled:  # the texels of the object are every second one, from the one that `Stippled` tells
             stride = 2
-            offset = ivec2(begin % 2, begin // 2)
-            at = (at - vec2(offset)) * 0.5
-        share = at - floor(at)
-        first = clamp(ivec2(floor(at)) * stride + offset, ivec2(0), size - 1)
-        last = clamp((ivec2(floor(at)) + 1) * stride + offset, ivec2(0), size - 1)
-        alike = vec4(
+            offset = sl.ivec2(begin % 2, begin // 2)
+            at = (at - sl.vec2(offset)) * 0.5
+        share = at - sl.floor(at)
+        first = sl.clamp(sl.ivec2(sl.floor(at)) * stride + offset, sl.ivec2(0), size - 1)
+        last = sl.clamp((sl.ivec2(sl.floor(at)) + 1) * stride + offset, sl.ivec2(0), size - 1)
+        alike = sl.vec4(
             self.compare(surface, first),
-            self.compare(surface, ivec2(last.x, first.y)),
-            self.compare(surface, ivec2(first.x, last.y)),
+            self.compare(surface, sl.ivec2(last.x, first.y)),
+            self.compare(surface, sl.ivec2(first.x, last.y)),
             self.compare(surface, last),
         )
-        across = vec2(1.0 - share.x, share.x)
-        weights = vec4(across * (1.0 - share.y), across * share.y) * step(vec4(0.5), alike)
-        if dot(weights, vec4(1.0)) < _LEAST:
+        across = sl.vec2(1.0 - share.x, share.x)
+        weights = sl.vec4(across * (1.0 - share.y), across * share.y) * sl.step(sl.vec4(0.5), alike)
+        if sl.dot(weights, sl.vec4(1.0)) < _LEAST:
             weights = alike
-        return Taps(first=first, last=last, weights=weights / dot(weights, vec4(1.0)))
+        return Taps(first=first, last=last, weights=weights / sl.dot(weights, sl.vec4(1.0)))
 
-    def compare(self, surface: SurfacePoint, place: ivec2) -> float:
+    def compare(self, surface: SurfacePoint, place: sl.ivec2) -> float:
         """Return the weight of a texel: 1 if it is of the same surface, or else that of a stranger."""
         texel = self.surface.load(place)
-        away = abs(dot(surface.normal, self.find_place(texel, place) - surface.position))
-        if away > _NEAR_PLANE * length(surface.position) or dot(surface.normal, decode_normal(texel.x)) < _ALIKE:
+        away = sl.abs(sl.dot(surface.normal, self.find_place(texel, place) - surface.position))
+        if away > _NEAR_PLANE * sl.length(surface.position) or sl.dot(surface.normal, decode_normal(texel.x)) < _ALIKE:
             return _STRANGER
         return 1.0
 

@@ -20,6 +20,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Final
 
+import rhi.shading as sl
 from renderer import rules
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, find_last
 from renderer.frame.passes import NEARER
@@ -34,146 +35,129 @@ from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying,
 from renderer.techniques.parts.scene_shader import LampShader, MaterialShader, SceneShader
 from renderer.techniques.parts.variants import COVERAGE, draw_full_screen, list_lamps, scene_pass
 from rhi import BlendFunction, CullMode, DepthWrite, Format, PolygonMode, State, refuse
-from rhi.shading import (
-    Storage,
-    Texture2D,
-    Uniform,
-    cos,
-    fragment_coordinate,
-    function,
-    ivec2,
-    length,
-    log2,
-    max,
-    mix,
-    saturate,
-    vec2,
-    vec3,
-    vec4,
-)
 
 CELLS: Final = {"tiles": TILES, "clusters": CLUSTERS}
 """The cells of the pictures that show some, settings of techniques by the same names."""
 _DECADES: Final = 13.28771  # log2 of 10,000: from 0.1 m to 1 km
 
 
-@function
-def heat_color(count: float, first: float) -> vec3:
+@sl.function
+def heat_color(count: float, first: float) -> sl.vec3:
     """Return the colour of a count: 0 black, below `first` blue, then another one each time it doubles."""
     if count < 0.5:
-        return vec3(0.0)
+        return sl.vec3(0.0)
     if count < first - 0.5:
-        return vec3(0.0, 0.0, 1.0)
+        return sl.vec3(0.0, 0.0, 1.0)
     if count < 2.0 * first - 0.5:
-        return vec3(0.0, 1.0, 1.0)
+        return sl.vec3(0.0, 1.0, 1.0)
     if count < 4.0 * first - 0.5:
-        return vec3(0.0, 1.0, 0.0)
+        return sl.vec3(0.0, 1.0, 0.0)
     if count < 8.0 * first - 0.5:
-        return vec3(1.0, 1.0, 0.0)
+        return sl.vec3(1.0, 1.0, 0.0)
     if count < 16.0 * first - 0.5:
-        return vec3(1.0, 0.0, 0.0)
-    return vec3(1.0)
+        return sl.vec3(1.0, 0.0, 0.0)
+    return sl.vec3(1.0)
 
 
 class NormalColors(SceneShader):
     """Shows normals."""
 
-    def fragment(self, v: SurfaceVarying) -> vec4:
+    def fragment(self, v: SurfaceVarying) -> sl.vec4:
         self.cut(v)
-        return vec4(self.find_normal(v) * 0.5 + 0.5, 1.0)
+        return sl.vec4(self.find_normal(v) * 0.5 + 0.5, 1.0)
 
 
 class EdgeColors(SceneShader):
     """Shows the edges of triangles, a thousandth nearer than they are."""
 
-    def transform(self, v: Vertex, uv2: vec2, tangent: vec4, color: vec4) -> SurfaceVarying:
+    def transform(self, v: Vertex, uv2: sl.vec2, tangent: sl.vec4, color: sl.vec4) -> SurfaceVarying:
         result = super().transform(v, uv2, tangent, color)
-        result.clip = self.view.relative_view_projection @ vec4(0.999 * result.position, 1.0)
+        result.clip = self.view.relative_view_projection @ sl.vec4(0.999 * result.position, 1.0)
         return result
 
-    def fragment(self, v: SurfaceVarying) -> vec4:
+    def fragment(self, v: SurfaceVarying) -> sl.vec4:
         self.cut(v)
-        return vec4(0.0, 0.0, 0.0, 1.0)
+        return sl.vec4(0.0, 0.0, 0.0, 1.0)
 
 
 class CountedLamps(MaterialShader, LampShader):
     """Shows the number of lights in range: counts them instead of adding up their light."""
 
-    def fragment(self, v: SurfaceVarying) -> vec4:
+    def fragment(self, v: SurfaceVarying) -> sl.vec4:
         surface = self.find_surface(v, self.materials[v.material])
-        return vec4(heat_color(self.lamplight(surface, v.lights).x, 8.0), 1.0)
+        return sl.vec4(heat_color(self.lamplight(surface, v.lights).x, 8.0), 1.0)
 
-    def pointlight(self, surface: SurfacePoint, row: int) -> vec3:
+    def pointlight(self, surface: SurfacePoint, row: int) -> sl.vec3:
         light = self.point_lights[row]
-        return vec3(1.0) if in_range(surface, light.position, light.range) else vec3(0.0)
+        return sl.vec3(1.0) if in_range(surface, light.position, light.range) else sl.vec3(0.0)
 
-    def spotlight(self, surface: SurfacePoint, row: int) -> vec3:
+    def spotlight(self, surface: SurfacePoint, row: int) -> sl.vec3:
         light = self.spot_lights[row]
-        return vec3(1.0) if in_range(surface, light.position, light.range) else vec3(0.0)
+        return sl.vec3(1.0) if in_range(surface, light.position, light.range) else sl.vec3(0.0)
 
 
 class OneFragment(SceneShader):
     """Adds 1 for each fragment."""
 
-    def fragment(self, v: SurfaceVarying) -> vec4:
+    def fragment(self, v: SurfaceVarying) -> sl.vec4:
         self.cut(v)
-        return vec4(1.0)
+        return sl.vec4(1.0)
 
 
 class FragmentCounts(BackgroundScreen):
     """Shows the number of fragments."""
 
-    fragments: Texture2D
+    fragments: sl.Texture2D
 
-    def fragment(self) -> vec4:
-        count = self.fragments.load(ivec2(fragment_coordinate().xy)).x
-        return vec4(heat_color(count, 2.0), 1.0)
+    def fragment(self) -> sl.vec4:
+        count = self.fragments.load(sl.ivec2(sl.fragment_coordinate().xy)).x
+        return sl.vec4(heat_color(count, 2.0), 1.0)
 
 
 class Distances(BackgroundScreen):
     """Shows the distance from the eye."""
 
-    depth: Texture2D
+    depth: sl.Texture2D
 
-    def fragment(self) -> vec4:
-        place = fragment_coordinate().xy
-        nearness = nearness_of(self.rays, self.depth.load(ivec2(place)).x)
+    def fragment(self) -> sl.vec4:
+        place = sl.fragment_coordinate().xy
+        nearness = nearness_of(self.rays, self.depth.load(sl.ivec2(place)).x)
         if nearness == 0.0:
-            return vec4(0.0, 0.0, 0.0, 1.0)
-        away = length(place_pixel(self.rays, place, distance_at(self.rays, nearness)))
-        shade = saturate(1.0 - log2(max(away, 0.1) * 10.0) / _DECADES)
-        return vec4(vec3(shade * shade), 1.0)  # about even to the eye
+            return sl.vec4(0.0, 0.0, 0.0, 1.0)
+        away = sl.length(place_pixel(self.rays, place, distance_at(self.rays, nearness)))
+        shade = sl.saturate(1.0 - sl.log2(sl.max(away, 0.1) * 10.0) / _DECADES)
+        return sl.vec4(sl.vec3(shade * shade), 1.0)  # about even to the eye
 
 
 class CellCounts(BackgroundScreen):
     """Shows the number of lights in the list of each surface's cell. With one slice, a cell has a tile's background as
     well."""
 
-    grid: Uniform[CellGrid]
-    light_rows: Storage[int]
-    depth: Texture2D
+    grid: sl.Uniform[CellGrid]
+    light_rows: sl.Storage[int]
+    depth: sl.Texture2D
 
-    def fragment(self) -> vec4:
-        pixel = ivec2(fragment_coordinate().xy)
+    def fragment(self) -> sl.vec4:
+        pixel = sl.ivec2(sl.fragment_coordinate().xy)
         distance = 0.0
         if self.grid.count.z > 1:
             nearness = nearness_of(self.rays, self.depth.load(pixel).x)
             if nearness == 0.0:
-                return vec4(0.0, 0.0, 0.0, 1.0)
+                return sl.vec4(0.0, 0.0, 0.0, 1.0)
             distance = distance_at(self.rays, nearness)
         cell = cell_index(self.grid, pixel, distance)
         color = heat_color(float(self.light_rows[2 * cell + 2] - self.light_rows[2 * cell]), 8.0)
         if pixel.x % self.grid.tile == 0 or pixel.y % self.grid.tile == 0:
-            color = mix(color, vec3(0.2), 0.5)
-        return vec4(color, 1.0)
+            color = sl.mix(color, sl.vec3(0.2), 0.5)
+        return sl.vec4(color, 1.0)
 
 
 class VolumeColors(VolumeShader):
     """Shows the volumes of lights."""
 
-    def fragment(self, v: VolumeVarying) -> vec4:
-        turns = 6.2831853 * (0.61803399 * float(v.light) + vec3(0.0, 1.0 / 3.0, 2.0 / 3.0))
-        return vec4(0.03 + 0.025 * cos(turns), 0.0)
+    def fragment(self, v: VolumeVarying) -> sl.vec4:
+        turns = 6.2831853 * (0.61803399 * float(v.light) + sl.vec3(0.0, 1.0 / 3.0, 2.0 / 3.0))
+        return sl.vec4(0.03 + 0.025 * sl.cos(turns), 0.0)
 
 
 class Inspection:

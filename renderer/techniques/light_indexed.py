@@ -20,6 +20,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from renderer.frame import LAMPS, Frame, Needs, Pass, Target, Targets
 from renderer.lights.rectangles import bound_cones, bound_spheres
 from renderer.shaders.lighting import safe_normalize
@@ -40,26 +41,6 @@ from rhi import (
     Device,
     Format,
     Mesh,
-)
-from rhi.shading import (
-    Shader,
-    Storage,
-    Struct,
-    Texture2D,
-    Uniform,
-    discard,
-    dot,
-    fragment_coordinate,
-    function,
-    instance_index,
-    ivec2,
-    ivec3,
-    max,
-    uvec4,
-    vec2,
-    vec3,
-    vec4,
-    vertex_index,
 )
 
 INDICES: Final = "light indices"
@@ -85,73 +66,73 @@ _PACKED: Final = (
 _CORNERS: Final = 6  # of the two triangles of a rectangle
 
 
-class IndexedVolume(Struct):
+class IndexedVolume(sl.Struct):
     """The volume of a light: the rectangle around it in the image, its place relative to the eye, and the value that
     is packed for it. A point light has a cone of -2, which holds all directions."""
 
-    rectangle: vec4
-    packed: vec4
-    position: vec3
+    rectangle: sl.vec4
+    packed: sl.vec4
+    position: sl.vec3
     range: float
-    direction: vec3
+    direction: sl.vec3
     cos_outer: float
 
 
-class IndexVarying(Struct):
+class IndexVarying(sl.Struct):
     """The varyings of `PackIndices`."""
 
-    clip: vec4
+    clip: sl.vec4
     volume: int
 
 
-class PackIndices(Shader):
+class PackIndices(sl.Shader):
     """Writes the numbers of the lights that reach the surface at each pixel; an instance is a light."""
 
-    volumes: Storage[IndexedVolume]
-    depth: Texture2D
-    rays: Uniform[PixelRays]
+    volumes: sl.Storage[IndexedVolume]
+    depth: sl.Texture2D
+    rays: sl.Uniform[PixelRays]
 
     def vertex(self) -> IndexVarying:
-        corner = vertex_index()
-        volume = instance_index()
+        corner = sl.vertex_index()
+        volume = sl.instance_index()
         sides = self.volumes[volume].rectangle
         x = sides.z if ((22 >> corner) & 1) == 1 else sides.x  # the corners of the two triangles:
         y = sides.w if ((52 >> corner) & 1) == 1 else sides.y  # 00 10 11, 00 11 01
-        return IndexVarying(clip=vec4(vec2(x, y), 0.5, 1.0), volume=volume)
+        return IndexVarying(clip=sl.vec4(sl.vec2(x, y), 0.5, 1.0), volume=volume)
 
-    def fragment(self, v: IndexVarying) -> vec4:
-        place = fragment_coordinate().xy
-        nearness = nearness_of(self.rays, self.depth.load(ivec2(place)).x)
+    def fragment(self, v: IndexVarying) -> sl.vec4:
+        place = sl.fragment_coordinate().xy
+        nearness = nearness_of(self.rays, self.depth.load(sl.ivec2(place)).x)
         if nearness == 0.0:
-            discard()
+            sl.discard()
         light = self.volumes[v.volume]
         away = place_pixel(self.rays, place, distance_at(self.rays, nearness)) - light.position
-        if dot(away, away) >= light.range * light.range:
-            discard()
-        if dot(safe_normalize(away), light.direction) <= light.cos_outer:
-            discard()
+        if sl.dot(away, away) >= light.range * light.range:
+            sl.discard()
+        if sl.dot(safe_normalize(away), light.direction) <= light.cos_outer:
+            sl.discard()
         return light.packed
 
 
-@function
-def next_light(packed: uvec4) -> int:
+@sl.function
+def next_light(packed: sl.uvec4) -> int:
     """Return the number of the first light of a pixel's packed numbers, 0 if there is none (`light_indexed`)."""
-    parts = packed & uvec4(LIGHT_MASK)
+    parts = packed & sl.uvec4(LIGHT_MASK)
     return int(parts.x | (parts.y << LIGHT_BITS) | (parts.z << (2 * LIGHT_BITS)) | (parts.w << (3 * LIGHT_BITS)))
 
 
 class LitByIndices(ForwardShader):
     """Finds the lights of a pixel in a texture. A pixel with too many lights uses its object's list."""
 
-    light_indices: Texture2D
-    numbered: Storage[int]
+    light_indices: sl.Texture2D
+    numbered: sl.Storage[int]
 
-    def lamplight(self, surface: SurfacePoint, lights: ivec3) -> vec3:
-        indices = self.light_indices.load(ivec2(fragment_coordinate().xy))
-        if max(max(indices.x, indices.y), max(indices.z, indices.w)) >= LIGHTS_FULL:
+    def lamplight(self, surface: SurfacePoint, lights: sl.ivec3) -> sl.vec3:
+        indices = self.light_indices.load(sl.ivec2(sl.fragment_coordinate().xy))
+        if sl.max(sl.max(indices.x, indices.y), sl.max(indices.z, indices.w)) >= LIGHTS_FULL:
             return super().lamplight(surface, lights)
-        packed = uvec4(indices)
-        color = vec3(0.0)
+        packed = sl.uvec4(indices)
+        color = sl.vec3(0.0)
         number = next_light(packed)
         while number > 0:
             row = self.numbered[number - 1]
@@ -159,7 +140,7 @@ class LitByIndices(ForwardShader):
                 color += self.pointlight(surface, row)
             if self.has_spot_lights and row < 0:
                 color += self.spotlight(surface, ~row)
-            packed = packed >> uvec4(LIGHT_BITS)
+            packed = packed >> sl.uvec4(LIGHT_BITS)
             number = next_light(packed)
         return color
 

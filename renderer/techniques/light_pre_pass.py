@@ -18,6 +18,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Final
 
+import rhi.shading as sl
 from renderer import rules
 from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass
 from renderer.shaders.lighting import BRIGHTEST
@@ -35,15 +36,6 @@ from renderer.techniques.parts.resolve import EXACT_BITS, check_bits
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.variants import FORWARD, Lighting, lit_pass
 from rhi import Format, refuse
-from rhi.shading import (
-    Texture2D,
-    fragment_coordinate,
-    ivec2,
-    ivec3,
-    max,
-    min,
-    vec3,
-)
 
 
 class LitByTerms(ForwardShader):
@@ -51,19 +43,19 @@ class LitByTerms(ForwardShader):
 
     is_packed = False
 
-    diffuse: Texture2D
-    specular: Texture2D
-    grazing: Texture2D
+    diffuse: sl.Texture2D
+    specular: sl.Texture2D
+    grazing: sl.Texture2D
 
-    def lamplight(self, surface: SurfacePoint, lights: ivec3) -> vec3:
-        place = ivec2(fragment_coordinate().xy)
-        terms = min(self.diffuse.load(place), BRIGHTEST)
-        specular = terms.rgb / max(luminance(terms.rgb), 1e-6) * terms.a
+    def lamplight(self, surface: SurfacePoint, lights: sl.ivec3) -> sl.vec3:
+        place = sl.ivec2(sl.fragment_coordinate().xy)
+        terms = sl.min(self.diffuse.load(place), BRIGHTEST)
+        specular = terms.rgb / sl.max(luminance(terms.rgb), 1e-6) * terms.a
         if not self.is_packed:
-            specular = min(self.specular.load(place).rgb, BRIGHTEST)
+            specular = sl.min(self.specular.load(place).rgb, BRIGHTEST)
         color = surface.base_color * terms.rgb + surface.specular_color * specular
         if self.has_metals:
-            color += min(self.grazing.load(place).rgb, BRIGHTEST)
+            color += sl.min(self.grazing.load(place).rgb, BRIGHTEST)
         return color
 
 

@@ -12,27 +12,9 @@ from __future__ import annotations
 
 from typing import Final
 
+import rhi.shading as sl
 from renderer.shaders import MeshPart
 from renderer.visibility.gpu.draw_lists import DrawArguments
-from rhi.shading import (
-    Array,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Uniform,
-    array,
-    atomic_add,
-    barrier,
-    function,
-    global_id,
-    group_count,
-    local_index,
-    uint,
-    vec2,
-    vec3,
-    vec4,
-)
 
 GROUP: Final = 64
 """Number of triangles per work-group."""
@@ -49,7 +31,7 @@ BEFORE: Final = IS_CUT + 1
 COUNTERS: Final = BEFORE + 1
 
 
-class GridVertex(Struct):
+class GridVertex(sl.Struct):
     """A vertex of a height field: its height, and the length and the reach of `HeightField.bounds`."""
 
     height: float
@@ -57,12 +39,12 @@ class GridVertex(Struct):
     reach: float
 
 
-class FieldShape(Struct):
+class FieldShape(sl.Struct):
     """The constants of a field: the position of vertex 0, the steps of the grid, its side in vertices, the number
     of levels, the limit of triangles, the place of its first index, and the rows of its mesh and of its draw."""
 
-    corner: vec2
-    steps: vec2
+    corner: sl.vec2
+    steps: sl.vec2
     side: int
     levels: int
     limit: int
@@ -71,7 +53,7 @@ class FieldShape(Struct):
     draw: int
 
 
-class FieldView(Struct):
+class FieldView(sl.Struct):
     """A view in the space of a field, where reaches and lengths are as they are.
 
     What has n · p >= d is inside a plane (n, d) of `planes`. With a lens, `is_lens` is 1, `depth` is the plane through
@@ -80,43 +62,43 @@ class FieldView(Struct):
     in view, by the distance from the `eye`, whose square is multiplied by `squeeze`.
     """
 
-    depth: vec4
-    eye: vec3
+    depth: sl.vec4
+    eye: sl.vec3
     scale: float
     unseen: float
     squeeze: float
     is_lens: float
-    planes: Array[vec4] = array(vec4, 6)
+    planes: sl.Array[sl.vec4] = sl.array(sl.vec4, 6)
 
 
-class Level(Struct):
+class Level(sl.Struct):
     """The level that is split."""
 
     number: int
 
 
-@function
-def along(n: vec3, p: vec3) -> float:
+@sl.function
+def along(n: sl.vec3, p: sl.vec3) -> float:
     """Return a dot product, rounded in the same order everywhere."""
     return n.x * p.x + n.y * p.y + n.z * p.z
 
 
-class EdgeTest(Shader):
+class EdgeTest(sl.Shader):
     """Decides which edges are split."""
 
-    shape: Uniform[FieldShape]
-    view: Uniform[FieldView]
-    grid: Storage[GridVertex]
+    shape: sl.Uniform[FieldShape]
+    view: sl.Uniform[FieldView]
+    grid: sl.Storage[GridVertex]
 
-    def is_split(self, left: uint, right: uint) -> bool:
+    def is_split(self, left: sl.uint, right: sl.uint) -> bool:
         """Return whether an edge is: it is long on screen and in view, or close enough to the eye otherwise."""
-        middle = (left + right) >> uint(1)
-        row = int(middle >> uint(16))
-        column = int(middle & uint(65535))
+        middle = (left + right) >> sl.uint(1)
+        row = int(middle >> sl.uint(16))
+        column = int(middle & sl.uint(65535))
         vertex = self.grid[row * self.shape.side + column]
         x = self.shape.corner.x + self.shape.steps.x * float(column)
         z = self.shape.corner.y + self.shape.steps.y * float(row)
-        p = vec3(x, vertex.height, z)
+        p = sl.vec3(x, vertex.height, z)
         depth = along(self.view.depth.xyz, p) - self.view.is_lens * vertex.reach
         is_wanted = depth - vertex.length * self.view.scale <= self.view.depth.w
         for i in range(6):
@@ -132,36 +114,36 @@ class Begin(EdgeTest):
     """Begins with the two halves of the field. There is one group."""
 
     work_group = (GROUP,)
-    counters: StorageRW[uint]
-    split: StorageRW[uint]
-    indices: StorageRW[uint]
-    draws: Storage[DrawArguments]
+    counters: sl.StorageRW[sl.uint]
+    split: sl.StorageRW[sl.uint]
+    indices: sl.StorageRW[sl.uint]
+    draws: sl.Storage[DrawArguments]
 
     def compute(self) -> None:
-        lane = local_index()
+        lane = sl.local_index()
         if lane < COUNTERS:
-            self.counters[lane] = self.draws[self.shape.draw].count if lane == BEFORE else uint(0)
-        barrier()
+            self.counters[lane] = self.draws[self.shape.draw].count if lane == BEFORE else sl.uint(0)
+        sl.barrier()
         if lane < 2:
             n = self.shape.side - 1
             near = 65536 * n
-            left = uint(0 if lane == 0 else near + n)
-            apex = uint(near if lane == 0 else n)
-            right = uint(near + n if lane == 0 else 0)
+            left = sl.uint(0 if lane == 0 else near + n)
+            apex = sl.uint(near if lane == 0 else n)
+            right = sl.uint(near + n if lane == 0 else 0)
             if self.shape.levels > 0 and self.is_split(left, right):
                 self.split[3 * lane] = left
                 self.split[3 * lane + 1] = apex
                 self.split[3 * lane + 2] = right
                 if lane == 0:
-                    self.counters[SPLIT] = uint(2)
+                    self.counters[SPLIT] = sl.uint(2)
             else:
                 first = self.shape.first + 3 * lane
                 last = self.shape.side * self.shape.side - 1
-                self.indices[first] = uint(0 if lane == 0 else last)
-                self.indices[first + 1] = uint(last - n if lane == 0 else n)
-                self.indices[first + 2] = uint(last if lane == 0 else 0)
+                self.indices[first] = sl.uint(0 if lane == 0 else last)
+                self.indices[first + 1] = sl.uint(last - n if lane == 0 else n)
+                self.indices[first + 2] = sl.uint(last if lane == 0 else 0)
                 if lane == 0:
-                    self.counters[KEPT] = uint(2)
+                    self.counters[KEPT] = sl.uint(2)
 
 
 class Bisect(EdgeTest):
@@ -169,11 +151,11 @@ class Bisect(EdgeTest):
     that the mesh is one that a smaller number of levels gives."""
 
     work_group = (GROUP,)
-    level: Uniform[Level]
-    split: Storage[uint]
-    children: StorageRW[uint]
-    counters: StorageRW[uint]
-    indices: StorageRW[uint]
+    level: sl.Uniform[Level]
+    split: sl.Storage[sl.uint]
+    children: sl.StorageRW[sl.uint]
+    counters: sl.StorageRW[sl.uint]
+    indices: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
         level = self.level.number
@@ -185,25 +167,25 @@ class Bisect(EdgeTest):
             return  # `Begin` has kept the roots
         is_cut = written + 2 * count > self.shape.limit
         is_last = level + 1 == self.shape.levels
-        triangle = global_id().x
+        triangle = sl.global_id().x
         while triangle < count:
             left = self.split[3 * triangle]
             apex = self.split[3 * triangle + 1]
             right = self.split[3 * triangle + 2]
             if is_cut:
-                self.counters[IS_CUT] = uint(1)
-                self.keep(written + int(atomic_add(self.counters[KEPT + level], uint(1))), left, apex, right)
+                self.counters[IS_CUT] = sl.uint(1)
+                self.keep(written + int(sl.atomic_add(self.counters[KEPT + level], sl.uint(1))), left, apex, right)
             else:
-                middle = (left + right) >> uint(1)
+                middle = (left + right) >> sl.uint(1)
                 goes_left = not is_last and self.is_split(apex, left)
                 goes_right = not is_last and self.is_split(right, apex)
                 deeper = int(goes_left) + int(goes_right)
                 place = 0
                 if deeper > 0:
-                    place = int(atomic_add(self.counters[SPLIT + level + 1], uint(deeper)))
+                    place = int(sl.atomic_add(self.counters[SPLIT + level + 1], sl.uint(deeper)))
                 kept = 0
                 if deeper < 2:
-                    kept = written + int(atomic_add(self.counters[KEPT + level], uint(2 - deeper)))
+                    kept = written + int(sl.atomic_add(self.counters[KEPT + level], sl.uint(2 - deeper)))
                 if goes_left:
                     self.pass_on(place, apex, middle, left)
                     place += 1
@@ -214,44 +196,44 @@ class Bisect(EdgeTest):
                     self.pass_on(place, right, middle, apex)
                 else:
                     self.keep(kept, right, middle, apex)
-            triangle += group_count().x * GROUP
+            triangle += sl.group_count().x * GROUP
 
-    def pass_on(self, place: int, left: uint, apex: uint, right: uint) -> None:
+    def pass_on(self, place: int, left: sl.uint, apex: sl.uint, right: sl.uint) -> None:
         """Note a triangle that the next level splits."""
         self.children[3 * place] = left
         self.children[3 * place + 1] = apex
         self.children[3 * place + 2] = right
 
-    def keep(self, place: int, left: uint, apex: uint, right: uint) -> None:
+    def keep(self, place: int, left: sl.uint, apex: sl.uint, right: sl.uint) -> None:
         """Write a triangle to the mesh."""
         at = self.shape.first + 3 * place
         self.indices[at] = self.index(left)
         self.indices[at + 1] = self.index(apex)
         self.indices[at + 2] = self.index(right)
 
-    def index(self, vertex: uint) -> uint:
+    def index(self, vertex: sl.uint) -> sl.uint:
         """Return the place of a vertex in the mesh."""
-        return (vertex >> uint(16)) * uint(self.shape.side) + (vertex & uint(65535))
+        return (vertex >> sl.uint(16)) * sl.uint(self.shape.side) + (vertex & sl.uint(65535))
 
 
-class Finish(Shader):
+class Finish(sl.Shader):
     """Writes the number of triangles to the draws, and empty triangles over what is left of those before."""
 
     work_group = (GROUP,)
-    shape: Uniform[FieldShape]
-    counters: Storage[uint]
-    indices: StorageRW[uint]
-    draws: StorageRW[DrawArguments]
-    parts: StorageRW[MeshPart]
+    shape: sl.Uniform[FieldShape]
+    counters: sl.Storage[sl.uint]
+    indices: sl.StorageRW[sl.uint]
+    draws: sl.StorageRW[DrawArguments]
+    parts: sl.StorageRW[MeshPart]
 
     def compute(self) -> None:
         count = 0
         for level in range(MOST_LEVELS):
             count += 3 * int(self.counters[KEPT + level])
-        place = count + global_id().x
+        place = count + sl.global_id().x
         while place < int(self.counters[BEFORE]):
-            self.indices[self.shape.first + place] = uint(0)
-            place += group_count().x * GROUP
-        if global_id().x == 0:
-            self.draws[self.shape.draw].count = uint(count)
-            self.parts[self.shape.mesh].count = uint(count)
+            self.indices[self.shape.first + place] = sl.uint(0)
+            place += sl.group_count().x * GROUP
+        if sl.global_id().x == 0:
+            self.draws[self.shape.draw].count = sl.uint(count)
+            self.parts[self.shape.mesh].count = sl.uint(count)

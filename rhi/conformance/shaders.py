@@ -2,159 +2,139 @@
 
 from __future__ import annotations
 
-from rhi.shading import (
-    Flat,
-    FragmentDepth,
-    PointSize,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Uniform,
-    atomic_add,
-    discard,
-    fragment_coordinate,
-    ivec2,
-    ivec4,
-    point_coordinate,
-    uint,
-    uvec4,
-    vec2,
-    vec4,
-)
+import rhi.shading as sl
 
 
-class Corner(Struct):
+class Corner(sl.Struct):
     """A vertex in clip space, with a color."""
 
-    position: vec4
-    color: vec4
+    position: sl.vec4
+    color: sl.vec4
 
 
-class Bare(Struct):
+class Bare(sl.Struct):
     """A position alone."""
 
-    clip: vec4
+    clip: sl.vec4
 
 
-class Shade(Struct):
+class Shade(sl.Struct):
     """A position and a color that is interpolated."""
 
-    clip: vec4
-    color: vec4
+    clip: sl.vec4
+    color: sl.vec4
 
 
-class Colored(Shader):
+class Colored(sl.Shader):
     """Passes vertex positions and colors through."""
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
 
-    def fragment(self, v: Shade) -> vec4:
+    def fragment(self, v: Shade) -> sl.vec4:
         return v.color
 
 
-class Checkered(Shader):
+class Checkered(sl.Shader):
     """Discards every other fragment."""
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
 
-    def fragment(self, v: Shade) -> vec4:
-        at = ivec2(fragment_coordinate().xy)
+    def fragment(self, v: Shade) -> sl.vec4:
+        at = sl.ivec2(sl.fragment_coordinate().xy)
         if (at.x + at.y) % 2 == 1:
-            discard()
+            sl.discard()
         return v.color
 
 
-class Loads(Shader):
+class Loads(sl.Shader):
     """Loads texels by integer coordinates."""
 
-    source: Texture2D
+    source: sl.Texture2D
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
 
-    def fragment(self, v: Shade) -> vec4:
-        return self.source.load(ivec2(fragment_coordinate().xy))
+    def fragment(self, v: Shade) -> sl.vec4:
+        return self.source.load(sl.ivec2(sl.fragment_coordinate().xy))
 
 
-class FlatShade(Struct):
+class FlatShade(sl.Struct):
     """A position and a color of the whole primitive."""
 
-    clip: vec4
-    color: Flat[vec4]
+    clip: sl.vec4
+    color: sl.Flat[sl.vec4]
 
 
-class FlatColored(Shader):
+class FlatColored(sl.Shader):
     """Draws each primitive in the color of its first vertex."""
 
     def vertex(self, v: Corner) -> FlatShade:
         return FlatShade(clip=v.position, color=v.color)
 
-    def fragment(self, v: FlatShade) -> vec4:
+    def fragment(self, v: FlatShade) -> sl.vec4:
         return v.color
 
 
-class Tint(Struct):
+class Tint(sl.Struct):
     """A color."""
 
-    color: vec4
+    color: sl.vec4
 
 
-class Tinted(Shader):
+class Tinted(sl.Shader):
     """Draws everything in one uniform color."""
 
-    tint: Uniform[Tint]
+    tint: sl.Uniform[Tint]
 
     def vertex(self, v: Corner) -> FlatShade:
         return FlatShade(clip=v.position, color=self.tint.color)
 
-    def fragment(self, v: FlatShade) -> vec4:
+    def fragment(self, v: FlatShade) -> sl.vec4:
         return v.color
 
 
-class Weighted(Shader):
+class Weighted(sl.Shader):
     """A color from storage."""
 
-    weights: Storage[vec4]
+    weights: sl.Storage[sl.vec4]
 
     def vertex(self, v: Corner) -> FlatShade:
         return FlatShade(clip=v.position, color=self.weights[0])
 
-    def fragment(self, v: FlatShade) -> vec4:
+    def fragment(self, v: FlatShade) -> sl.vec4:
         return v.color
 
 
-class UintColored(Shader):
+class UintColored(sl.Shader):
     """Colors as unsigned integers, for integer targets."""
 
     def vertex(self, v: Corner) -> FlatShade:
         return FlatShade(clip=v.position, color=v.color)
 
-    def fragment(self, v: FlatShade) -> uvec4:
-        return uvec4(v.color)
+    def fragment(self, v: FlatShade) -> sl.uvec4:
+        return sl.uvec4(v.color)
 
 
-class IntColored(Shader):
+class IntColored(sl.Shader):
     """Colors as signed integers, for integer targets."""
 
     def vertex(self, v: Corner) -> FlatShade:
         return FlatShade(clip=v.position, color=v.color)
 
-    def fragment(self, v: FlatShade) -> ivec4:
-        return ivec4(v.color)
+    def fragment(self, v: FlatShade) -> sl.ivec4:
+        return sl.ivec4(v.color)
 
 
-class DepthColor(Struct):
+class DepthColor(sl.Struct):
     """A color, and a depth that the fragment stage writes."""
 
-    color: vec4
-    depth: FragmentDepth
+    color: sl.vec4
+    depth: sl.FragmentDepth
 
 
-class DepthFromColor(Shader):
+class DepthFromColor(sl.Shader):
     """Writes the red channel as depth."""
 
     def vertex(self, v: Corner) -> Shade:
@@ -164,57 +144,57 @@ class DepthFromColor(Shader):
         return DepthColor(color=v.color, depth=v.color.x)
 
 
-class TexturedVarying(Struct):
+class TexturedVarying(sl.Struct):
     """A position and texture coordinates."""
 
-    clip: vec4
-    uv: vec2
+    clip: sl.vec4
+    uv: sl.vec2
 
 
-class TexturedVertex(Struct):
+class TexturedVertex(sl.Struct):
     """A vertex in clip space, with texture coordinates."""
 
-    position: vec4
-    uv: vec2
+    position: sl.vec4
+    uv: sl.vec2
 
 
-class Dot(Struct):
+class Dot(sl.Struct):
     """A vertex in clip space, with a color and a size."""
 
-    position: vec4
-    color: vec4
+    position: sl.vec4
+    color: sl.vec4
     size: float
 
 
-class SizedShade(Struct):
+class SizedShade(sl.Struct):
     """A position, a color and a size."""
 
-    clip: vec4
-    color: vec4
-    size: PointSize
+    clip: sl.vec4
+    color: sl.vec4
+    size: sl.PointSize
 
 
-class Sized(Shader):
+class Sized(sl.Shader):
     """Draws points in their color."""
 
     def vertex(self, v: Dot) -> SizedShade:
         return SizedShade(clip=v.position, color=v.color, size=v.size)
 
-    def fragment(self, v: SizedShade) -> vec4:
+    def fragment(self, v: SizedShade) -> sl.vec4:
         return v.color
 
 
 class Located(Sized):
     """Writes the place inside the point."""
 
-    def fragment(self, v: SizedShade) -> vec4:
-        return vec4(point_coordinate(), v.color.x, 1.0)
+    def fragment(self, v: SizedShade) -> sl.vec4:
+        return sl.vec4(sl.point_coordinate(), v.color.x, 1.0)
 
 
-class Count(Shader):
+class Count(sl.Shader):
     """Counts its invocations."""
 
-    total: StorageRW[uint]
+    total: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        atomic_add(self.total[0], uint(1))
+        sl.atomic_add(self.total[0], sl.uint(1))

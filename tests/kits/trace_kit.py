@@ -12,6 +12,7 @@ import numpy as np
 from testing_kit import Corner, House, Tint
 
 import rhi
+import rhi.shading as sl
 from rhi import (
     BlendFunction,
     ColorWrite,
@@ -26,83 +27,69 @@ from rhi import (
     TextureKind,
     Viewport,
 )
-from rhi.shading import (
-    Image2D,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Uniform,
-    global_id,
-    image,
-    ivec2,
-    vec2,
-    vec4,
-)
 from rhi.trace import save
 
 VERSION_1 = Path(__file__).parents[1] / "rhi/trace/version-1.zip"
 VERSION_2 = Path(__file__).parents[1] / "rhi/trace/version-2.zip"
 
 
-class Doubled(Shader):
-    source: Storage[int]
-    target: StorageRW[int]
+class Doubled(sl.Shader):
+    source: sl.Storage[int]
+    target: sl.StorageRW[int]
     work_group = (4, 1, 1)
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         self.target[i] = self.source[i] * 2
 
 
-class Pictured(Shader):
-    picture: Texture2D
+class Pictured(sl.Shader):
+    picture: sl.Texture2D
 
-    def vertex(self, v: Corner) -> vec4:
-        return vec4(v.position, 0.5, 1.0)
+    def vertex(self, v: Corner) -> sl.vec4:
+        return sl.vec4(v.position, 0.5, 1.0)
 
-    def fragment(self) -> vec4:
-        return self.picture.sample(vec2(0.5, 0.5))
+    def fragment(self) -> sl.vec4:
+        return self.picture.sample(sl.vec2(0.5, 0.5))
 
 
-class Inked(Shader):
+class Inked(sl.Shader):
     """Work on an image and on memory."""
 
-    ink: Image2D = image(Format.R32F)
-    numbers: StorageRW[float]
+    ink: sl.Image2D = sl.image(Format.R32F)
+    numbers: sl.StorageRW[float]
     work_group = (4,)
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         self.numbers[i] = 2.0
-        self.ink.store(ivec2(i, 0), vec4(1.0))
+        self.ink.store(sl.ivec2(i, 0), sl.vec4(1.0))
 
 
-class Placed(Struct):
-    position: vec2
-    offset: vec2
+class Placed(sl.Struct):
+    position: sl.vec2
+    offset: sl.vec2
 
 
-class Instanced(Shader):
+class Instanced(sl.Shader):
     """Vertices, each instance at an offset of its own."""
 
-    def vertex(self, v: Placed) -> vec4:
-        return vec4(v.position + v.offset, 0.5, 1.0)
+    def vertex(self, v: Placed) -> sl.vec4:
+        return sl.vec4(v.position + v.offset, 0.5, 1.0)
 
-    def fragment(self) -> vec4:
-        return vec4(1.0, 1.0, 1.0, 1.0)
+    def fragment(self) -> sl.vec4:
+        return sl.vec4(1.0, 1.0, 1.0, 1.0)
 
 
-class Tinted(Shader):
+class Tinted(sl.Shader):
     """A color that is bound."""
 
-    tint: Uniform[Tint]
+    tint: sl.Uniform[Tint]
 
-    def vertex(self, v: Corner) -> vec4:
-        return vec4(v.position, 0.5, 1.0)
+    def vertex(self, v: Corner) -> sl.vec4:
+        return sl.vec4(v.position, 0.5, 1.0)
 
-    def fragment(self) -> vec4:
+    def fragment(self) -> sl.vec4:
         return self.tint.color
 
 

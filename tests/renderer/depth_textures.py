@@ -5,34 +5,25 @@ from __future__ import annotations
 import numpy as np
 
 import rhi
+import rhi.shading as sl
 from rhi import CullMode, DepthFunction, Format
-from rhi.shading import (
-    FragmentDepth,
-    Shader,
-    Storage,
-    Struct,
-    fragment_coordinate,
-    ivec2,
-    vec4,
-    vertex_index,
-)
 
 
-class GivenDepth(Struct):
-    depth: FragmentDepth
+class GivenDepth(sl.Struct):
+    depth: sl.FragmentDepth
 
 
-class PutDepth(Shader):
+class PutDepth(sl.Shader):
     """Writes depths from memory; the width is the first of them."""
 
-    depths: Storage[float]
+    depths: sl.Storage[float]
 
-    def vertex(self) -> vec4:
-        corner = vertex_index()
-        return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
+    def vertex(self) -> sl.vec4:
+        corner = sl.vertex_index()
+        return sl.vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
 
     def fragment(self) -> GivenDepth:
-        at = ivec2(fragment_coordinate().xy)
+        at = sl.ivec2(sl.fragment_coordinate().xy)
         return GivenDepth(depth=self.depths[1 + at.y * int(self.depths[0]) + at.x])
 
 

@@ -15,6 +15,7 @@ from typing import Any, Final, get_args, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target, TechniquePass
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Orthographic
@@ -24,49 +25,33 @@ from renderer.techniques import Forward
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.variants import bind, find_variant
 from rhi import Format, StorageBuffer, Texture, TextureKind, UniformBuffer
-from rhi.shading import (
-    HostTexture,
-    Shader,
-    Storage,
-    Struct,
-    TextureBinding,
-    Uniform,
-    instance_index,
-    mat3,
-    primitive_index,
-    run_fragment,
-    run_vertex,
-    uint,
-    uvec2,
-    vec4,
-)
 
 _TRIANGLES: Final = "triangles"
 _CHUNK: Final = 1 << 14
 """Fragments that are shaded at a time, each with three helpers."""
 
 
-class NumberVarying(Struct):
+class NumberVarying(sl.Struct):
     """The varyings of `NumberShader`."""
 
-    clip: vec4
+    clip: sl.vec4
     row: int
 
 
-class NumberShader(Shader):
+class NumberShader(sl.Shader):
     """Draws an object's row + 1, and which of its triangles it is."""
 
-    view: Uniform[ViewConstants]
-    objects: Storage[Object]
-    places: Storage[ObjectPosition]
+    view: sl.Uniform[ViewConstants]
+    objects: sl.Storage[Object]
+    places: sl.Storage[ObjectPosition]
 
     def vertex(self, v: Vertex) -> NumberVarying:
-        row = instance_index()
+        row = sl.instance_index()
         position = self.objects[row].linear @ v.position + relative_position(self.places[row], self.view)
-        return NumberVarying(clip=self.view.relative_view_projection @ vec4(position, 1.0), row=row)
+        return NumberVarying(clip=self.view.relative_view_projection @ sl.vec4(position, 1.0), row=row)
 
-    def fragment(self, v: NumberVarying) -> uvec2:
-        return uvec2(uint(v.row + 1), uint(primitive_index()))
+    def fragment(self, v: NumberVarying) -> sl.uvec2:
+        return sl.uvec2(sl.uint(v.row + 1), sl.uint(sl.primitive_index()))
 
 
 class TracedForward:
@@ -76,7 +61,7 @@ class TracedForward:
 
     def __init__(self) -> None:
         self.numbers: NDArray[np.uint32] = np.zeros((0, 0, 2), np.uint32)
-        self.shader: type[Shader] = NumberShader
+        self.shader: type[sl.Shader] = NumberShader
         self.bindings: dict[str, Any] = {}
 
     def declare(self, needs: Needs) -> Sequence[Pass[Frame]]:
@@ -116,7 +101,7 @@ def _take(binding: Any, samplers: Mapping[Any, Any]) -> Any:
         return _rebuild(binding.type, row)
     if isinstance(binding, StorageBuffer):
         return binding.read()
-    assert isinstance(binding, TextureBinding)
+    assert isinstance(binding, sl.TextureBinding)
     texture = binding if isinstance(binding, Texture) else binding.owner
     assert isinstance(texture, Texture)
     layers = texture.descriptor.layers if texture.descriptor.kind is TextureKind.D2_ARRAY else 1
@@ -125,7 +110,7 @@ def _take(binding: Any, samplers: Mapping[Any, Any]) -> Any:
     ]
     if texture.format.components == 1:
         levels = [level[..., None] for level in levels]
-    return HostTexture(levels, texture.format, texture.descriptor.kind, samplers.get(binding))
+    return sl.HostTexture(levels, texture.format, texture.descriptor.kind, samplers.get(binding))
 
 
 def _rebuild(kind: Any, row: Any) -> Any:
@@ -134,10 +119,10 @@ def _rebuild(kind: Any, row: Any) -> Any:
     hints = get_type_hints(kind)
     for name in row.dtype.names:
         value, hint = row[name], hints[name]
-        inside = [one for one in (hint, *get_args(hint)) if isinstance(one, type) and issubclass(one, Struct)]
+        inside = [one for one in (hint, *get_args(hint)) if isinstance(one, type) and issubclass(one, sl.Struct)]
         if inside:
             value = [_rebuild(inside[0], one) for one in value] if np.ndim(value) else _rebuild(inside[0], value)
-        values[name] = value[:, :3] if hint is mat3 else value  # its rows are as wide as vec4 in memory
+        values[name] = value[:, :3] if hint is sl.mat3 else value  # its rows are as wide as vec4 in memory
     return kind(**values)
 
 
@@ -180,7 +165,7 @@ def shade_exactly(renderer: Renderer, camera: Camera, seconds: float = 0.0) -> E
     first = drawn["first"].astype(np.int64) + 3 * triangles[:, 1]
     corners = indices[first[:, None] + np.arange(3)] + drawn["base_vertex"].astype(np.int64)[:, None]
 
-    run = run_vertex(
+    run = sl.run_vertex(
         traced.shader, vertices[corners], instance_index=triangles[:, :1], dtype=np.float64, **traced.bindings
     )
     shape = objects.shape
@@ -211,7 +196,7 @@ def shade_exactly(renderer: Renderer, camera: Camera, seconds: float = 0.0) -> E
         clip_z = np.einsum("nijc,nc->nij", weights, run.position[chosen, :, 2])
         inverse = inverse_w.reshape(-1, 2, 2)
         place = np.stack([quad_x + 0.5, quad_y + 0.5, clip_z * inverse, inverse], -1)
-        shaded = run_fragment(
+        shaded = sl.run_fragment(
             traced.shader, mixed, covered=covered, fragment_coordinate=place, dtype=np.float64, **traced.bindings
         )
         (color,) = shaded.outputs.values()

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from renderer.lab.exam.case import Case, Found, find_largest
 from renderer.lab.measure.encodings import (
     ENCODINGS,
@@ -44,31 +45,17 @@ from renderer.shaders.encodings import (
 )
 from renderer.techniques.parts.full_screen import find_rays
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format
-from rhi.shading import (
-    FragmentDepth,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Uniform,
-    evaluate,
-    fragment_coordinate,
-    global_id,
-    ivec2,
-    vec4,
-    vertex_index,
-)
 
 
-class EveryEncoding(Shader):
+class EveryEncoding(sl.Shader):
     """Stores and reads each value with every encoding; four results for each."""
 
     work_group = (GROUP,)
-    values: Storage[StoredValue]
-    results: StorageRW[StoredValue]
+    values: sl.Storage[StoredValue]
+    results: sl.StorageRW[StoredValue]
 
     def compute(self) -> None:
-        row = global_id().x
+        row = sl.global_id().x
         if row >= len(self.values):
             return
         first = self.values[row].first
@@ -80,11 +67,11 @@ class EveryEncoding(Shader):
         read = decode_uv(encode_uv(first.xy))
         x = decode_change(encode_change(first.xy))
         y = decode_change(encode_change(first.zw))
-        self.results[4 * row] = StoredValue(first=vec4(frame.normal, 0.0), second=vec4(frame.tangent, frame.side))
-        self.results[4 * row + 1] = StoredValue(first=vec4(fine, 0.0), second=vec4(coarse, 0.0))
-        self.results[4 * row + 2] = StoredValue(first=vec4(best, 0.0), second=vec4(x, y))
+        self.results[4 * row] = StoredValue(first=sl.vec4(frame.normal, 0.0), second=sl.vec4(frame.tangent, frame.side))
+        self.results[4 * row + 1] = StoredValue(first=sl.vec4(fine, 0.0), second=sl.vec4(coarse, 0.0))
+        self.results[4 * row + 2] = StoredValue(first=sl.vec4(best, 0.0), second=sl.vec4(x, y))
         bitangent = find_bitangent(frame)
-        self.results[4 * row + 3] = StoredValue(first=vec4(read, 0.0, 0.0), second=vec4(bitangent, 0.0))
+        self.results[4 * row + 3] = StoredValue(first=sl.vec4(read, 0.0, 0.0), second=sl.vec4(bitangent, 0.0))
 
 
 def _unit(vectors: Floats) -> Floats:
@@ -170,7 +157,7 @@ def judge_axes(read: Floats) -> Found:
     stored = (read[:_FRAMES, 0, :3], read[:_FRAMES, 1, :3], read[:_FRAMES, 1, 4:7], read[:_FRAMES, 2, :3])
     error = find_largest(*(float(np.abs(one[axes] - given[axes]).max()) for one in stored))
     up = np.array([0.0, 0.0, 1.0], np.float32)
-    x, y, _ = evaluate(decode_octahedral_truncated, evaluate(encode_octahedral_truncated, up, 255.0), 255.0)
+    x, y, _ = sl.evaluate(decode_octahedral_truncated, sl.evaluate(encode_octahedral_truncated, up, 255.0), 255.0)
     holds = {"numbers without a middle miss the axis": bool(x == y and abs(x + 0.0039) < 1e-4)}
     return Found(error, {"axes": int(axes.sum())}, holds)
 
@@ -211,42 +198,42 @@ def judge_places(read: Floats) -> Found:
     return Found(float(np.abs(off - np.round(off)).max()), numbers, holds)
 
 
-class MaterialDepth(Struct):
+class MaterialDepth(sl.Struct):
     """A depth alone."""
 
-    depth: FragmentDepth
+    depth: sl.FragmentDepth
 
 
-class MaterialOfPixel(Shader):
+class MaterialOfPixel(sl.Shader):
     """Writes the depth of material x + 256 y."""
 
-    def vertex(self) -> vec4:
-        corner = vertex_index()
-        return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
+    def vertex(self) -> sl.vec4:
+        corner = sl.vertex_index()
+        return sl.vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
 
     def fragment(self) -> MaterialDepth:
-        pixel = ivec2(fragment_coordinate().xy)
+        pixel = sl.ivec2(sl.fragment_coordinate().xy)
         return MaterialDepth(depth=material_depth(pixel.x + 256 * pixel.y))
 
 
-class ChosenMaterial(Struct):
+class ChosenMaterial(sl.Struct):
     """A material."""
 
     row: int
 
 
-class AtMaterial(Shader):
+class AtMaterial(sl.Shader):
     """Covers the target at the depth of a material."""
 
-    chosen: Uniform[ChosenMaterial]
+    chosen: sl.Uniform[ChosenMaterial]
 
-    def vertex(self) -> vec4:
-        corner = vertex_index()
+    def vertex(self) -> sl.vec4:
+        corner = sl.vertex_index()
         depth = material_depth(self.chosen.row)
-        return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, depth, 1.0)
+        return sl.vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, depth, 1.0)
 
-    def fragment(self) -> vec4:
-        return vec4(1.0)
+    def fragment(self) -> sl.vec4:
+        return sl.vec4(1.0)
 
 
 def find_materials(device: Device) -> Found:

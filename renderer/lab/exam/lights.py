@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from renderer.lab.exam.case import Case, Found, find_largest
 from renderer.lab.exam.cell_pairs import LENSES, Pairs, find_corners, make_pairs, make_test_grid
 from renderer.lab.exam.cone_pairs import ANGLES, make_cone_pairs, run_cone_tests
@@ -33,20 +34,6 @@ from renderer.lights.culling.table import CONE_TESTS, SPHERE_TESTS
 from renderer.scene import Camera, Depth, Lights, Orthographic, Perspective
 from renderer.scene.arrays import Floats
 from rhi import Device
-from rhi.shading import (
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Uniform,
-    evaluate,
-    function,
-    global_id,
-    ivec2,
-    uint,
-    vec2,
-    vec4,
-)
 
 GROUP: Final = 64
 PAIRS: Final = 4_000  # of each of six lenses
@@ -77,7 +64,7 @@ def decide_spheres(spheres: dict[str, Sphere], device: Device) -> Found:
     radii = np.array([one.radius for one in spheres.values()])
     wrong = np.zeros(len(rows), np.int64)
     for name, test in SPHERE_TESTS.items():
-        plain = (evaluate(test.function, cells, centres, radii, dtype=one) for one in (np.float64, np.float32))
+        plain = (sl.evaluate(test.function, cells, centres, radii, dtype=one) for one in (np.float64, np.float32))
         for found in (kept[name], *plain):
             wrong += overlaps & ~found
             if test.is_exact:
@@ -126,7 +113,7 @@ def keep_beside_a_corner(device: Device) -> Found:
     found = decide_spheres(
         {"beside a corner": FIGURE_2, "a larger one": FIGURE_2._replace(radius=2.4, overlaps=True)}, device
     )
-    planes = evaluate(
+    planes = sl.evaluate(
         SPHERE_TESTS["planes"].function, make_frustums(*np.atleast_2d(WHOLE).T), np.array([FIGURE_2.centre]), 1.6,
         dtype=np.float64,
     )  # fmt: skip
@@ -153,7 +140,7 @@ def keep_tangents(device: Device) -> Found:
     wrong = np.zeros(count, np.int64)
     for test in SPHERE_TESTS.values():
         larger, smaller = (
-            evaluate(test.function, cells, centres, radii * (1.0 + off), dtype=np.float64) for off in (1e-6, -1e-6)
+            sl.evaluate(test.function, cells, centres, radii * (1.0 + off), dtype=np.float64) for off in (1e-6, -1e-6)
         )
         wrong += ~larger
         if test.is_exact:
@@ -169,10 +156,10 @@ def keep_tangents(device: Device) -> Found:
     return Found(int(wrong.sum()), numbers)
 
 
-class CellQuestion(Struct):
+class CellQuestion(sl.Struct):
     """A pixel, the distance of its surface, the depth of a texture, and ranges of depth for a mask."""
 
-    pixel: ivec2
+    pixel: sl.ivec2
     z: float
     depth: float
     near: float
@@ -181,36 +168,36 @@ class CellQuestion(Struct):
     high: float
 
 
-class CellAnswer(Struct):
+class CellAnswer(sl.Struct):
     """The answer of shaders to a `CellQuestion`: the cell, its slice and where that begins and ends, its sides at the
     distance z (left, lower, right, upper), the least and greatest distance of the depth, and the bits of the mask."""
 
-    sides: vec4
-    ends: vec2
-    distances: vec2
+    sides: sl.vec4
+    ends: sl.vec2
+    distances: sl.vec2
     cell: int
     slice: int
-    bits: uint
+    bits: sl.uint
 
 
-@function
-def find_sides(grid: CellGrid, index: int, z: float) -> vec4:
+@sl.function
+def find_sides(grid: CellGrid, index: int, z: float) -> sl.vec4:
     """Return the left, lower, right and upper side of the cell of this index at a distance."""
-    tile = ivec2(index % grid.count.x, index // grid.count.x % grid.count.y)
+    tile = sl.ivec2(index % grid.count.x, index // grid.count.x % grid.count.y)
     cell: Cell = block_cell(grid, tile, 1, z, z)
-    return vec4(cell.low + cell.low_slope * z, cell.high + cell.high_slope * z)
+    return sl.vec4(cell.low + cell.low_slope * z, cell.high + cell.high_slope * z)
 
 
-class AskCells(Shader):
+class AskCells(sl.Shader):
     """Answers questions about the cells of a grid."""
 
     work_group = (GROUP,)
-    grid: Uniform[CellGrid]
-    questions: Storage[CellQuestion]
-    answers: StorageRW[CellAnswer]
+    grid: sl.Uniform[CellGrid]
+    questions: sl.Storage[CellQuestion]
+    answers: sl.StorageRW[CellAnswer]
 
     def compute(self) -> None:
-        row = global_id().x
+        row = sl.global_id().x
         if row >= len(self.questions):
             return
         asked = self.questions[row]
@@ -218,7 +205,7 @@ class AskCells(Shader):
         at = slice_of(self.grid, asked.z)
         self.answers[row] = CellAnswer(
             sides=find_sides(self.grid, index, asked.z),
-            ends=vec2(slice_start(self.grid, at), slice_start(self.grid, at + 1)),
+            ends=sl.vec2(slice_start(self.grid, at), slice_start(self.grid, at + 1)),
             distances=distances_of(self.grid, asked.depth),
             cell=index,
             slice=at,
@@ -376,7 +363,7 @@ def find_boundaries(device: Device) -> Found:
     total = 0
     for name, grid in SLICED.items():
         count = grid.count.z
-        exact = evaluate(slice_start, grid, np.arange(count + 1), dtype=np.float64)
+        exact = sl.evaluate(slice_start, grid, np.arange(count + 1), dtype=np.float64)
         guess = ask_cells(device, grid, ask(count, z=0.5 * (exact[:-1] + exact[1:])))
         bounds = np.append(guess["ends"][:, 0], guess["ends"][-1, 1])  # as the device has them
         shifted = (np.nextafter(bounds, np.float32(-np.inf)), np.nextafter(bounds, np.float32(np.inf)))
@@ -420,7 +407,7 @@ def keep_on_the_axis(device: Device) -> Found:
         for dtype in (np.float32, np.float64):
             for z in (7.2, 8.123457, 9.7):
                 cones = make_cones(ANGLES, (0.0, 0.0, z))
-                dropped += int((~evaluate(test.function, cell, cones, 1e-5, dtype=dtype)).sum())
+                dropped += int((~sl.evaluate(test.function, cell, cones, 1e-5, dtype=dtype)).sum())
         numbers[name] = dropped
         total += dropped
     return Found(total, numbers)

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from renderer.lab.measure.published_encodings import (
     decode_derivatives,
     decode_octahedral_truncated,
@@ -39,19 +40,6 @@ from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_p
 from renderer.techniques.parts.full_screen import find_rays
 from rhi import Device, Program
 from rhi.shading import (
-    Precision,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Uniform,
-    dot,
-    global_id,
-    mat4,
-    vec3,
-    vec4,
-)
-from rhi.shading import (
     round as round_to_whole,
 )
 
@@ -60,30 +48,30 @@ TURNS: Final = 64
 """The number of times that a value is stored and read in a run that is timed."""
 
 
-class StoredValue(Struct):
+class StoredValue(sl.Struct):
     """The value that an encoding stores: up to eight numbers."""
 
-    first: vec4
-    second: vec4
+    first: sl.vec4
+    second: sl.vec4
 
 
-class Turns(Struct):
+class Turns(sl.Struct):
     """The number of times that values are stored and read."""
 
     count: int
 
 
-class RoundTrip(Shader):
+class RoundTrip(sl.Shader):
     """Stores and reads each value: the base, which keeps it as it is."""
 
-    precision = Precision.FAST  # as the geometry pass has it
+    precision = sl.Precision.FAST  # as the geometry pass has it
     work_group = (GROUP,)
-    turns: Uniform[Turns]
-    values: Storage[StoredValue]
-    results: StorageRW[StoredValue]
+    turns: sl.Uniform[Turns]
+    values: sl.Storage[StoredValue]
+    results: sl.StorageRW[StoredValue]
 
     def compute(self) -> None:
-        row = global_id().x
+        row = sl.global_id().x
         if row >= len(self.values):
             return
         value = self.values[row]
@@ -103,7 +91,7 @@ class RoundedNormal(RoundTrip):
     def store(self, value: StoredValue) -> StoredValue:
         steps = float((1 << self.bits - 1) - 1)
         normal = decode_octahedral(encode_octahedral(value.first.xyz, steps), steps)
-        return StoredValue(first=vec4(normal, 0.0), second=value.second)
+        return StoredValue(first=sl.vec4(normal, 0.0), second=value.second)
 
 
 class BestNormal(RoundedNormal):
@@ -112,7 +100,7 @@ class BestNormal(RoundedNormal):
     def store(self, value: StoredValue) -> StoredValue:
         steps = float((1 << self.bits - 1) - 1)
         normal = decode_octahedral(encode_octahedral_best(value.first.xyz, steps), steps)
-        return StoredValue(first=vec4(normal, 0.0), second=value.second)
+        return StoredValue(first=sl.vec4(normal, 0.0), second=value.second)
 
 
 class TruncatedNormal(RoundedNormal):
@@ -121,7 +109,7 @@ class TruncatedNormal(RoundedNormal):
     def store(self, value: StoredValue) -> StoredValue:
         last = float((1 << self.bits) - 1)
         normal = decode_octahedral_truncated(encode_octahedral_truncated(value.first.xyz, last), last)
-        return StoredValue(first=vec4(normal, 0.0), second=value.second)
+        return StoredValue(first=sl.vec4(normal, 0.0), second=value.second)
 
 
 class StoredFrame(RoundTrip):
@@ -130,7 +118,7 @@ class StoredFrame(RoundTrip):
     def store(self, value: StoredValue) -> StoredValue:
         frame = TangentFrame(normal=value.first.xyz, tangent=value.second.xyz, side=value.second.w)
         frame = decode_frame(encode_frame(frame))
-        return StoredValue(first=vec4(frame.normal, 0.0), second=vec4(frame.tangent, frame.side))
+        return StoredValue(first=sl.vec4(frame.normal, 0.0), second=sl.vec4(frame.tangent, frame.side))
 
 
 class PublishedFrame(RoundTrip):
@@ -139,7 +127,7 @@ class PublishedFrame(RoundTrip):
     def store(self, value: StoredValue) -> StoredValue:
         frame = TangentFrame(normal=value.first.xyz, tangent=value.second.xyz, side=value.second.w)
         frame = decode_tangent_frame(encode_tangent_frame(frame))
-        return StoredValue(first=vec4(frame.normal, 0.0), second=vec4(frame.tangent, frame.side))
+        return StoredValue(first=sl.vec4(frame.normal, 0.0), second=sl.vec4(frame.tangent, frame.side))
 
 
 class StoredChanges(RoundTrip):
@@ -148,7 +136,7 @@ class StoredChanges(RoundTrip):
     def store(self, value: StoredValue) -> StoredValue:
         x = decode_change(encode_change(value.first.xy))
         y = decode_change(encode_change(value.first.zw))
-        return StoredValue(first=vec4(x, y), second=value.second)
+        return StoredValue(first=sl.vec4(x, y), second=value.second)
 
 
 class PublishedChanges(RoundTrip):
@@ -162,7 +150,7 @@ class StoredPlace(RoundTrip):
     """Stores texture coordinates."""
 
     def store(self, value: StoredValue) -> StoredValue:
-        return StoredValue(first=vec4(decode_uv(encode_uv(value.first.xy)), 0.0, 0.0), second=value.second)
+        return StoredValue(first=sl.vec4(decode_uv(encode_uv(value.first.xy)), 0.0, 0.0), second=value.second)
 
 
 class StoredPosition(RoundTrip):
@@ -173,14 +161,14 @@ class StoredPosition(RoundTrip):
     steps = 0.0
     """The last of the whole numbers that the depth is stored as; 0 for a float."""
 
-    rays: Uniform[PixelRays]
+    rays: sl.Uniform[PixelRays]
 
     def store(self, value: StoredValue) -> StoredValue:
         depth = self.find_depth(value.first.z)
         distance = distance_at(self.rays, nearness_of(self.rays, depth))
         position = place_pixel(self.rays, value.first.xy, distance)
-        along = dot(position, self.rays.forward)
-        return StoredValue(first=vec4(value.first.xy, along, 0.0), second=vec4(position, 0.0))
+        along = sl.dot(position, self.rays.forward)
+        return StoredValue(first=sl.vec4(value.first.xy, along, 0.0), second=sl.vec4(position, 0.0))
 
     def find_depth(self, distance: float) -> float:
         """Return the depth of a distance as a target holds it."""
@@ -211,25 +199,25 @@ class StandardPosition16(StandardPosition):
     steps = float(2**16 - 1)
 
 
-class WorldMatrix(Struct):
+class WorldMatrix(sl.Struct):
     """The way back from clip coordinates to the world."""
 
-    inverse: mat4
-    eye: vec3
+    inverse: sl.mat4
+    eye: sl.vec3
 
 
 class PositionByMatrix(StoredPosition):
     """Stores depth likewise, and finds the position in the world by a matrix."""
 
-    world: Uniform[WorldMatrix]
+    world: sl.Uniform[WorldMatrix]
 
     def store(self, value: StoredValue) -> StoredValue:
         depth = self.find_depth(value.first.z)
         place = value.first.xy / self.rays.size * 2.0 - 1.0
-        found = self.world.inverse @ vec4(place.x, -place.y, depth, 1.0)
+        found = self.world.inverse @ sl.vec4(place.x, -place.y, depth, 1.0)
         position = found.xyz / found.w - self.world.eye
-        along = dot(position, self.rays.forward)
-        return StoredValue(first=vec4(value.first.xy, along, 0.0), second=vec4(position, 0.0))
+        along = sl.dot(position, self.rays.forward)
+        return StoredValue(first=sl.vec4(value.first.xy, along, 0.0), second=sl.vec4(position, 0.0))
 
 
 @dataclass(frozen=True)
@@ -250,7 +238,7 @@ class Encoding:
     sample: Callable[[np.random.Generator, int], Floats]
     measure: Callable[[Floats, Floats], Floats]
     unit: str
-    uniforms: Mapping[str, Struct] = field(default_factory=dict)
+    uniforms: Mapping[str, sl.Struct] = field(default_factory=dict)
 
 
 def pack_values(values: Floats) -> NDArray[Any]:
@@ -259,7 +247,7 @@ def pack_values(values: Floats) -> NDArray[Any]:
     return packed
 
 
-def run_round_trip(device: Device, shader: type[RoundTrip], values: Floats, **uniforms: Struct) -> Floats:
+def run_round_trip(device: Device, shader: type[RoundTrip], values: Floats, **uniforms: sl.Struct) -> Floats:
     """Return what a device reads of values (k, 8) that it has stored."""
     buffers = _make_buffers(device, values, 1, uniforms)
     device.dispatch(device.program(shader), -(-len(values) // GROUP), **buffers)
@@ -270,7 +258,7 @@ def run_round_trip(device: Device, shader: type[RoundTrip], values: Floats, **un
 
 
 def time_round_trip(
-    device: Device, shader: type[RoundTrip], values: Floats, **uniforms: Struct
+    device: Device, shader: type[RoundTrip], values: Floats, **uniforms: sl.Struct
 ) -> Callable[[int], None]:
     """Return a function that stores and reads the values many times, and waits for the device."""
     buffers = _make_buffers(device, values, TURNS, uniforms)
@@ -283,7 +271,7 @@ def time_round_trip(
     return run
 
 
-def _make_buffers(device: Device, values: Floats, turns: int, uniforms: Mapping[str, Struct]) -> dict[str, Any]:
+def _make_buffers(device: Device, values: Floats, turns: int, uniforms: Mapping[str, sl.Struct]) -> dict[str, Any]:
     """Create what a `RoundTrip` binds."""
     return {
         "turns": device.uniform(Turns(count=turns)),
@@ -380,7 +368,7 @@ def _positions(
     name: str, bits: int, shader: type[RoundTrip], measure: Callable[[Floats, Floats], Floats], unit: str
 ) -> Encoding:
     camera = make_camera(Depth.STANDARD if issubclass(shader, StandardPosition) else Depth.REVERSED)
-    uniforms: dict[str, Struct] = {"rays": find_rays(camera, SIZE)}
+    uniforms: dict[str, sl.Struct] = {"rays": find_rays(camera, SIZE)}
     if issubclass(shader, PositionByMatrix):
         inverse = np.linalg.inv(camera.view_projection)
         uniforms["world"] = WorldMatrix(inverse=inverse, eye=camera.position)

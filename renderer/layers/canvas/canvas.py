@@ -19,22 +19,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+import rhi.shading as sl
 from renderer.layers.canvas.font import WHITE, Font
 from renderer.layers.canvas.text import TextLayout, lay_out
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device, Format, Scissor, from_srgb
-from rhi.shading import (
-    Shader,
-    Storage,
-    Struct,
-    Texture2D,
-    Uniform,
-    floor,
-    ivec2,
-    uvec2,
-    vec2,
-    vec4,
-    vertex_index,
-)
 
 _CAPACITY: Final = 1024  # parallelograms at first
 _CORNERS: Final = 6  # of the two triangles
@@ -42,52 +30,52 @@ _CORNERS: Final = 6  # of the two triangles
 Clip = tuple[int, int, int, int]
 
 
-class CanvasQuad(Struct):
+class CanvasQuad(sl.Struct):
     """A parallelogram in pixels: a corner and the edges from there, a rectangle of the atlas, and a colour.
 
     `texels` is its top left and its size, each with x in the lower 16 bits and y in the upper ones. The colour is
     linear and premultiplied.
     """
 
-    corner: vec2
-    across: vec2
-    down: vec2
-    texels: uvec2
-    color: vec4
+    corner: sl.vec2
+    across: sl.vec2
+    down: sl.vec2
+    texels: sl.uvec2
+    color: sl.vec4
 
 
-class CanvasVarying(Struct):
+class CanvasVarying(sl.Struct):
     """The varyings of `CanvasShader`."""
 
-    clip: vec4
-    texel: vec2
-    color: vec4
+    clip: sl.vec4
+    texel: sl.vec2
+    color: sl.vec4
 
 
-class CanvasShader(Shader):
+class CanvasShader(sl.Shader):
     """Draws parallelograms without vertices: two triangles each, found by the vertex index."""
 
-    quads: Storage[CanvasQuad]
-    scale: Uniform[vec2]  # from pixels to clip space
-    atlas: Texture2D
+    quads: sl.Storage[CanvasQuad]
+    scale: sl.Uniform[sl.vec2]  # from pixels to clip space
+    atlas: sl.Texture2D
 
     def vertex(self) -> CanvasVarying:
-        number = vertex_index()
+        number = sl.vertex_index()
         quad = self.quads[number // 6]
         turn = number % 6
         x = float((22 >> turn) & 1)  # the corners of the two triangles: 00 10 11, 00 11 01
         y = float((52 >> turn) & 1)
         place = quad.corner + quad.across * x + quad.down * y
-        first = vec2(float(quad.texels.x & 65535), float(quad.texels.x >> 16))
-        size = vec2(float(quad.texels.y & 65535), float(quad.texels.y >> 16))
+        first = sl.vec2(float(quad.texels.x & 65535), float(quad.texels.x >> 16))
+        size = sl.vec2(float(quad.texels.y & 65535), float(quad.texels.y >> 16))
         return CanvasVarying(
-            clip=vec4(place.x * self.scale.x - 1.0, 1.0 - place.y * self.scale.y, 0.5, 1.0),
-            texel=first + size * vec2(x, y),
+            clip=sl.vec4(place.x * self.scale.x - 1.0, 1.0 - place.y * self.scale.y, 0.5, 1.0),
+            texel=first + size * sl.vec2(x, y),
             color=quad.color,
         )
 
-    def fragment(self, v: CanvasVarying) -> vec4:
-        return v.color * self.atlas.load(ivec2(floor(v.texel))).x
+    def fragment(self, v: CanvasVarying) -> sl.vec4:
+        return v.color * self.atlas.load(sl.ivec2(sl.floor(v.texel))).x
 
 
 @lru_cache(256)

@@ -15,24 +15,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from rhi.shading import (
-    Struct,
-    abs,
-    clamp,
-    dot,
-    exp2,
-    floor,
-    function,
-    ivec2,
-    ivec3,
-    log2,
-    max,
-    min,
-    uint,
-    vec2,
-    vec3,
-    vec4,
-)
+import rhi.shading as sl
 
 PADDING: Final = 2.0**-20
 """The share of a test's lengths by which a radius is enlarged, for the rounding of float32."""
@@ -43,19 +26,19 @@ MASK_SLICES: Final = 32
 """Number of depth slices of a tile that its mask tells apart."""
 
 
-class Cell(Struct):
+class Cell(sl.Struct):
     """A part of the view in eye space: between the depths `near` and `far`, and in x and y between
     `low + low_slope · z` and `high + high_slope · z`. It is empty if `near` > `far`."""
 
-    low: vec2
-    low_slope: vec2
-    high: vec2
-    high_slope: vec2
+    low: sl.vec2
+    low_slope: sl.vec2
+    high: sl.vec2
+    high_slope: sl.vec2
     near: float
     far: float
 
 
-class CellGrid(Struct):
+class CellGrid(sl.Struct):
     """A view that is divided into cells.
 
     The side of an image at pixel p, counted from the top left corner, is `offset + offset_step · p` at the eye, and
@@ -67,14 +50,14 @@ class CellGrid(Struct):
     depth of pixels where nothing is drawn.
     """
 
-    offset: vec2
-    offset_step: vec2
-    slope: vec2
-    slope_step: vec2
-    depth: vec4
-    count: ivec3
+    offset: sl.vec2
+    offset_step: sl.vec2
+    slope: sl.vec2
+    slope_step: sl.vec2
+    depth: sl.vec4
+    count: sl.ivec3
     tile: int
-    size: ivec2
+    size: sl.ivec2
     near: float
     far: float
     slice_end: float
@@ -82,14 +65,14 @@ class CellGrid(Struct):
     background: float
 
 
-@function
-def block_cell(grid: CellGrid, tile: ivec2, across: int, near: float, far: float) -> Cell:
+@sl.function
+def block_cell(grid: CellGrid, tile: sl.ivec2, across: int, near: float, far: float) -> Cell:
     """Return the cell of a block of `across` × `across` tiles, the first of which is `tile`, between two depths. At the
     image's right and lower edge it ends with the image."""
     first = tile * grid.tile
-    last = min(first + across * grid.tile, grid.size)
-    lower = vec2(ivec2(first.x, last.y))  # pixel rows count downwards
-    upper = vec2(ivec2(last.x, first.y))
+    last = sl.min(first + across * grid.tile, grid.size)
+    lower = sl.vec2(sl.ivec2(first.x, last.y))  # pixel rows count downwards
+    upper = sl.vec2(sl.ivec2(last.x, first.y))
     return Cell(
         low=grid.offset + grid.offset_step * lower,
         low_slope=grid.slope + grid.slope_step * lower,
@@ -100,7 +83,7 @@ def block_cell(grid: CellGrid, tile: ivec2, across: int, near: float, far: float
     )
 
 
-@function
+@sl.function
 def slice_start(grid: CellGrid, index: int) -> float:
     """Return the depth at which a slice begins. The first one begins at the near plane, and where an index is the
     number of slices, that is the end of the grid."""
@@ -109,11 +92,11 @@ def slice_start(grid: CellGrid, index: int) -> float:
     if index >= grid.count.z:
         return grid.far
     if grid.slice_rate > 0.0:
-        return grid.slice_end * exp2(float(index - grid.count.z) * grid.slice_rate)
+        return grid.slice_end * sl.exp2(float(index - grid.count.z) * grid.slice_rate)
     return grid.near + (grid.slice_end - grid.near) * (float(index) / float(grid.count.z))
 
 
-@function
+@sl.function
 def slice_of(grid: CellGrid, z: float) -> int:
     """Return the slice that a depth is in; before the first and behind the last slice, that one.
 
@@ -123,10 +106,10 @@ def slice_of(grid: CellGrid, z: float) -> int:
     count = grid.count.z
     guess = 0.0
     if grid.slice_rate > 0.0:
-        guess = log2(max(z, 1e-30) / grid.slice_end) / grid.slice_rate + float(count)
+        guess = sl.log2(sl.max(z, 1e-30) / grid.slice_end) / grid.slice_rate + float(count)
     else:
         guess = (z - grid.near) / (grid.slice_end - grid.near) * float(count)
-    index = int(clamp(floor(guess), 0.0, float(count - 1)))
+    index = int(sl.clamp(sl.floor(guess), 0.0, float(count - 1)))
     while index > 0 and z < slice_start(grid, index):
         index -= 1
     while index < count - 1 and z >= slice_start(grid, index + 1):
@@ -134,45 +117,45 @@ def slice_of(grid: CellGrid, z: float) -> int:
     return index
 
 
-@function
-def cell_index(grid: CellGrid, pixel: ivec2, z: float) -> int:
+@sl.function
+def cell_index(grid: CellGrid, pixel: sl.ivec2, z: float) -> int:
     """Return the index of the cell that a pixel's surface at depth `z` is in. Cells are counted row by row, then
     slice by slice."""
     tile = pixel // grid.tile
     return (slice_of(grid, z) * grid.count.y + tile.y) * grid.count.x + tile.x
 
 
-@function
+@sl.function
 def distance_of(grid: CellGrid, depth: float) -> float:
     """Return the distance, along the view, of a depth in a texture; within the grid's ends, also at infinity."""
     below = grid.depth.z - grid.depth.w * depth
     if below == 0.0:
         return grid.far
-    return clamp((grid.depth.x - grid.depth.y * depth) / below, grid.near, grid.far)
+    return sl.clamp((grid.depth.x - grid.depth.y * depth) / below, grid.near, grid.far)
 
 
-@function
-def distances_of(grid: CellGrid, depth: float) -> vec2:
+@sl.function
+def distances_of(grid: CellGrid, depth: float) -> sl.vec2:
     """Return the least and the greatest distance of a surface whose depth, as the texture holds it, is rounded."""
     slack = DEPTH_SLACK * (depth + 0.25)
-    one = distance_of(grid, clamp(depth - slack, 0.0, 1.0))
-    other = distance_of(grid, clamp(depth + slack, 0.0, 1.0))
-    return vec2(min(one, other), max(one, other))
+    one = distance_of(grid, sl.clamp(depth - slack, 0.0, 1.0))
+    other = distance_of(grid, sl.clamp(depth + slack, 0.0, 1.0))
+    return sl.vec2(sl.min(one, other), sl.max(one, other))
 
 
-@function
-def range_of(grid: CellGrid, least: float, greatest: float) -> vec2:
+@sl.function
+def range_of(grid: CellGrid, least: float, greatest: float) -> sl.vec2:
     """Return the least and the greatest distance of surfaces whose depths lie between two depths of a texture; if
     `least` is above `greatest` there are none, and the range is empty, as that of an empty cell."""
     if least > greatest:
-        return vec2(1.0, 0.0)
+        return sl.vec2(1.0, 0.0)
     one = distances_of(grid, least)
     other = distances_of(grid, greatest)
-    return vec2(min(one.x, other.x), max(one.y, other.y))
+    return sl.vec2(sl.min(one.x, other.x), sl.max(one.y, other.y))
 
 
-@function
-def depth_bits(near: float, far: float, low: float, high: float) -> uint:
+@sl.function
+def depth_bits(near: float, far: float, low: float, high: float) -> sl.uint:
     """Return the slices between the depths `low` and `high`, a bit for each of the 32 slices of a range.
 
     All slices of a flat range, `near` = `far`, are the first one. Rounding can't separate what touches: a slice's
@@ -180,23 +163,25 @@ def depth_bits(near: float, far: float, low: float, high: float) -> uint:
     """
     scale = float(MASK_SLICES) / (far - near) if far > near else 0.0
     last = float(MASK_SLICES - 1)
-    first_bit = int(clamp(floor((low - near) * scale), 0.0, last))
-    last_bit = int(clamp(floor((high - near) * scale), 0.0, last))
-    return (uint(0xFFFFFFFF) << uint(first_bit)) & (uint(0xFFFFFFFF) >> uint(MASK_SLICES - 1 - last_bit))
+    first_bit = int(sl.clamp(sl.floor((low - near) * scale), 0.0, last))
+    last_bit = int(sl.clamp(sl.floor((high - near) * scale), 0.0, last))
+    return (sl.uint(0xFFFFFFFF) << sl.uint(first_bit)) & (sl.uint(0xFFFFFFFF) >> sl.uint(MASK_SLICES - 1 - last_bit))
 
 
-@function
-def padded_radius(cell: Cell, centre: vec3, radius: float) -> float:
+@sl.function
+def padded_radius(cell: Cell, centre: sl.vec3, radius: float) -> float:
     """Return a radius with which tests in float32 find all that they would find without rounding: larger by 2^-20 of
     the greatest coordinates."""
-    reach = max(abs(cell.near), abs(cell.far))
-    sides = max(abs(cell.low), abs(cell.high)) + max(abs(cell.low_slope), abs(cell.high_slope)) * reach
-    away = abs(centre)
+    reach = sl.max(sl.abs(cell.near), sl.abs(cell.far))
+    sides = (
+        sl.max(sl.abs(cell.low), sl.abs(cell.high)) + sl.max(sl.abs(cell.low_slope), sl.abs(cell.high_slope)) * reach
+    )
+    away = sl.abs(centre)
     return radius + PADDING * (radius + reach + sides.x + sides.y + away.x + away.y + away.z)
 
 
-@function
-def seen_from(cell: Cell, place: vec3) -> Cell:
+@sl.function
+def seen_from(cell: Cell, place: sl.vec3) -> Cell:
     """Return the same cell with the origin at `place`."""
     return Cell(
         low=cell.low + cell.low_slope * place.z - place.xy,
@@ -208,17 +193,17 @@ def seen_from(cell: Cell, place: vec3) -> Cell:
     )
 
 
-@function
-def corner(cell: Cell, index: int) -> vec3:
+@sl.function
+def corner(cell: Cell, index: int) -> sl.vec3:
     """Return one of the eight corners: bit 0 of the index says right, bit 1 top, bit 2 far."""
     z = cell.far if index >= 4 else cell.near
     low = cell.low + cell.low_slope * z
     high = cell.high + cell.high_slope * z
-    return vec3(high.x if index % 2 == 1 else low.x, high.y if index // 2 % 2 == 1 else low.y, z)
+    return sl.vec3(high.x if index % 2 == 1 else low.x, high.y if index // 2 % 2 == 1 else low.y, z)
 
 
-@function
-def extent_along(cell: Cell, axis: vec3) -> vec2:
+@sl.function
+def extent_along(cell: Cell, axis: sl.vec3) -> sl.vec2:
     """Return the least and the greatest value of `dot(axis, p)` in a cell."""
     across = axis.xy
     near_low = across * (cell.low + cell.low_slope * cell.near)
@@ -227,17 +212,17 @@ def extent_along(cell: Cell, axis: vec3) -> vec2:
     far_high = across * (cell.high + cell.high_slope * cell.far)
     near = axis.z * cell.near
     far = axis.z * cell.far
-    least_near = min(near_low, near_high)
-    least_far = min(far_low, far_high)
-    most_near = max(near_low, near_high)
-    most_far = max(far_low, far_high)
-    return vec2(
-        min(least_near.x + least_near.y + near, least_far.x + least_far.y + far),
-        max(most_near.x + most_near.y + near, most_far.x + most_far.y + far),
+    least_near = sl.min(near_low, near_high)
+    least_far = sl.min(far_low, far_high)
+    most_near = sl.max(near_low, near_high)
+    most_far = sl.max(far_low, far_high)
+    return sl.vec2(
+        sl.min(least_near.x + least_near.y + near, least_far.x + least_far.y + far),
+        sl.max(most_near.x + most_near.y + near, most_far.x + most_far.y + far),
     )
 
 
-@function
+@sl.function
 def squared_distance(cell: Cell) -> float:
     """Return the squared distance of a cell that isn't empty from the origin.
 
@@ -254,15 +239,15 @@ def squared_distance(cell: Cell) -> float:
     for x in range(3):
         product = 0.0 if x == 0 else low.x if x == 1 else high.x
         square = 1.0 if x == 0 else 1.0 + (low_square.x if x == 1 else high_square.x)
-        best = min(best, _square_at(cell, -product / square))
-        best = min(best, _square_at(cell, -(product + low.y) / (square + low_square.y)))
-        best = min(best, _square_at(cell, -(product + high.y) / (square + high_square.y)))
+        best = sl.min(best, _square_at(cell, -product / square))
+        best = sl.min(best, _square_at(cell, -(product + low.y) / (square + low_square.y)))
+        best = sl.min(best, _square_at(cell, -(product + high.y) / (square + high_square.y)))
     return best
 
 
-@function
+@sl.function
 def _square_at(cell: Cell, z: float) -> float:
     """Return the squared distance of the rectangle at the depth nearest to `z` from the origin."""
-    at = clamp(z, cell.near, cell.far)
-    gap = max(max(cell.low + cell.low_slope * at, -(cell.high + cell.high_slope * at)), vec2(0.0))
-    return dot(gap, gap) + at * at
+    at = sl.clamp(z, cell.near, cell.far)
+    gap = sl.max(sl.max(cell.low + cell.low_slope * at, -(cell.high + cell.high_slope * at)), sl.vec2(0.0))
+    return sl.dot(gap, gap) + at * at

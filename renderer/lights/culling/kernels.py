@@ -17,6 +17,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, Final
 
+import rhi.shading as sl
 from renderer.lights.culling.cells import (
     Cell,
     CellGrid,
@@ -31,30 +32,6 @@ from renderer.lights.culling.cone_tests import Cone
 from renderer.lights.culling.sphere_tests import overlaps_always
 from renderer.lights.culling.table import ConeTest, SphereTest
 from renderer.lights.culling.volumes import WORD
-from rhi.shading import (
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Uniform,
-    atomic_add,
-    atomic_or,
-    barrier,
-    bit_count,
-    find_lsb,
-    global_id,
-    group_id,
-    ivec2,
-    local_index,
-    max,
-    min,
-    shared,
-    uint,
-    vec2,
-    vec3,
-    vec4,
-)
 
 BLOCK: Final = 8
 """The side of a block in tiles."""
@@ -63,93 +40,93 @@ _CHUNK: Final = 64
 """Number of words of lights that a block holds at a time."""
 
 
-class LightCounts(Struct):
+class LightCounts(sl.Struct):
     """The number of words with a bit for each light, and of those before the spot lights'."""
 
     words: int
     point_words: int
 
 
-class TileDepths(Struct):
+class TileDepths(sl.Struct):
     """The depths of a tile's nearest and farthest surface, and a bit for each of 32 slices between them that has
     one."""
 
     near: float
     far: float
-    mask: uint
+    mask: sl.uint
 
 
-class FindTileDepths(Shader):
+class FindTileDepths(sl.Shader):
     """Finds the depths of each tile. An invocation has a tile, so that there is nothing to wait for. With a work-group
     for each tile of 8 × 8 pixels, PoCL takes 6 times the processor time and llvmpipe 11 times."""
 
     work_group = (BLOCK, BLOCK)
-    grid: Uniform[CellGrid]
-    depth: Texture2D
-    depths: StorageRW[TileDepths]
+    grid: sl.Uniform[CellGrid]
+    depth: sl.Texture2D
+    depths: sl.StorageRW[TileDepths]
 
     def compute(self) -> None:
-        tile = global_id().xy
+        tile = sl.global_id().xy
         if tile.x >= self.grid.count.x or tile.y >= self.grid.count.y:
             return
         first = tile * self.grid.tile
-        end = min(first + self.grid.tile, self.grid.size)
+        end = sl.min(first + self.grid.tile, self.grid.size)
         least = 2.0
         greatest = -1.0
         for y in range(first.y, end.y):
             for x in range(first.x, end.x):
-                depth = self.depth.load(ivec2(x, y)).r
+                depth = self.depth.load(sl.ivec2(x, y)).r
                 if depth != self.grid.background:
-                    least = min(least, depth)
-                    greatest = max(greatest, depth)
+                    least = sl.min(least, depth)
+                    greatest = sl.max(greatest, depth)
         ends = range_of(self.grid, least, greatest)
         mask = self.find_mask(first, end, ends.x, ends.y)
         self.depths[tile.y * self.grid.count.x + tile.x] = TileDepths(near=ends.x, far=ends.y, mask=mask)
 
-    def find_mask(self, first: ivec2, end: ivec2, near: float, far: float) -> uint:
-        return uint(0xFFFFFFFF)
+    def find_mask(self, first: sl.ivec2, end: sl.ivec2, near: float, far: float) -> sl.uint:
+        return sl.uint(0xFFFFFFFF)
 
 
 class FindTileMasks(FindTileDepths):
     """Finds the masks of each tile's depths as well."""
 
-    def find_mask(self, first: ivec2, end: ivec2, near: float, far: float) -> uint:
-        mask = uint(0)
+    def find_mask(self, first: sl.ivec2, end: sl.ivec2, near: float, far: float) -> sl.uint:
+        mask = sl.uint(0)
         for y in range(first.y, end.y):
             for x in range(first.x, end.x):
-                depth = self.depth.load(ivec2(x, y)).r
+                depth = self.depth.load(sl.ivec2(x, y)).r
                 if depth != self.grid.background:
                     between = distances_of(self.grid, depth)
                     mask = mask | depth_bits(near, far, between.x, between.y)
         return mask
 
 
-class CollectLights(Shader):
+class CollectLights(sl.Shader):
     """Finds the lights of each cell, and counts them. The subclasses add what not every grid has; `collect_variant`
     combines them."""
 
     work_group = (BLOCK, BLOCK)
-    grid: Uniform[CellGrid]
-    lights: Uniform[LightCounts]
-    spheres: Storage[vec4]
-    masks: StorageRW[uint]
-    counts: StorageRW[uint]
-    kept = shared(uint, _CHUNK)
+    grid: sl.Uniform[CellGrid]
+    lights: sl.Uniform[LightCounts]
+    spheres: sl.Storage[sl.vec4]
+    masks: sl.StorageRW[sl.uint]
+    counts: sl.StorageRW[sl.uint]
+    kept = sl.shared(sl.uint, _CHUNK)
     tests_blocks = True
 
     def compute(self) -> None:
-        lane = local_index()
-        block = group_id()
+        lane = sl.local_index()
+        block = sl.group_id()
         first = block.xy * BLOCK
-        tile = global_id().xy
+        tile = sl.global_id().xy
         slice_near = slice_start(self.grid, block.z)
         slice_far = slice_start(self.grid, block.z + 1)
         inside = tile.x < self.grid.count.x and tile.y < self.grid.count.y
-        depths = TileDepths(near=1.0, far=0.0, mask=uint(0))
+        depths = TileDepths(near=1.0, far=0.0, mask=sl.uint(0))
         if inside:
             depths = self.tile_depths(tile.y * self.grid.count.x + tile.x)
-        near = max(slice_near, depths.near)
-        far = min(slice_far, depths.far)
+        near = sl.max(slice_near, depths.near)
+        far = sl.min(slice_far, depths.far)
         cell = block_cell(self.grid, tile, 1, near, far)
         has_surface = inside and near <= far
 
@@ -160,43 +137,43 @@ class CollectLights(Shader):
         count = 0
         tests = 0
         for base in range(0, words, _CHUNK):
-            self.kept[lane] = uint(0)
-            barrier()
-            for k in range(lane, WORD * min(words - base, _CHUNK), GROUP):
+            self.kept[lane] = sl.uint(0)
+            sl.barrier()
+            for k in range(lane, WORD * sl.min(words - base, _CHUNK), GROUP):
                 sphere = self.spheres[WORD * base + k]
                 if sphere.w >= 0.0 and ends.x <= ends.y:
                     if self.tests_blocks:
                         tests += 1
                     if self.keeps(whole, sphere):
-                        atomic_or(self.kept[k // WORD], uint(1) << uint(k % WORD))
-            barrier()
-            for w in range(min(words - base, _CHUNK)):
+                        sl.atomic_or(self.kept[k // WORD], sl.uint(1) << sl.uint(k % WORD))
+            sl.barrier()
+            for w in range(sl.min(words - base, _CHUNK)):
                 bits = self.kept[w]
-                found = uint(0)
+                found = sl.uint(0)
                 if has_surface:
-                    while bits != uint(0):
-                        bit = find_lsb(bits)
-                        bits = bits & (bits - uint(1))
+                    while bits != sl.uint(0):
+                        bit = sl.find_lsb(bits)
+                        bits = bits & (bits - sl.uint(1))
                         tests += 1
                         if self.is_lit_by(WORD * (base + w) + bit, cell, depths):
-                            found = found | (uint(1) << uint(bit))
+                            found = found | (sl.uint(1) << sl.uint(bit))
                 if inside:
                     self.masks[index * words + base + w] = found
-                    count += bit_count(found)
-            barrier()
+                    count += sl.bit_count(found)
+            sl.barrier()
         if inside:
-            self.counts[index] = uint(count)
+            self.counts[index] = sl.uint(count)
         if index == 0:
-            self.counts[self.grid.count.x * self.grid.count.y * self.grid.count.z] = uint(0)
+            self.counts[self.grid.count.x * self.grid.count.y * self.grid.count.z] = sl.uint(0)
         self.note_tests(tests, lane)
 
     def tile_depths(self, tile: int) -> TileDepths:
-        return TileDepths(near=self.grid.near, far=self.grid.far, mask=uint(0xFFFFFFFF))
+        return TileDepths(near=self.grid.near, far=self.grid.far, mask=sl.uint(0xFFFFFFFF))
 
-    def block_depths(self, lane: int, near: float, far: float, slice_near: float, slice_far: float) -> vec2:
-        return vec2(slice_near, slice_far)
+    def block_depths(self, lane: int, near: float, far: float, slice_near: float, slice_far: float) -> sl.vec2:
+        return sl.vec2(slice_near, slice_far)
 
-    def keeps(self, block: Cell, sphere: vec4) -> bool:
+    def keeps(self, block: Cell, sphere: sl.vec4) -> bool:
         return self.overlaps_block(block, sphere.xyz, padded_radius(block, sphere.xyz, sphere.w))
 
     def is_lit_by(self, light: int, cell: Cell, depths: TileDepths) -> bool:
@@ -204,7 +181,7 @@ class CollectLights(Shader):
             return False
         return self.reaches_in_cone(light - WORD * self.lights.point_words, cell)
 
-    def reaches(self, cell: Cell, sphere: vec4, depths: TileDepths) -> bool:
+    def reaches(self, cell: Cell, sphere: sl.vec4, depths: TileDepths) -> bool:
         return self.overlaps(cell, sphere.xyz, padded_radius(cell, sphere.xyz, sphere.w))
 
     def reaches_in_cone(self, spot: int, cell: Cell) -> bool:
@@ -214,18 +191,18 @@ class CollectLights(Shader):
         return
 
     @staticmethod
-    def overlaps_block(cell: Cell, centre: vec3, radius: float) -> bool:
+    def overlaps_block(cell: Cell, centre: sl.vec3, radius: float) -> bool:
         return True
 
     @staticmethod
-    def overlaps(cell: Cell, centre: vec3, radius: float) -> bool:
+    def overlaps(cell: Cell, centre: sl.vec3, radius: float) -> bool:
         return True
 
 
 class CollectSpots(CollectLights):
     """Tests the cones of spot lights whose spheres reach a cell."""
 
-    cones: Storage[Cone]
+    cones: sl.Storage[Cone]
 
     def reaches_in_cone(self, spot: int, cell: Cell) -> bool:
         return spot < 0 or self.lights_cone(cell, self.cones[spot])
@@ -241,32 +218,32 @@ class CollectSpots(CollectLights):
 class CollectByDepth(CollectLights):
     """Tests cells between the surfaces of their tiles only."""
 
-    depths: Storage[TileDepths]
-    nears = shared(float, GROUP)
-    fars = shared(float, GROUP)
+    depths: sl.Storage[TileDepths]
+    nears = sl.shared(float, GROUP)
+    fars = sl.shared(float, GROUP)
 
     def tile_depths(self, tile: int) -> TileDepths:
         return self.depths[tile]
 
-    def block_depths(self, lane: int, near: float, far: float, slice_near: float, slice_far: float) -> vec2:
+    def block_depths(self, lane: int, near: float, far: float, slice_near: float, slice_far: float) -> sl.vec2:
         self.nears[lane] = near if near <= far else slice_far
         self.fars[lane] = far if near <= far else slice_near
-        barrier()
+        sl.barrier()
         least = slice_far
         greatest = slice_near
         for other in range(GROUP):
-            least = min(least, self.nears[other])
-            greatest = max(greatest, self.fars[other])
-        return vec2(least, greatest)
+            least = sl.min(least, self.nears[other])
+            greatest = sl.max(greatest, self.fars[other])
+        return sl.vec2(least, greatest)
 
 
 class CollectByMask(CollectByDepth):
     """Tests, besides, whether a light's depths have a surface."""
 
-    def reaches(self, cell: Cell, sphere: vec4, depths: TileDepths) -> bool:
+    def reaches(self, cell: Cell, sphere: sl.vec4, depths: TileDepths) -> bool:
         radius = padded_radius(cell, sphere.xyz, sphere.w)
         bits = depth_bits(depths.near, depths.far, sphere.z - radius, sphere.z + radius)
-        if (bits & depths.mask) == uint(0):
+        if (bits & depths.mask) == sl.uint(0):
             return False
         return self.overlaps(cell, sphere.xyz, radius)
 
@@ -274,24 +251,24 @@ class CollectByMask(CollectByDepth):
 class CollectCounted(CollectLights):
     """Counts the tests of cells."""
 
-    tests: StorageRW[uint]
+    tests: sl.StorageRW[sl.uint]
 
     def note_tests(self, tests: int, lane: int) -> None:
-        atomic_add(self.tests[0], uint(tests))
+        sl.atomic_add(self.tests[0], sl.uint(tests))
 
 
-class WriteLists(Shader):
+class WriteLists(sl.Shader):
     """Writes the lists of lights: for each cell its begin and the end of its point lights, then the end of all, then
     the lists. A light behind the buffer's end isn't written; the places of a list that ends there say so."""
 
     work_group = (GROUP,)
-    lights: Uniform[LightCounts]
-    masks: Storage[uint]
-    sums: Storage[uint]
-    lists: StorageRW[int]
+    lights: sl.Uniform[LightCounts]
+    masks: sl.Storage[sl.uint]
+    sums: sl.Storage[sl.uint]
+    lists: sl.StorageRW[int]
 
     def compute(self) -> None:
-        cell = global_id().x
+        cell = sl.global_id().x
         cells = len(self.sums) - 1
         if cell > cells:
             return
@@ -305,10 +282,10 @@ class WriteLists(Shader):
         for word in range(self.lights.words):
             bits = self.masks[cell * self.lights.words + word]
             first = WORD * (word if word < self.lights.point_words else word - self.lights.point_words)
-            while bits != uint(0):
+            while bits != sl.uint(0):
                 if place < end:
-                    self.lists[place] = first + find_lsb(bits)
-                bits = bits & (bits - uint(1))
+                    self.lists[place] = first + sl.find_lsb(bits)
+                bits = bits & (bits - sl.uint(1))
                 place += 1
             if word < self.lights.point_words:
                 points_end = place

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
+import rhi.shading as sl
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass
 from renderer.shaders.lighting import BRIGHTEST
 from renderer.shaders.pixels import BackgroundScreen
@@ -23,60 +24,50 @@ from renderer.techniques.parts.resolve import EXACT_BITS, resolve_pass
 from renderer.techniques.parts.scene_shader import ShadingShader
 from renderer.techniques.parts.variants import FORWARD, draw_full_screen, list_lamps
 from rhi import Format
-from rhi.shading import (
-    Precision,
-    Texture2D,
-    fragment_coordinate,
-    ivec2,
-    min,
-    uint_bits_to_float,
-    vec3,
-    vec4,
-)
 
 
 class LightingShader(VolumeShader, GeometryReader):
     """Lights the geometry buffer by the volumes of lights."""
 
-    precision = Precision.FAST
+    precision = sl.Precision.FAST
 
-    def fragment(self, v: VolumeVarying) -> vec4:
-        place = ivec2(fragment_coordinate().xy)
+    def fragment(self, v: VolumeVarying) -> sl.vec4:
+        place = sl.ivec2(sl.fragment_coordinate().xy)
         texel = self.surface.load(place)
         position = self.find_place(texel, place)
         if not self.is_reached(position, v.light):
-            return vec4(0.0)
+            return sl.vec4(0.0)
         row = self.material.load(place)
         surface = self.read_surface(row, texel, place, position)
         light = self.reflect_light(surface, self.find_incidence(position, v.light))
-        return vec4(self.unblocked(light, position, surface.plane, v.light), 0.0)
+        return sl.vec4(self.unblocked(light, position, surface.plane, v.light), 0.0)
 
 
 class GeometryResolve(BackgroundScreen, GeometryReader, ShadingShader):
     """Makes the image from the geometry buffer, and from the light of volumes if there is any."""
 
     has_light = False
-    light: Texture2D
+    light: sl.Texture2D
 
-    def fragment(self) -> vec4:
-        place = ivec2(fragment_coordinate().xy)
+    def fragment(self) -> sl.vec4:
+        place = sl.ivec2(sl.fragment_coordinate().xy)
         texel = self.surface.load(place)
         row = self.material.load(place)
         position = self.find_place(texel, place)
         material = self.materials[int(row.x)]
         surface = self.read_surface(row, texel, place, position)
         color = self.shade(surface, material)
-        color += self.local_light(surface, place, uint_bits_to_float(texel.y))
+        color += self.local_light(surface, place, sl.uint_bits_to_float(texel.y))
         return self.finish(color, position)
 
-    def local_light(self, surface: SurfacePoint, pixel: ivec2, distance: float) -> vec3:
-        return min(self.light.load(pixel).rgb, BRIGHTEST) if self.has_light else vec3(0.0)
+    def local_light(self, surface: SurfacePoint, pixel: sl.ivec2, distance: float) -> sl.vec3:
+        return sl.min(self.light.load(pixel).rgb, BRIGHTEST) if self.has_light else sl.vec3(0.0)
 
 
 class LitByLists(CellReader, GeometryResolve):
     """Makes the image from the geometry buffer, lit by the lights of clusters."""
 
-    def local_light(self, surface: SurfacePoint, pixel: ivec2, distance: float) -> vec3:
+    def local_light(self, surface: SurfacePoint, pixel: sl.ivec2, distance: float) -> sl.vec3:
         return self.celllight(surface, distance)
 
 

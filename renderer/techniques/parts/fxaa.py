@@ -11,26 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+import rhi.shading as sl
 from renderer.frame import IMAGE_FORMAT, Frame, Needs, Pass, Target, find_last
 from renderer.shaders.pixels import BackgroundScreen
 from renderer.techniques.parts.variants import draw_full_screen
 from renderer.techniques.technique import Technique
-from rhi.shading import (
-    Texture2D,
-    abs,
-    clamp,
-    discard,
-    dot,
-    fragment_coordinate,
-    ivec2,
-    max,
-    min,
-    mix,
-    saturate,
-    sqrt,
-    vec3,
-    vec4,
-)
 
 REACH: Final = 16
 """The pixels along an edge, each way, in which its end is looked for."""
@@ -39,82 +24,82 @@ REACH: Final = 16
 class Fxaa(BackgroundScreen):
     """Smooths the edges of an image."""
 
-    source: Texture2D
+    source: sl.Texture2D
     least = 1.0 / 32.0  # contrast of luma below which there is no edge, also in the dark
     least_share = 0.125  # the same as a share of the brightest neighbour
     blur = 0.75  # how much of a single pixel's difference is removed
 
-    def fragment(self) -> vec4:
-        place = ivec2(fragment_coordinate().xy)
+    def fragment(self) -> sl.vec4:
+        place = sl.ivec2(sl.fragment_coordinate().xy)
         middle = self.luma(place)
-        north = self.luma(place + ivec2(0, -1))
-        south = self.luma(place + ivec2(0, 1))
-        west = self.luma(place + ivec2(-1, 0))
-        east = self.luma(place + ivec2(1, 0))
-        highest = max(middle, max(max(north, south), max(west, east)))
-        contrast = highest - min(middle, min(min(north, south), min(west, east)))
-        if contrast < max(self.least, highest * self.least_share):
-            discard()  # the image already has this color
-        north_west = self.luma(place + ivec2(-1, -1))
-        north_east = self.luma(place + ivec2(1, -1))
-        south_west = self.luma(place + ivec2(-1, 1))
-        south_east = self.luma(place + ivec2(1, 1))
+        north = self.luma(place + sl.ivec2(0, -1))
+        south = self.luma(place + sl.ivec2(0, 1))
+        west = self.luma(place + sl.ivec2(-1, 0))
+        east = self.luma(place + sl.ivec2(1, 0))
+        highest = sl.max(middle, sl.max(sl.max(north, south), sl.max(west, east)))
+        contrast = highest - sl.min(middle, sl.min(sl.min(north, south), sl.min(west, east)))
+        if contrast < sl.max(self.least, highest * self.least_share):
+            sl.discard()  # the image already has this color
+        north_west = self.luma(place + sl.ivec2(-1, -1))
+        north_east = self.luma(place + sl.ivec2(1, -1))
+        south_west = self.luma(place + sl.ivec2(-1, 1))
+        south_east = self.luma(place + sl.ivec2(1, 1))
         level = (
-            abs(north_west + south_west - 2.0 * west)
-            + 2.0 * abs(north + south - 2.0 * middle)
-            + abs(north_east + south_east - 2.0 * east)
+            sl.abs(north_west + south_west - 2.0 * west)
+            + 2.0 * sl.abs(north + south - 2.0 * middle)
+            + sl.abs(north_east + south_east - 2.0 * east)
         )
         upright = (
-            abs(north_west + north_east - 2.0 * north)
-            + 2.0 * abs(west + east - 2.0 * middle)
-            + abs(south_west + south_east - 2.0 * south)
+            sl.abs(north_west + north_east - 2.0 * north)
+            + 2.0 * sl.abs(west + east - 2.0 * middle)
+            + sl.abs(south_west + south_east - 2.0 * south)
         )
         is_level = level >= upright
         before = north if is_level else west
         after = south if is_level else east
-        along = ivec2(1, 0) if is_level else ivec2(0, 1)
-        across = ivec2(0, 1) if is_level else ivec2(1, 0)
+        along = sl.ivec2(1, 0) if is_level else sl.ivec2(0, 1)
+        across = sl.ivec2(0, 1) if is_level else sl.ivec2(1, 0)
         beyond = after
-        if abs(before - middle) >= abs(after - middle):
+        if sl.abs(before - middle) >= sl.abs(after - middle):
             across = -across
             beyond = before
         shift = self.find_shift(place, along, across, middle, beyond)
         around = 2.0 * (north + south + west + east) + north_west + north_east + south_west + south_east
-        single = saturate(abs(around / 12.0 - middle) / contrast)
+        single = sl.saturate(sl.abs(around / 12.0 - middle) / contrast)
         single = single * single * (3.0 - 2.0 * single)
-        shift = max(shift, single * single * self.blur)
-        return mix(self.source.load(place), self.texel(place + across), shift)
+        shift = sl.max(shift, single * single * self.blur)
+        return sl.mix(self.source.load(place), self.texel(place + across), shift)
 
-    def find_shift(self, place: ivec2, along: ivec2, across: ivec2, middle: float, beyond: float) -> float:
+    def find_shift(self, place: sl.ivec2, along: sl.ivec2, across: sl.ivec2, middle: float, beyond: float) -> float:
         """Return the share of the pixel that the edge between it and the next one across cuts off."""
         mean = 0.5 * (middle + beyond)
-        change = 0.25 * abs(beyond - middle)
+        change = 0.25 * sl.abs(beyond - middle)
         back = self.find_end(place, -along, across, mean, change)
         forth = self.find_end(place, along, across, mean, change)
-        nearer = min(abs(back), abs(forth))
+        nearer = sl.min(sl.abs(back), sl.abs(forth))
         # The edge cuts the pixel only if it bends towards it at the nearer end, whose sign says on which side it ends.
-        end = back if abs(back) < abs(forth) else forth
+        end = back if sl.abs(back) < sl.abs(forth) else forth
         if (end < 0.0) == (middle < mean):
             return 0.0
-        return 0.5 - nearer / (abs(back) + abs(forth))
+        return 0.5 - nearer / (sl.abs(back) + sl.abs(forth))
 
-    def find_end(self, place: ivec2, along: ivec2, across: ivec2, mean: float, change: float) -> float:
+    def find_end(self, place: sl.ivec2, along: sl.ivec2, across: sl.ivec2, mean: float, change: float) -> float:
         """Return the pixels to the end of an edge, negative if it is darker there than along the edge."""
         away = 0.0
         for i in range(1, REACH + 1):
             at = place + along * i
             off = 0.5 * (self.luma(at) + self.luma(at + across)) - mean
             away = float(i) if off >= 0.0 else -float(i)
-            if abs(off) >= change:
+            if sl.abs(off) >= change:
                 break
         return away
 
-    def luma(self, place: ivec2) -> float:
+    def luma(self, place: sl.ivec2) -> float:
         """Return how bright a pixel looks: the square root is close to the eye's scale."""
-        return sqrt(dot(self.texel(place).rgb, vec3(0.299, 0.587, 0.114)))
+        return sl.sqrt(sl.dot(self.texel(place).rgb, sl.vec3(0.299, 0.587, 0.114)))
 
-    def texel(self, place: ivec2) -> vec4:
-        return self.source.load(clamp(place, ivec2(0), self.source.size() - 1))
+    def texel(self, place: sl.ivec2) -> sl.vec4:
+        return self.source.load(sl.clamp(place, sl.ivec2(0), self.source.size() - 1))
 
 
 class Smoothed:

@@ -24,6 +24,7 @@ background by a depth test (`draw_full_screen`).
 
 from __future__ import annotations
 
+import rhi.shading as sl
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.encodings import decode_normal, encode_normal
 from renderer.shaders.lighting import safe_normalize
@@ -32,26 +33,6 @@ from renderer.shaders.structs import Material, SurfacePoint, SurfaceVarying
 from renderer.techniques.parts.scene_shader import MaterialShader, ReflectingShader, SceneShader
 from renderer.techniques.parts.variants import scene_pass
 from rhi import Format
-from rhi.shading import (
-    Shader,
-    Storage,
-    Struct,
-    UintTexture2D,
-    Uniform,
-    dot,
-    float_bits_to_uint,
-    floor,
-    function,
-    ivec2,
-    round,
-    saturate,
-    sqrt,
-    uint,
-    uint_bits_to_float,
-    uvec4,
-    vec2,
-    vec3,
-)
 
 
 def find_surface_format(needs: Needs) -> Format:
@@ -59,71 +40,71 @@ def find_surface_format(needs: Needs) -> Format:
     return Format.RGBA32UI if needs.has_planes else Format.RG32UI
 
 
-@function
-def find_shrunk(texel: vec2, size: vec2, shrunk: ivec2) -> vec2:
+@sl.function
+def find_shrunk(texel: sl.vec2, size: sl.vec2, shrunk: sl.ivec2) -> sl.vec2:
     """Return the center of the pixel of an image of `size` that is stored at the center of a texel of a shrunk one."""
-    return floor(texel * size / vec2(shrunk)) + 0.5
+    return sl.floor(texel * size / sl.vec2(shrunk)) + 0.5
 
 
-@function
-def encode_texel(color: vec3) -> uint:
+@sl.function
+def encode_texel(color: sl.vec3) -> sl.uint:
     """Return a colour of 0 to 1 in 3 × 10 bits, as square roots."""
-    roots = round(sqrt(saturate(color)) * 1023.0)
-    return uint(roots.x) | uint(roots.y) << 10 | uint(roots.z) << 20
+    roots = sl.round(sl.sqrt(sl.saturate(color)) * 1023.0)
+    return sl.uint(roots.x) | sl.uint(roots.y) << 10 | sl.uint(roots.z) << 20
 
 
-@function
-def decode_texel(bits: uint) -> vec3:
+@sl.function
+def decode_texel(bits: sl.uint) -> sl.vec3:
     """Return the colour that `encode_texel` has stored."""
-    roots = vec3(float(bits & 1023), float(bits >> 10 & 1023), float(bits >> 20)) / 1023.0
+    roots = sl.vec3(float(bits & 1023), float(bits >> 10 & 1023), float(bits >> 20)) / 1023.0
     return roots * roots
 
 
-@function
-def encode_details(metal: vec2, occlusion: float) -> uint:
+@sl.function
+def encode_details(metal: sl.vec2, occlusion: float) -> sl.uint:
     """Return how metallic, rough and occluded a surface is, 0 to 1 each, in 8, 16 and 8 bits.
 
     Roughness has 16 because the sharpest highlights change with its fourth power.
     """
-    shares = round(saturate(vec3(metal, occlusion)) * vec3(255.0, 65535.0, 255.0))
-    return uint(shares.x) | uint(shares.z) << 8 | uint(shares.y) << 16
+    shares = sl.round(sl.saturate(sl.vec3(metal, occlusion)) * sl.vec3(255.0, 65535.0, 255.0))
+    return sl.uint(shares.x) | sl.uint(shares.z) << 8 | sl.uint(shares.y) << 16
 
 
-@function
-def decode_details(bits: uint) -> vec3:
+@sl.function
+def decode_details(bits: sl.uint) -> sl.vec3:
     """Return how metallic, rough and occluded a surface is, as `encode_details` has stored it."""
-    shares = vec3(float(bits & 255), float(bits >> 16), float(bits >> 8 & 255))
-    return shares / vec3(255.0, 65535.0, 255.0)
+    shares = sl.vec3(float(bits & 255), float(bits >> 16), float(bits >> 8 & 255))
+    return shares / sl.vec3(255.0, 65535.0, 255.0)
 
 
-class GeometryTexels(Struct):
+class GeometryTexels(sl.Struct):
     """The texels that `GeometryShader` writes; what a format has no room for is left out."""
 
-    surface: uvec4
-    material: uvec4
+    surface: sl.uvec4
+    material: sl.uvec4
 
 
-class DetailedTexels(Struct):
+class DetailedTexels(sl.Struct):
     """The texels that `DetailedGeometry` writes."""
 
-    surface: uvec4
-    material: uvec4
-    details: uvec4
+    surface: sl.uvec4
+    material: sl.uvec4
+    details: sl.uvec4
 
 
 class SurfaceShader(SceneShader):
     """The base of shaders that write `surface`."""
 
-    rays: Uniform[PixelRays]
+    rays: sl.Uniform[PixelRays]
 
-    def encode_surface(self, v: SurfaceVarying) -> uvec4:
+    def encode_surface(self, v: SurfaceVarying) -> sl.uvec4:
         """Return what `surface` holds; what its format has no room for is left out."""
         normal = self.find_normal(v)
-        distance = dot(v.position, self.rays.forward)
-        plane = uint(0)
+        distance = sl.dot(v.position, self.rays.forward)
+        plane = sl.uint(0)
         if self.has_planes:
             plane = encode_normal(self.find_plane(v, normal))
-        return uvec4(encode_normal(normal), float_bits_to_uint(distance), plane, uint(0))
+        return sl.uvec4(encode_normal(normal), sl.float_bits_to_uint(distance), plane, sl.uint(0))
 
 
 class GeometryShader(MaterialShader, SurfaceShader):
@@ -134,14 +115,14 @@ class GeometryShader(MaterialShader, SurfaceShader):
     def fragment(self, v: SurfaceVarying) -> GeometryTexels:
         return GeometryTexels(surface=self.encode_surface(v), material=self.encode_material(v))
 
-    def encode_material(self, v: SurfaceVarying) -> uvec4:
+    def encode_material(self, v: SurfaceVarying) -> sl.uvec4:
         """Return what `material` holds."""
-        texel = uint(0)
+        texel = sl.uint(0)
         if self.has_texels:
             texel = encode_texel(self.find_texel(v).rgb)
         else:
             self.cut(v)
-        return uvec4(uint(v.material), texel, uint(0), uint(0))
+        return sl.uvec4(sl.uint(v.material), texel, sl.uint(0), sl.uint(0))
 
 
 class DetailedGeometry(GeometryShader):
@@ -152,7 +133,7 @@ class DetailedGeometry(GeometryShader):
         return DetailedTexels(
             surface=self.encode_surface(v),
             material=self.encode_material(v),
-            details=uvec4(details, encode_texel(self.find_emissive(v)), uint(0), uint(0)),
+            details=sl.uvec4(details, encode_texel(self.find_emissive(v)), sl.uint(0), sl.uint(0)),
         )
 
 
@@ -174,24 +155,24 @@ def find_contents(needs: Needs) -> dict[str, bool]:
     return {"has_texels": texels, "has_details": details is not None, "has_emissive_texels": emissive}
 
 
-class SurfaceReader(Shader):
+class SurfaceReader(sl.Shader):
     """The base of shaders that light what is in `surface`. If that `is_shrunk`, it has every so many pixels only."""
 
     lean = True
     is_shrunk = False
     has_planes = False
 
-    rays: Uniform[PixelRays]
-    surface: UintTexture2D
+    rays: sl.Uniform[PixelRays]
+    surface: sl.UintTexture2D
 
-    def find_place(self, texel: uvec4, place: ivec2) -> vec3:
+    def find_place(self, texel: sl.uvec4, place: sl.ivec2) -> sl.vec3:
         """Return the position of the surface whose texel, at `place`, was loaded."""
-        pixel = vec2(place) + 0.5
+        pixel = sl.vec2(place) + 0.5
         if self.is_shrunk:
             pixel = find_shrunk(pixel, self.rays.size, self.surface.size())
-        return place_pixel(self.rays, pixel, uint_bits_to_float(texel.y))
+        return place_pixel(self.rays, pixel, sl.uint_bits_to_float(texel.y))
 
-    def read_plane(self, texel: uvec4, normal: vec3) -> vec3:
+    def read_plane(self, texel: sl.uvec4, normal: sl.vec3) -> sl.vec3:
         """Return the normal that maps don't bend of the surface whose texel was loaded, given the `normal`."""
         return decode_normal(texel.z) if self.has_planes else normal
 
@@ -203,18 +184,18 @@ class GeometryReader(SurfaceReader, ReflectingShader):
     has_details = False
     has_emissive_texels = False
 
-    material: UintTexture2D
-    details: UintTexture2D
-    materials: Storage[Material]
+    material: sl.UintTexture2D
+    details: sl.UintTexture2D
+    materials: sl.Storage[Material]
 
-    def read_surface(self, row: uvec4, texel: uvec4, place: ivec2, position: vec3) -> SurfacePoint:
+    def read_surface(self, row: sl.uvec4, texel: sl.uvec4, place: sl.ivec2, position: sl.vec3) -> SurfacePoint:
         """Return the surface at a place of the buffer, whose texels of `material` and `surface` were loaded."""
         material = self.materials[int(row.x)]
         normal = decode_normal(texel.x)
         base_color = material.base_color.rgb
-        metal = vec2(material.metallic, material.roughness)
+        metal = sl.vec2(material.metallic, material.roughness)
         occlusion = 1.0
-        emissive = vec3(1.0)
+        emissive = sl.vec3(1.0)
         if self.has_texels:
             base_color = base_color * decode_texel(row.y)
         if self.has_details:

@@ -21,6 +21,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, Final
 
+import rhi.shading as sl
 from renderer.frame import IMAGE_FORMAT, Effect, Frame, GlowSettings, Needs, Pass, Target
 from renderer.shaders.lighting import tone_map
 from renderer.shaders.pixels import BackgroundScreen
@@ -33,24 +34,6 @@ from rhi import (
     SamplerDescriptor,
     Wrap,
 )
-from rhi.shading import (
-    Precision,
-    Struct,
-    Texture2D,
-    Uniform,
-    dot,
-    float_bits_to_uint,
-    floor,
-    fragment_coordinate,
-    function,
-    ivec2,
-    max,
-    mix,
-    uint,
-    vec2,
-    vec3,
-    vec4,
-)
 
 _EDGE: Final = SamplerDescriptor(mip=None, wrap_u=Wrap.CLAMP, wrap_v=Wrap.CLAMP)
 _OVER: Final = BlendFunction(BlendFactor.CONSTANT, BlendFactor.ONE_MINUS_CONSTANT)
@@ -58,21 +41,21 @@ _EXPONENT: Final = 0x7F800000
 """The bits of an exponent, all of which are set in NaN and infinity."""
 
 
-@function
+@sl.function
 def is_finite(number: float) -> bool:
     """Return whether a float is a number that isn't infinite, which no fast arithmetic assumes away."""
-    return (float_bits_to_uint(number) & uint(_EXPONENT)) != uint(_EXPONENT)
+    return (sl.float_bits_to_uint(number) & sl.uint(_EXPONENT)) != sl.uint(_EXPONENT)
 
 
-@function
-def keep_light(color: vec3) -> vec3:
+@sl.function
+def keep_light(color: sl.vec3) -> sl.vec3:
     """Return light of at least 0, and black for what isn't light."""
     if is_finite(color.x + color.y + color.z):
-        return max(color, 0.0)
-    return vec3(0.0)
+        return sl.max(color, 0.0)
+    return sl.vec3(0.0)
 
 
-class Share(Struct):
+class Share(sl.Struct):
     """The share of all light that is scattered."""
 
     share: float
@@ -81,33 +64,33 @@ class Share(Struct):
 class Halved(BackgroundScreen):
     """Makes an image of half the width and height."""
 
-    precision = Precision.FAST
-    source: Texture2D
+    precision = sl.Precision.FAST
+    source: sl.Texture2D
 
-    def fragment(self) -> vec4:
-        centre = vec2(ivec2(fragment_coordinate().xy)) * 2.0 + 1.0  # in texels of the source
-        north_west = self.read(centre + vec2(-2.0, -2.0))
-        north = self.read(centre + vec2(0.0, -2.0))
-        north_east = self.read(centre + vec2(2.0, -2.0))
-        west = self.read(centre + vec2(-2.0, 0.0))
+    def fragment(self) -> sl.vec4:
+        centre = sl.vec2(sl.ivec2(sl.fragment_coordinate().xy)) * 2.0 + 1.0  # in texels of the source
+        north_west = self.read(centre + sl.vec2(-2.0, -2.0))
+        north = self.read(centre + sl.vec2(0.0, -2.0))
+        north_east = self.read(centre + sl.vec2(2.0, -2.0))
+        west = self.read(centre + sl.vec2(-2.0, 0.0))
         middle = self.read(centre)
-        east = self.read(centre + vec2(2.0, 0.0))
-        south_west = self.read(centre + vec2(-2.0, 2.0))
-        south = self.read(centre + vec2(0.0, 2.0))
-        south_east = self.read(centre + vec2(2.0, 2.0))
-        inner = self.read(centre + vec2(-1.0, -1.0)) + self.read(centre + vec2(1.0, -1.0))
-        inner += self.read(centre + vec2(-1.0, 1.0)) + self.read(centre + vec2(1.0, 1.0))
+        east = self.read(centre + sl.vec2(2.0, 0.0))
+        south_west = self.read(centre + sl.vec2(-2.0, 2.0))
+        south = self.read(centre + sl.vec2(0.0, 2.0))
+        south_east = self.read(centre + sl.vec2(2.0, 2.0))
+        inner = self.read(centre + sl.vec2(-1.0, -1.0)) + self.read(centre + sl.vec2(1.0, -1.0))
+        inner += self.read(centre + sl.vec2(-1.0, 1.0)) + self.read(centre + sl.vec2(1.0, 1.0))
         first = north_west + north + west + middle
         second = north + north_east + middle + east
         third = west + middle + south_west + south
         fourth = middle + east + south + south_east
-        return vec4(self.combine(inner * 0.25, first * 0.25, second * 0.25, third * 0.25, fourth * 0.25), 1.0)
+        return sl.vec4(self.combine(inner * 0.25, first * 0.25, second * 0.25, third * 0.25, fourth * 0.25), 1.0)
 
-    def read(self, place: vec2) -> vec3:
+    def read(self, place: sl.vec2) -> sl.vec3:
         """Return the mean of the four texels around a corner."""
-        return self.source.sample_lod(place / vec2(self.source.size()), 0.0).rgb
+        return self.source.sample_lod(place / sl.vec2(self.source.size()), 0.0).rgb
 
-    def combine(self, inner: vec3, first: vec3, second: vec3, third: vec3, fourth: vec3) -> vec3:
+    def combine(self, inner: sl.vec3, first: sl.vec3, second: sl.vec3, third: sl.vec3, fourth: sl.vec3) -> sl.vec3:
         """Return the mean of the boxes in the middle and at the corners."""
         return inner * 0.5 + (first + second + third + fourth) * 0.125
 
@@ -115,65 +98,65 @@ class Halved(BackgroundScreen):
 class HalvedImage(Halved):
     """Halves the image itself, whose texels may be anything."""
 
-    def read(self, place: vec2) -> vec3:
+    def read(self, place: sl.vec2) -> sl.vec3:
         return keep_light(super().read(place))
 
 
 class TamedImage(HalvedImage):
     """Halves the image; boxes count less the brighter they are (Karis 2013)."""
 
-    def combine(self, inner: vec3, first: vec3, second: vec3, third: vec3, fourth: vec3) -> vec3:
+    def combine(self, inner: sl.vec3, first: sl.vec3, second: sl.vec3, third: sl.vec3, fourth: sl.vec3) -> sl.vec3:
         heavy = 0.5 * self.weigh(inner)
-        weights = vec4(self.weigh(first), self.weigh(second), self.weigh(third), self.weigh(fourth)) * 0.125
+        weights = sl.vec4(self.weigh(first), self.weigh(second), self.weigh(third), self.weigh(fourth)) * 0.125
         sum = inner * heavy + first * weights.x + second * weights.y + third * weights.z + fourth * weights.w
-        return sum / (heavy + dot(weights, vec4(1.0)))
+        return sum / (heavy + sl.dot(weights, sl.vec4(1.0)))
 
-    def weigh(self, color: vec3) -> float:
+    def weigh(self, color: sl.vec3) -> float:
         """Return the weight of a box."""
-        return 1.0 / (1.0 + dot(color, vec3(0.2126, 0.7152, 0.0722)))
+        return 1.0 / (1.0 + sl.dot(color, sl.vec3(0.2126, 0.7152, 0.0722)))
 
 
 class Spreading(BackgroundScreen):
     """The base of shaders that read a level of half their target's size, spread by a tent."""
 
-    precision = Precision.FAST
-    spread: Texture2D
+    precision = sl.Precision.FAST
+    spread: sl.Texture2D
 
-    def read_spread(self) -> vec3:
+    def read_spread(self) -> sl.vec3:
         """Return the mean of 3 × 3 bilinear samples around the pixel, the middle one with four times the weight of a
         corner. They read 4 × 4 texels, which are as many as four samples between the right places read."""
-        place = vec2(ivec2(fragment_coordinate().xy)) * 0.5 - 0.25  # in texels from the middle of the first one
-        first = floor(place)
+        place = sl.vec2(sl.ivec2(sl.fragment_coordinate().xy)) * 0.5 - 0.25  # in texels, from the middle of the first
+        first = sl.floor(place)
         part = place - first
         # Along an axis, the weights of the four texels are 1 - p, 2 - p, 1 + p and p quarters.
         near = first - 0.5 + (2.0 - part) / (3.0 - 2.0 * part)
         far = first + 1.5 + part / (1.0 + 2.0 * part)
         share = (1.0 + 2.0 * part) * 0.25
-        upper = mix(self.read(near), self.read(vec2(far.x, near.y)), share.x)
-        lower = mix(self.read(vec2(near.x, far.y)), self.read(far), share.x)
-        return mix(upper, lower, share.y)
+        upper = sl.mix(self.read(near), self.read(sl.vec2(far.x, near.y)), share.x)
+        lower = sl.mix(self.read(sl.vec2(near.x, far.y)), self.read(far), share.x)
+        return sl.mix(upper, lower, share.y)
 
-    def read(self, place: vec2) -> vec3:
+    def read(self, place: sl.vec2) -> sl.vec3:
         """Return the light at a place, in texels."""
-        return self.spread.sample_lod(place / vec2(self.spread.size()), 0.0).rgb
+        return self.spread.sample_lod(place / sl.vec2(self.spread.size()), 0.0).rgb
 
 
 class Spread(Spreading):
     """Spreads a level, to be blended over the next larger one."""
 
-    def fragment(self) -> vec4:
-        return vec4(self.read_spread(), 1.0)
+    def fragment(self) -> sl.vec4:
+        return sl.vec4(self.read_spread(), 1.0)
 
 
 class Tones(Spreading):
     """Mixes light and glow, and maps tones."""
 
-    light: Texture2D
-    mixture: Uniform[Share]
+    light: sl.Texture2D
+    mixture: sl.Uniform[Share]
 
-    def fragment(self) -> vec4:
-        light = keep_light(self.light.load(ivec2(fragment_coordinate().xy)).rgb)
-        return vec4(tone_map(mix(light, self.read_spread(), self.mixture.share)), 1.0)
+    def fragment(self) -> sl.vec4:
+        light = keep_light(self.light.load(sl.ivec2(sl.fragment_coordinate().xy)).rgb)
+        return sl.vec4(tone_map(sl.mix(light, self.read_spread(), self.mixture.share)), 1.0)
 
 
 def glow_passes(needs: Needs, light: str) -> tuple[Pass[Frame], ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+import rhi.shading as sl
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.encodings import decode_normal
 from renderer.shaders.lighting import safe_normalize
@@ -14,28 +15,16 @@ from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying,
 from renderer.techniques.parts.scene_shader import MaterialShader, ReflectingShader
 from renderer.techniques.parts.variants import scene_pass
 from rhi import Format, Texture
-from rhi.shading import (
-    Precision,
-    Struct,
-    Texture2D,
-    dot,
-    fragment_coordinate,
-    function,
-    ivec2,
-    uvec4,
-    vec3,
-    vec4,
-)
 
 SHININESS_FORMAT: Final = Format.R16F
 _SHININESS_SCALE: Final = 0.5
 """Of what is stored: a shininess may be 100,000, a half float 65,504."""
 
 
-class NormalTexels(Struct):
+class NormalTexels(sl.Struct):
     """The texels that `NormalShader` writes."""
 
-    surface: uvec4
+    surface: sl.uvec4
     shininess: float
 
 
@@ -48,48 +37,48 @@ class NormalShader(MaterialShader, SurfaceShader):
         return NormalTexels(surface=self.encode_surface(v), shininess=shininess * _SHININESS_SCALE)
 
 
-class LightTerms(Struct):
+class LightTerms(sl.Struct):
     """The terms of the lighting equation: those of a base colour, of a specular colour, and of white, which are the
     irradiance, and what a specular colour of 1 mirrors; only the metallic-roughness model has the third."""
 
-    diffuse: vec4
-    specular: vec4
-    grazing: vec4
+    diffuse: sl.vec4
+    specular: sl.vec4
+    grazing: sl.vec4
 
 
-class SpecularTerms(Struct):
+class SpecularTerms(sl.Struct):
     """The terms of scenes without the metallic-roughness model."""
 
-    diffuse: vec4
-    specular: vec4
+    diffuse: sl.vec4
+    specular: sl.vec4
 
 
-class PackedMetalTerms(Struct):
+class PackedMetalTerms(sl.Struct):
     """The terms of the metallic-roughness model, where the specular one is a luminance."""
 
-    diffuse: vec4
-    grazing: vec4
+    diffuse: sl.vec4
+    grazing: sl.vec4
 
 
-@function
-def luminance(color: vec3) -> float:
+@sl.function
+def luminance(color: sl.vec3) -> float:
     """Return how bright a linear colour looks (Rec. 709)."""
-    return dot(color, vec3(0.2126, 0.7152, 0.0722))
+    return sl.dot(color, sl.vec3(0.2126, 0.7152, 0.0722))
 
 
 class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
     """The base of shaders that collect the terms of lights by their volumes."""
 
-    precision = Precision.FAST
+    precision = sl.Precision.FAST
 
-    shininess: Texture2D
+    shininess: sl.Texture2D
 
-    def collect(self, light: int, place: ivec2) -> LightTerms:
+    def collect(self, light: int, place: sl.ivec2) -> LightTerms:
         """Return the terms of a light at the surface at a place of the buffers."""
         texel = self.surface.load(place)
         position = self.find_place(texel, place)
         if not self.is_reached(position, light):
-            return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0), grazing=vec4(0.0))
+            return LightTerms(diffuse=sl.vec4(0.0), specular=sl.vec4(0.0), grazing=sl.vec4(0.0))
         incidence = self.find_incidence(position, light)
         normal = decode_normal(texel.x)
         surface = SurfacePoint(
@@ -97,22 +86,22 @@ class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
             normal=normal,
             plane=self.read_plane(texel, normal),
             to_eye=safe_normalize(-position),
-            base_color=vec3(1.0),
-            specular_color=vec3(1.0),
+            base_color=sl.vec3(1.0),
+            specular_color=sl.vec3(1.0),
             shininess=self.shininess.load(place).x / _SHININESS_SCALE,
             occlusion=1.0,
-            emissive=vec3(1.0),
+            emissive=sl.vec3(1.0),
         )
-        facing = dot(surface.normal, incidence.direction)
+        facing = sl.dot(surface.normal, incidence.direction)
         if facing <= 0.0:
-            return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0), grazing=vec4(0.0))
+            return LightTerms(diffuse=sl.vec4(0.0), specular=sl.vec4(0.0), grazing=sl.vec4(0.0))
         terms = self.find_terms(surface, incidence.direction)
         light_in = self.unblocked(incidence.irradiance * facing, position, surface.plane, light)
         specular = light_in * terms.y
         return LightTerms(
-            diffuse=vec4(light_in * terms.x, luminance(specular)),
-            specular=vec4(specular, 0.0),
-            grazing=vec4(light_in * terms.z, 0.0),
+            diffuse=sl.vec4(light_in * terms.x, luminance(specular)),
+            specular=sl.vec4(specular, 0.0),
+            grazing=sl.vec4(light_in * terms.z, 0.0),
         )
 
 
@@ -120,7 +109,7 @@ class PlainTerms(TermShader):
     """Collects the terms of lights but that of white."""
 
     def fragment(self, v: VolumeVarying) -> SpecularTerms:
-        terms = self.collect(v.light, ivec2(fragment_coordinate().xy))
+        terms = self.collect(v.light, sl.ivec2(sl.fragment_coordinate().xy))
         return SpecularTerms(diffuse=terms.diffuse, specular=terms.specular)
 
 
@@ -128,21 +117,21 @@ class MetalTerms(TermShader):
     """Collects the terms of lights, that of white among them."""
 
     def fragment(self, v: VolumeVarying) -> LightTerms:
-        return self.collect(v.light, ivec2(fragment_coordinate().xy))
+        return self.collect(v.light, sl.ivec2(sl.fragment_coordinate().xy))
 
 
 class PackedTerms(TermShader):
     """Collects the terms of lights, the specular one as a luminance."""
 
-    def fragment(self, v: VolumeVarying) -> vec4:
-        return self.collect(v.light, ivec2(fragment_coordinate().xy)).diffuse
+    def fragment(self, v: VolumeVarying) -> sl.vec4:
+        return self.collect(v.light, sl.ivec2(sl.fragment_coordinate().xy)).diffuse
 
 
 class PackedMetals(TermShader):
     """Collects the terms of lights, the specular one as a luminance, and that of white."""
 
     def fragment(self, v: VolumeVarying) -> PackedMetalTerms:
-        terms = self.collect(v.light, ivec2(fragment_coordinate().xy))
+        terms = self.collect(v.light, sl.ivec2(sl.fragment_coordinate().xy))
         return PackedMetalTerms(diffuse=terms.diffuse, grazing=terms.grazing)
 
 

@@ -24,6 +24,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from renderer.frame import LAMPS, Effect, Frame, Needs, Pass, Target
 from renderer.frame.passes import NEARER
 from renderer.lights.hulls import make_cone, make_sphere
@@ -49,21 +50,6 @@ from rhi import (
     StencilOperation,
     StencilTest,
 )
-from rhi.shading import (
-    Storage,
-    Struct,
-    Uniform,
-    abs,
-    cross,
-    dot,
-    function,
-    instance_index,
-    max,
-    normalize,
-    sqrt,
-    vec3,
-    vec4,
-)
 
 WIDEST_CONE: Final = np.pi / 3
 """The largest outer half angle for which a cone is drawn: about there, a sphere is as small."""
@@ -74,26 +60,26 @@ FARTHEST_CORNER: Final = 1.5
 """More than the distance of any corner from the light, in ranges or in the widths of a cone's base."""
 
 
-class VolumeCorner(Struct):
+class VolumeCorner(sl.Struct):
     """A corner of a volume, whose `z` is along the axis; `cone` is 1 for cones, whose width follows from their
     angle, and 0 for spheres."""
 
-    position: vec3
+    position: sl.vec3
     cone: float
 
 
-class VolumeVarying(Struct):
+class VolumeVarying(sl.Struct):
     """The varyings of light volumes."""
 
-    clip: vec4
+    clip: sl.vec4
     light: int
 
 
-@function
-def project_volume(center: vec3, offset: vec3, reach: float, view: ViewConstants, rays: PixelRays) -> vec4:
+@sl.function
+def project_volume(center: sl.vec3, offset: sl.vec3, reach: float, view: ViewConstants, rays: PixelRays) -> sl.vec4:
     """Return the clip position of a corner, `offset` from the light, of a volume that reaches at most `reach` far."""
-    clip = view.relative_view_projection @ vec4(center + offset, 1.0)
-    if dot(center, rays.forward) + reach > rays.far:
+    clip = view.relative_view_projection @ sl.vec4(center + offset, 1.0)
+    if sl.dot(center, rays.forward) + reach > rays.far:
         clip.z = rays.farthest * clip.w
     return clip
 
@@ -102,19 +88,19 @@ class VolumeShader(ShadowReceiver):
     """The base of shaders that draw light volumes; `rows` are the rows of the lights to be drawn. A technique's
     fragment stage is combined with the volumes of one kind of lights."""
 
-    view: Uniform[ViewConstants]
-    rays: Uniform[PixelRays]
-    rows: Storage[int]
+    view: sl.Uniform[ViewConstants]
+    rays: sl.Uniform[PixelRays]
+    rows: sl.Storage[int]
 
-    def is_reached(self, position: vec3, light: int) -> bool:
+    def is_reached(self, position: sl.vec3, light: int) -> bool:
         """Return whether a position is within the range of the light of this row."""
         return False
 
-    def find_incidence(self, position: vec3, light: int) -> Incidence:
+    def find_incidence(self, position: sl.vec3, light: int) -> Incidence:
         """Return what arrives at a position of the light of this row."""
-        return Incidence(direction=vec3(0.0), irradiance=vec3(0.0))
+        return Incidence(direction=sl.vec3(0.0), irradiance=sl.vec3(0.0))
 
-    def unblocked(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
+    def unblocked(self, light: sl.vec3, position: sl.vec3, plane: sl.vec3, row: int) -> sl.vec3:
         """Return what arrives of the light of this row at a surface."""
         return light
 
@@ -123,19 +109,19 @@ class PointVolumes(VolumeShader):
     """Draws the spheres of point lights."""
 
     def vertex(self, v: VolumeCorner) -> VolumeVarying:
-        row = self.rows[instance_index()]
+        row = self.rows[sl.instance_index()]
         light = self.point_lights[row]
         offset = v.position * light.range
         reach = light.range * FARTHEST_CORNER
         return VolumeVarying(clip=project_volume(light.position, offset, reach, self.view, self.rays), light=row)
 
-    def is_reached(self, position: vec3, light: int) -> bool:
+    def is_reached(self, position: sl.vec3, light: int) -> bool:
         return is_near(position, self.point_lights[light].position, self.point_lights[light].range)
 
-    def find_incidence(self, position: vec3, light: int) -> Incidence:
+    def find_incidence(self, position: sl.vec3, light: int) -> Incidence:
         return point_incidence(position, self.point_lights[light])
 
-    def unblocked(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
+    def unblocked(self, light: sl.vec3, position: sl.vec3, plane: sl.vec3, row: int) -> sl.vec3:
         return self.unblocked_point(light, position, plane, row)
 
 
@@ -143,27 +129,27 @@ class SpotVolumes(VolumeShader):
     """Draws the cones of narrow spot lights, or the spheres of wide ones."""
 
     def vertex(self, v: VolumeCorner) -> VolumeVarying:
-        row = self.rows[instance_index()]
+        row = self.rows[sl.instance_index()]
         light = self.spot_lights[row]
         # A float32 is too coarse for the cosine of a small angle; light reaches up to two steps of it beyond the cone.
-        cosine = max(light.cos_outer - 1e-6, 1e-3)
-        slope = sqrt(max(1.0 - cosine * cosine, 0.0)) / cosine
+        cosine = sl.max(light.cos_outer - 1e-6, 1e-3)
+        slope = sl.sqrt(sl.max(1.0 - cosine * cosine, 0.0)) / cosine
         width = light.range * (slope if v.cone > 0.0 else 1.0)
-        up = vec3(0.0, 1.0, 0.0) if abs(light.direction.y) < 0.9 else vec3(1.0, 0.0, 0.0)
-        aside = normalize(cross(up, light.direction))
-        across = cross(light.direction, aside)
+        up = sl.vec3(0.0, 1.0, 0.0) if sl.abs(light.direction.y) < 0.9 else sl.vec3(1.0, 0.0, 0.0)
+        aside = sl.normalize(sl.cross(up, light.direction))
+        across = sl.cross(light.direction, aside)
         offset = (aside * v.position.x + across * v.position.y) * width
         offset += light.direction * (v.position.z * light.range)
-        reach = max(light.range, width) * FARTHEST_CORNER
+        reach = sl.max(light.range, width) * FARTHEST_CORNER
         return VolumeVarying(clip=project_volume(light.position, offset, reach, self.view, self.rays), light=row)
 
-    def is_reached(self, position: vec3, light: int) -> bool:
+    def is_reached(self, position: sl.vec3, light: int) -> bool:
         return is_near(position, self.spot_lights[light].position, self.spot_lights[light].range)
 
-    def find_incidence(self, position: vec3, light: int) -> Incidence:
+    def find_incidence(self, position: sl.vec3, light: int) -> Incidence:
         return spot_incidence(position, self.spot_lights[light])
 
-    def unblocked(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
+    def unblocked(self, light: sl.vec3, position: sl.vec3, plane: sl.vec3, row: int) -> sl.vec3:
         return self.unblocked_spot(light, position, plane, row)
 
 

@@ -21,6 +21,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from renderer.frame import Frame, Pass, Target
 from renderer.frame.mirrors import MirroredValue
 from renderer.shaders.encodings import material_depth
@@ -41,29 +42,6 @@ from rhi import (
     StorageBuffer,
     Texture,
 )
-from rhi.shading import (
-    FragmentDepth,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Texture2D,
-    UintTexture2D,
-    Uniform,
-    atomic_add,
-    discard,
-    fragment_coordinate,
-    global_id,
-    instance_index,
-    ivec2,
-    max,
-    min,
-    round,
-    uint,
-    vec2,
-    vec4,
-    vertex_index,
-)
 
 TILE: Final = 32
 """The side of a tile in pixels: larger ones have more materials each, smaller ones more rectangles."""
@@ -74,69 +52,69 @@ _GROUP: Final = 8
 _LAST: Final = MOST_MATERIALS - 1
 
 
-class MaterialId(Struct):
+class MaterialId(sl.Struct):
     """The texels that `MaterialIds` writes."""
 
-    depth: FragmentDepth
+    depth: sl.FragmentDepth
 
 
 class MaterialIds(BackgroundScreen):
     """Writes the depth that stands for the material of each pixel."""
 
-    packed: UintTexture2D
-    depth: Texture2D
+    packed: sl.UintTexture2D
+    depth: sl.Texture2D
 
     def fragment(self) -> MaterialId:
-        pixel = ivec2(fragment_coordinate().xy)
+        pixel = sl.ivec2(sl.fragment_coordinate().xy)
         if self.depth.load(pixel).x == self.rays.farthest:
-            discard()
-        return MaterialId(depth=material_depth(int(self.packed.load(pixel).y & uint(_LAST))))
+            sl.discard()
+        return MaterialId(depth=material_depth(int(self.packed.load(pixel).y & sl.uint(_LAST))))
 
 
-class TileSize(Struct):
+class TileSize(sl.Struct):
     """The side of a tile in pixels, and the number of the scene's materials."""
 
     tile: int
     materials: int
 
 
-class RectangleDraw(Struct):
+class RectangleDraw(sl.Struct):
     """The arguments of an indirect draw without indices, laid out as `rhi.DRAW_UNINDEXED`."""
 
-    count: uint
-    instances: uint
-    first: uint
-    base_instance: uint
-    unused: uint
+    count: sl.uint
+    instances: sl.uint
+    first: sl.uint
+    base_instance: sl.uint
+    unused: sl.uint
 
 
-class MaterialRectangle(Struct):
+class MaterialRectangle(sl.Struct):
     """The part of a tile that shows a material: the first pixel, x in the lower half, the width and the height,
     likewise, and the material."""
 
-    first: uint
-    size: uint
-    material: uint
+    first: sl.uint
+    size: sl.uint
+    material: sl.uint
 
 
-class FindRectangles(Shader):
+class FindRectangles(sl.Shader):
     """Lists the rectangles of all tiles."""
 
     work_group = (_GROUP, _GROUP)
-    layout: Uniform[TileSize]
-    ids: Texture2D
-    rectangles: StorageRW[MaterialRectangle]
-    draw: StorageRW[RectangleDraw]
+    layout: sl.Uniform[TileSize]
+    ids: sl.Texture2D
+    rectangles: sl.StorageRW[MaterialRectangle]
+    draw: sl.StorageRW[RectangleDraw]
 
     def compute(self) -> None:
-        tile = global_id().xy
+        tile = sl.global_id().xy
         size = self.ids.size()
         begin = tile * self.layout.tile
         if begin.x >= size.x or begin.y >= size.y:
             return
         if tile.x == 0 and tile.y == 0:
-            self.draw[0].count = uint(6)
-        end = min(begin + self.layout.tile, size)
+            self.draw[0].count = sl.uint(6)
+        end = sl.min(begin + self.layout.tile, size)
         known = -1
         is_left = True
         while is_left:
@@ -147,24 +125,24 @@ class FindRectangles(Shader):
             last = begin
             for y in range(begin.y, end.y):
                 for x in range(begin.x, end.x):
-                    row = int(round(self.ids.load(ivec2(x, y)).x * float(_LAST)))
+                    row = int(sl.round(self.ids.load(sl.ivec2(x, y)).x * float(_LAST)))
                     if row > known and row < chosen:
                         is_left = is_left or chosen < self.layout.materials
                         chosen = row
-                        first = ivec2(x, y)
-                        last = ivec2(x, y)
+                        first = sl.ivec2(x, y)
+                        last = sl.ivec2(x, y)
                     elif row == chosen:
-                        first = min(first, ivec2(x, y))
-                        last = max(last, ivec2(x, y))
+                        first = sl.min(first, sl.ivec2(x, y))
+                        last = sl.max(last, sl.ivec2(x, y))
                     elif row > chosen and row < self.layout.materials:
                         is_left = True
             if chosen < self.layout.materials:
                 extent = last - first + 1
-                at = int(atomic_add(self.draw[0].instances, uint(1)))
+                at = int(sl.atomic_add(self.draw[0].instances, sl.uint(1)))
                 self.rectangles[at] = MaterialRectangle(
-                    first=uint(first.x) | uint(first.y) << 16,
-                    size=uint(extent.x) | uint(extent.y) << 16,
-                    material=uint(chosen),
+                    first=sl.uint(first.x) | sl.uint(first.y) << 16,
+                    size=sl.uint(extent.x) | sl.uint(extent.y) << 16,
+                    material=sl.uint(chosen),
                 )
             known = chosen
 
@@ -173,17 +151,17 @@ class RectangleShader(BackgroundScreen):
     """The base of shaders that are run for the pixels of materials: two triangles for each rectangle, at the depth of
     its material."""
 
-    rectangles: Storage[MaterialRectangle]
+    rectangles: sl.Storage[MaterialRectangle]
 
-    def vertex(self) -> vec4:
-        one = self.rectangles[instance_index()]
-        corner = vertex_index()
+    def vertex(self) -> sl.vec4:
+        one = self.rectangles[sl.instance_index()]
+        corner = sl.vertex_index()
         if corner > 2:
             corner -= 2
-        x = float((one.first & 65535) + uint(corner & 1) * (one.size & 65535))
-        y = float((one.first >> 16) + uint(corner >> 1) * (one.size >> 16))
-        place = vec2(x, y) / self.rays.size * 2.0 - 1.0
-        return vec4(place.x, -place.y, material_depth(int(one.material)), 1.0)
+        x = float((one.first & 65535) + sl.uint(corner & 1) * (one.size & 65535))
+        y = float((one.first >> 16) + sl.uint(corner >> 1) * (one.size >> 16))
+        place = sl.vec2(x, y) / self.rays.size * 2.0 - 1.0
+        return sl.vec4(place.x, -place.y, material_depth(int(one.material)), 1.0)
 
 
 class MaterialRectangles:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from typing import Final
 
+import rhi.shading as sl
 from renderer import rules
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.encodings import (
@@ -42,24 +43,6 @@ from renderer.shaders.structs import SurfaceVarying, TextureUse
 from renderer.techniques.parts.scene_shader import MaterialShader, SceneShader
 from renderer.techniques.parts.variants import scene_pass
 from rhi import Format, refuse
-from rhi.shading import (
-    Struct,
-    Texture2D,
-    UintTexture2D,
-    ddx,
-    ddy,
-    dot,
-    fragment_coordinate,
-    ivec2,
-    ivec3,
-    max,
-    uint,
-    uvec2,
-    uvec4,
-    vec2,
-    vec3,
-    vec4,
-)
 
 MOST_MATERIALS: Final = 1 << 16
 """The number of materials that the buffer can tell apart."""
@@ -67,16 +50,16 @@ MOST_MATERIALS: Final = 1 << 16
 _UNPACKED: Final = (Effect.VERTEX_COLORS, Effect.SECOND_UVS, Effect.MIXED_COORDINATES)
 
 
-class PlainWords(Struct):
+class PlainWords(sl.Struct):
     """The texels that `PackedPlain` writes."""
 
-    packed: uvec2
+    packed: sl.uvec2
 
 
-class TexturedWords(Struct):
+class TexturedWords(sl.Struct):
     """The texels that `PackedTextures` writes."""
 
-    packed: uvec4
+    packed: sl.uvec4
 
 
 class PackedPlain(SceneShader):
@@ -84,9 +67,9 @@ class PackedPlain(SceneShader):
 
     def fragment(self, v: SurfaceVarying) -> PlainWords:
         self.cut(v)
-        return PlainWords(packed=uvec2(encode_normal(self.find_side(v)), uint(v.material)))
+        return PlainWords(packed=sl.uvec2(encode_normal(self.find_side(v)), sl.uint(v.material)))
 
-    def find_side(self, v: SurfaceVarying) -> vec3:
+    def find_side(self, v: SurfaceVarying) -> sl.vec3:
         """Return the normal of the side that is seen, not bent."""
         return self.turn_side(safe_normalize(v.normal))
 
@@ -97,38 +80,38 @@ class PackedTextures(PackedPlain):
     has_texture_transforms = False
 
     def fragment(self, v: SurfaceVarying) -> TexturedWords:  # type: ignore[override]  # more words
-        x = encode_change(self.put(v, vec3(ddx(v.uv), 0.0)))
-        y = encode_change(self.put(v, vec3(ddy(v.uv), 0.0)))
+        x = encode_change(self.put(v, sl.vec3(sl.ddx(v.uv), 0.0)))
+        y = encode_change(self.put(v, sl.vec3(sl.ddy(v.uv), 0.0)))
         self.cut(v)
-        words = uvec4(
+        words = sl.uvec4(
             self.encode_directions(v),
-            uint(v.material) | y >> 8 << 16,
-            encode_uv(self.put(v, vec3(v.uv, 1.0))),
+            sl.uint(v.material) | y >> 8 << 16,
+            encode_uv(self.put(v, sl.vec3(v.uv, 1.0))),
             x | y << 24,
         )
         return TexturedWords(packed=words)
 
-    def encode_directions(self, v: SurfaceVarying) -> uint:
+    def encode_directions(self, v: SurfaceVarying) -> sl.uint:
         normal = self.find_side(v)
         if not self.has_normal_maps:
             return encode_normal(normal)
         # Of a back the bent normal is turned, and so are all vectors that it is made of.
-        turned = away_from_zero(dot(normal, v.normal))
+        turned = away_from_zero(sl.dot(normal, v.normal))
         tangent = safe_normalize(v.tangent.xyz) * turned
         return encode_frame(TangentFrame(normal=normal, tangent=tangent, side=away_from_zero(v.tangent.w) * turned))
 
-    def put(self, v: SurfaceVarying, uv: vec3) -> vec2:
+    def put(self, v: SurfaceVarying, uv: sl.vec3) -> sl.vec2:
         """Return texture coordinates (u, v, 1), or changes of them (u, v, 0), as the material's textures are read: all
         of a material have the same transform."""
         if not self.has_texture_transforms:
             return uv.xy
         material = self.materials[v.material]
-        maps = max(max(material.texture, material.normal_texture), material.metallic_roughness_texture)
-        row = max(maps, max(material.occlusion_texture, material.emissive_texture))
+        maps = sl.max(sl.max(material.texture, material.normal_texture), material.metallic_roughness_texture)
+        row = sl.max(maps, sl.max(material.occlusion_texture, material.emissive_texture))
         if row < 0:
             return uv.xy
         use = self.textures[row]
-        return vec2(dot(use.u, uv), dot(use.v, uv))
+        return sl.vec2(sl.dot(use.u, uv), sl.dot(use.v, uv))
 
 
 # Where `PackedReader` is a base, mypy finds two vertex stages of different types: that of `BackgroundScreen`, which it
@@ -136,65 +119,65 @@ class PackedTextures(PackedPlain):
 class PackedReader(BackgroundScreen, MaterialShader):  # type: ignore[misc]
     """The base of shaders that evaluate the materials of the packed geometry buffer, pixel by pixel."""
 
-    packed: UintTexture2D
-    depth: Texture2D
+    packed: sl.UintTexture2D
+    depth: sl.Texture2D
 
-    def read_words(self) -> uvec4:
+    def read_words(self) -> sl.uvec4:
         """Return what is stored of the pixel."""
-        return self.packed.load(ivec2(fragment_coordinate().xy))
+        return self.packed.load(sl.ivec2(sl.fragment_coordinate().xy))
 
-    def read_varying(self, position: vec3) -> SurfaceVarying:
+    def read_varying(self, position: sl.vec3) -> SurfaceVarying:
         """Return the varyings of the pixel's surface, which is at `position`."""
         words = self.read_words()
         frame = self.decode_directions(words.x)
         return SurfaceVarying(
-            clip=vec4(0.0),
+            clip=sl.vec4(0.0),
             position=position,
             normal=frame.normal,
             uv=decode_uv(words.z),
-            uv2=vec2(0.0),
-            tangent=vec4(frame.tangent, frame.side),
-            color=vec4(1.0),
+            uv2=sl.vec2(0.0),
+            tangent=sl.vec4(frame.tangent, frame.side),
+            color=sl.vec4(1.0),
             material=int(words.y & 65535),
-            lights=ivec3(0),
+            lights=sl.ivec3(0),
         )
 
-    def decode_directions(self, bits: uint) -> TangentFrame:
+    def decode_directions(self, bits: sl.uint) -> TangentFrame:
         if self.has_normal_maps:
             return decode_frame(bits)
-        return TangentFrame(normal=decode_normal(bits), tangent=vec3(1.0, 0.0, 0.0), side=1.0)
+        return TangentFrame(normal=decode_normal(bits), tangent=sl.vec3(1.0, 0.0, 0.0), side=1.0)
 
-    def turn_side(self, normal: vec3) -> vec3:
+    def turn_side(self, normal: sl.vec3) -> sl.vec3:
         return normal  # which side is seen was found when the geometry was drawn
 
-    def find_change(self) -> vec4:
+    def find_change(self) -> sl.vec4:
         """Return the changes of texture coordinates to the next pixel on the right, and to that below."""
         words = self.read_words()
         x = decode_change(words.w & 0xFFFFFF)
         y = decode_change(words.w >> 24 | words.y >> 16 << 8)
-        return vec4(x, y)
+        return sl.vec4(x, y)
 
     # Textures are filtered as they would have been when the geometry was drawn, at the coordinates that are stored.
 
-    def read_color(self, texture: int, v: SurfaceVarying) -> vec4:
+    def read_color(self, texture: int, v: SurfaceVarying) -> sl.vec4:
         if self.has_table:
             return super().read_color(texture, v)
         change = self.find_change()
-        return self.images.sample_grad(vec3(v.uv, float(texture)), change.xy, change.zw)
+        return self.images.sample_grad(sl.vec3(v.uv, float(texture)), change.xy, change.zw)
 
-    def read_data(self, texture: int, v: SurfaceVarying) -> vec4:
+    def read_data(self, texture: int, v: SurfaceVarying) -> sl.vec4:
         if self.has_table:
             return super().read_data(texture, v)
         change = self.find_change()
-        return self.maps.sample_grad(vec3(v.uv, float(texture)), change.xy, change.zw)
+        return self.maps.sample_grad(sl.vec3(v.uv, float(texture)), change.xy, change.zw)
 
-    def place(self, use: TextureUse, v: SurfaceVarying) -> vec3:
-        return vec3(v.uv, use.layer)
+    def place(self, use: TextureUse, v: SurfaceVarying) -> sl.vec3:
+        return sl.vec3(v.uv, use.layer)
 
-    def change_right(self, use: TextureUse, v: SurfaceVarying) -> vec2:
+    def change_right(self, use: TextureUse, v: SurfaceVarying) -> sl.vec2:
         return self.find_change().xy
 
-    def change_below(self, use: TextureUse, v: SurfaceVarying) -> vec2:
+    def change_below(self, use: TextureUse, v: SurfaceVarying) -> sl.vec2:
         return self.find_change().zw
 
 

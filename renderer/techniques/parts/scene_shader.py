@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from typing import Final
 
+import rhi.shading as sl
 from renderer.scene import AlphaMode, ShadingModel
 from renderer.shaders.fog import FogConstants, through_fog
 from renderer.shaders.lighting import (
@@ -60,27 +61,6 @@ from renderer.shaders.structs import (
     relative_position,
 )
 from renderer.shadows import ShadowReceiver
-from rhi.shading import (
-    Precision,
-    Shader,
-    Storage,
-    Texture2DArray,
-    Uniform,
-    cross,
-    ddx,
-    ddy,
-    determinant,
-    discard,
-    dot,
-    front_facing,
-    instance_index,
-    ivec3,
-    min,
-    mix,
-    vec2,
-    vec3,
-    vec4,
-)
 
 _METALLIC: Final = int(ShadingModel.METALLIC_ROUGHNESS)
 _MASK: Final = int(AlphaMode.MASK)
@@ -91,34 +71,34 @@ _NO_NORMAL: Final = 5e-5
 is stored as 127 or 128, 1/255 beside it along each axis, and a diagonal would be made of that."""
 
 
-class SceneShader(Shader):
+class SceneShader(sl.Shader):
     """Draws the scene's geometry, and reads its textures."""
 
     # Highlights end up in 8 bits: a pow as exact as GL's (128 ulp) halves the time of a lit pass on OpenCL.
-    precision = Precision.FAST
+    precision = sl.Precision.FAST
     lean = True
 
-    view: Uniform[ViewConstants]
-    objects: Storage[Object]
-    places: Storage[ObjectPosition]
-    materials: Storage[Material]
-    textures: Storage[TextureUse]
-    images: Texture2DArray
-    images_1: Texture2DArray
-    images_2: Texture2DArray
-    images_3: Texture2DArray
-    images_4: Texture2DArray
-    images_5: Texture2DArray
-    images_6: Texture2DArray
-    images_7: Texture2DArray
-    maps: Texture2DArray
-    maps_1: Texture2DArray
-    maps_2: Texture2DArray
-    maps_3: Texture2DArray
-    maps_4: Texture2DArray
-    maps_5: Texture2DArray
-    maps_6: Texture2DArray
-    maps_7: Texture2DArray
+    view: sl.Uniform[ViewConstants]
+    objects: sl.Storage[Object]
+    places: sl.Storage[ObjectPosition]
+    materials: sl.Storage[Material]
+    textures: sl.Storage[TextureUse]
+    images: sl.Texture2DArray
+    images_1: sl.Texture2DArray
+    images_2: sl.Texture2DArray
+    images_3: sl.Texture2DArray
+    images_4: sl.Texture2DArray
+    images_5: sl.Texture2DArray
+    images_6: sl.Texture2DArray
+    images_7: sl.Texture2DArray
+    maps: sl.Texture2DArray
+    maps_1: sl.Texture2DArray
+    maps_2: sl.Texture2DArray
+    maps_3: sl.Texture2DArray
+    maps_4: sl.Texture2DArray
+    maps_5: sl.Texture2DArray
+    maps_6: sl.Texture2DArray
+    maps_7: sl.Texture2DArray
     image_arrays = 1
     map_arrays = 1
     has_table = False
@@ -133,17 +113,17 @@ class SceneShader(Shader):
     def vertex(self, v: Vertex, second: SecondUv, tangent: Tangent, color: VertexColor) -> SurfaceVarying:
         return self.transform(
             v,
-            second.uv2 if self.has_second_uvs else vec2(0.0),
-            tangent.tangent if self.has_normal_maps else vec4(1.0, 0.0, 0.0, 1.0),
-            color.color if self.has_vertex_colors else vec4(1.0),
+            second.uv2 if self.has_second_uvs else sl.vec2(0.0),
+            tangent.tangent if self.has_normal_maps else sl.vec4(1.0, 0.0, 0.0, 1.0),
+            color.color if self.has_vertex_colors else sl.vec4(1.0),
         )
 
-    def transform(self, v: Vertex, uv2: vec2, tangent: vec4, color: vec4) -> SurfaceVarying:
+    def transform(self, v: Vertex, uv2: sl.vec2, tangent: sl.vec4, color: sl.vec4) -> SurfaceVarying:
         row = self.find_object()
         thing = self.objects[row]
         position = thing.linear @ v.position + relative_position(self.places[row], self.view)
         return SurfaceVarying(
-            clip=self.view.relative_view_projection @ vec4(position, 1.0),
+            clip=self.view.relative_view_projection @ sl.vec4(position, 1.0),
             position=position,
             normal=thing.normal @ v.normal,
             uv=v.uv,
@@ -154,27 +134,27 @@ class SceneShader(Shader):
             lights=self.list_lights(thing),
         )
 
-    def turn_tangent(self, thing: Object, tangent: vec4) -> vec4:
+    def turn_tangent(self, thing: Object, tangent: sl.vec4) -> sl.vec4:
         """Return a tangent of a mesh as it is in the world."""
         if not self.has_normal_maps:
             return tangent
         # A transform that mirrors an object turns its bitangents, but not the product of its normals and tangents.
-        mirrors = determinant(thing.linear) < 0.0
-        return vec4(thing.linear @ tangent.xyz, -tangent.w if mirrors else tangent.w)
+        mirrors = sl.determinant(thing.linear) < 0.0
+        return sl.vec4(thing.linear @ tangent.xyz, -tangent.w if mirrors else tangent.w)
 
     def find_object(self) -> int:
         """Return the row of the object that is drawn."""
-        return instance_index()
+        return sl.instance_index()
 
-    def list_lights(self, thing: Object) -> ivec3:
+    def list_lights(self, thing: Object) -> sl.ivec3:
         """Return where the point lights that light the object begin in the light rows, where they end and the spot
         lights begin, and where those end."""
-        return ivec3(thing.lights_begin, thing.points_end, thing.lights_end)
+        return sl.ivec3(thing.lights_begin, thing.points_end, thing.lights_end)
 
-    def find_texel(self, v: SurfaceVarying) -> vec4:
+    def find_texel(self, v: SurfaceVarying) -> sl.vec4:
         """Return what multiplies the base colour of the fragment's material. Nothing is drawn where the alpha of a mask
         is below its cut."""
-        texel = vec4(1.0)
+        texel = sl.vec4(1.0)
         if self.has_images:
             texture = self.materials[v.material].texture
             if texture >= 0:
@@ -184,7 +164,7 @@ class SceneShader(Shader):
         if self.has_masks:
             material = self.materials[v.material]
             if material.alpha_mode == _MASK and material.base_color.a * texel.a < material.alpha_cutoff - _ROUNDING:
-                discard()
+                sl.discard()
         return texel
 
     def cut(self, v: SurfaceVarying) -> None:
@@ -192,16 +172,16 @@ class SceneShader(Shader):
         if self.has_masks:
             _ = self.find_texel(v)
 
-    def find_normal(self, v: SurfaceVarying) -> vec3:
+    def find_normal(self, v: SurfaceVarying) -> sl.vec3:
         """Return the unit normal of the fragment, as maps bend it."""
         return self.turn_side(self.bend(safe_normalize(v.normal), v))
 
-    def find_plane(self, v: SurfaceVarying, normal: vec3) -> vec3:
+    def find_plane(self, v: SurfaceVarying, normal: sl.vec3) -> sl.vec3:
         """Return the unit normal of the fragment's surface, which maps don't bend, given the `normal` that they do:
         shadow maps hold these surfaces."""
         return self.turn_side(safe_normalize(v.normal)) if self.has_planes else normal
 
-    def bend(self, normal: vec3, v: SurfaceVarying) -> vec3:
+    def bend(self, normal: sl.vec3, v: SurfaceVarying) -> sl.vec3:
         """Return a unit normal as maps bend it. Where a texture has no direction, it is as it was."""
         if not self.has_normal_maps:
             return normal
@@ -210,64 +190,64 @@ class SceneShader(Shader):
             return normal
         texel = self.read_data(material.normal_texture, v).xyz * 2.0 - 1.0
         tangent = safe_normalize(v.tangent.xyz)
-        up = cross(normal, tangent) * (-1.0 if v.tangent.w < 0.0 else 1.0)
+        up = sl.cross(normal, tangent) * (-1.0 if v.tangent.w < 0.0 else 1.0)
         bent = (tangent * texel.x + up * texel.y) * material.normal_scale + normal * texel.z
-        if dot(bent, bent) < _NO_NORMAL:
+        if sl.dot(bent, bent) < _NO_NORMAL:
             return normal
         return safe_normalize(bent)
 
-    def turn_side(self, normal: vec3) -> vec3:
+    def turn_side(self, normal: sl.vec3) -> sl.vec3:
         """Return the normal of the side that is seen, given that of the front. Backs are drawn of materials with two
         sides only (`DRAW_GROUPS`)."""
         if self.has_two_sides:
-            return normal if front_facing() else -normal
+            return normal if sl.front_facing() else -normal
         return normal
 
-    def read_color(self, texture: int, v: SurfaceVarying) -> vec4:
+    def read_color(self, texture: int, v: SurfaceVarying) -> sl.vec4:
         """Return the texel of the texture of colours of this row."""
         if self.has_table:
             use = self.textures[texture]
             return self.read_images(use.array, self.place(use, v), self.change_right(use, v), self.change_below(use, v))
-        return self.images.sample(vec3(v.uv, float(texture)))
+        return self.images.sample(sl.vec3(v.uv, float(texture)))
 
-    def read_data(self, texture: int, v: SurfaceVarying) -> vec4:
+    def read_data(self, texture: int, v: SurfaceVarying) -> sl.vec4:
         """Return the texel of the texture of data of this row."""
         if self.has_table:
             use = self.textures[texture]
             return self.read_maps(use.array, self.place(use, v), self.change_right(use, v), self.change_below(use, v))
-        return self.maps.sample(vec3(v.uv, float(texture)))
+        return self.maps.sample(sl.vec3(v.uv, float(texture)))
 
     # Texture coordinates by the table are numbers of a buffer, from which a fragment that failed a test may have read
     # zeros (llvmpipe), so its neighbours would derive nonsense. Derivatives are those of the varying, transformed
     # alike.
 
-    def place(self, use: TextureUse, v: SurfaceVarying) -> vec3:
+    def place(self, use: TextureUse, v: SurfaceVarying) -> sl.vec3:
         """Return the texture coordinates and the layer at which a texture is read."""
         uv = v.uv
         if self.has_second_uvs:
             uv = v.uv if use.uv_set == 0 else v.uv2
-        at = vec3(uv, 1.0)
-        return vec3(dot(use.u, at), dot(use.v, at), use.layer)
+        at = sl.vec3(uv, 1.0)
+        return sl.vec3(sl.dot(use.u, at), sl.dot(use.v, at), use.layer)
 
-    def change_right(self, use: TextureUse, v: SurfaceVarying) -> vec2:
+    def change_right(self, use: TextureUse, v: SurfaceVarying) -> sl.vec2:
         """Return the change of texture coordinates to the next pixel on the right."""
-        change = ddx(v.uv)
+        change = sl.ddx(v.uv)
         if self.has_second_uvs:
-            second = ddx(v.uv2)
+            second = sl.ddx(v.uv2)
             change = change if use.uv_set == 0 else second
-        right = vec3(change, 0.0)
-        return vec2(dot(use.u, right), dot(use.v, right))
+        right = sl.vec3(change, 0.0)
+        return sl.vec2(sl.dot(use.u, right), sl.dot(use.v, right))
 
-    def change_below(self, use: TextureUse, v: SurfaceVarying) -> vec2:
+    def change_below(self, use: TextureUse, v: SurfaceVarying) -> sl.vec2:
         """Return the change of texture coordinates to the next pixel below."""
-        change = ddy(v.uv)
+        change = sl.ddy(v.uv)
         if self.has_second_uvs:
-            second = ddy(v.uv2)
+            second = sl.ddy(v.uv2)
             change = change if use.uv_set == 0 else second
-        below = vec3(change, 0.0)
-        return vec2(dot(use.u, below), dot(use.v, below))
+        below = sl.vec3(change, 0.0)
+        return sl.vec2(sl.dot(use.u, below), sl.dot(use.v, below))
 
-    def read_images(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+    def read_images(self, array: int, place: sl.vec3, right: sl.vec2, below: sl.vec2) -> sl.vec4:
         """Return a texel of an array of colours, given the changes of texture coordinates to the pixels on the right
         and below."""
         if self.image_arrays > 1 and array == 1:
@@ -286,7 +266,7 @@ class SceneShader(Shader):
             return self.images_7.sample_grad(place, right, below)
         return self.images.sample_grad(place, right, below)
 
-    def read_maps(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+    def read_maps(self, array: int, place: sl.vec3, right: sl.vec2, below: sl.vec2) -> sl.vec4:
         """Return a texel of an array of data, given the changes of texture coordinates to the pixels on the right and
         below."""
         if self.map_arrays > 1 and array == 1:
@@ -306,7 +286,7 @@ class SceneShader(Shader):
         return self.maps.sample_grad(place, right, below)
 
 
-class ReflectingShader(Shader):
+class ReflectingShader(sl.Shader):
     """The reflection of light by surfaces: by the specular model, the metallic-roughness model, or either of them,
     where the latter has a negative `shininess`."""
 
@@ -314,32 +294,32 @@ class ReflectingShader(Shader):
     has_metals = False
     has_both_models = False
 
-    def with_model(self, surface: SurfacePoint, material: Material, metal: vec2) -> SurfacePoint:
+    def with_model(self, surface: SurfacePoint, material: Material, metal: sl.vec2) -> SurfacePoint:
         """Return a surface as the model needs it, given its base colour, and how metallic and rough it is."""
         if self.has_metals and (not self.has_both_models or material.model == _METALLIC):
             return metal_surface(surface, metal.x, metal.y)
         return surface
 
-    def find_shininess(self, material: Material, metal: vec2) -> float:
+    def find_shininess(self, material: Material, metal: sl.vec2) -> float:
         """Return the shininess of such a surface alone."""
         if self.has_both_models:
             return shininess_of_metal(metal.y) if material.model == _METALLIC else material.shininess
         return shininess_of_metal(metal.y) if self.has_metals else material.shininess
 
-    def find_terms(self, surface: SurfacePoint, to_light: vec3) -> vec3:
+    def find_terms(self, surface: SurfacePoint, to_light: sl.vec3) -> sl.vec3:
         """Return what the surface does with light from a unit direction in front of it: the terms of its base color, of
         its specular color, and of white."""
         if self.has_metals and (not self.has_both_models or surface.shininess < 0.0):
             return metal_terms(surface, to_light)
-        return vec3(1.0, highlight(surface, to_light), 0.0)
+        return sl.vec3(1.0, highlight(surface, to_light), 0.0)
 
-    def reflect_light(self, surface: SurfacePoint, light: Incidence) -> vec3:
+    def reflect_light(self, surface: SurfacePoint, light: Incidence) -> sl.vec3:
         """Return the light that the surface reflects to the eye."""
         if self.has_metals and (not self.has_both_models or surface.shininess < 0.0):
             return reflected_by_metal(surface, light)
         return reflected_light(surface, light)
 
-    def reflect_ambient(self, surface: SurfacePoint, ambient: Ambient, material: Material) -> vec3:
+    def reflect_ambient(self, surface: SurfacePoint, ambient: Ambient, material: Material) -> sl.vec3:
         """Return the ambient light that the surface sends to the eye."""
         if self.has_metals and (not self.has_both_models or surface.shininess < 0.0):
             return ambient_light_of_metal(surface, ambient)
@@ -358,7 +338,7 @@ class MaterialShader(SceneShader, ReflectingShader):
         normal = self.find_normal(v)  # before a mask leaves a fragment out, whose neighbours derive from it
         return self.color_surface(v, material, normal, self.find_texel(v))
 
-    def color_surface(self, v: SurfaceVarying, material: Material, normal: vec3, texel: vec4) -> SurfacePoint:
+    def color_surface(self, v: SurfaceVarying, material: Material, normal: sl.vec3, texel: sl.vec4) -> SurfacePoint:
         """Return the surface with this normal, and with a texel that multiplies its base colour."""
         surface = SurfacePoint(
             position=v.position,
@@ -373,10 +353,10 @@ class MaterialShader(SceneShader, ReflectingShader):
         )
         return self.with_model(surface, material, self.find_metal(v))
 
-    def find_metal(self, v: SurfaceVarying) -> vec2:
+    def find_metal(self, v: SurfaceVarying) -> sl.vec2:
         """Return how metallic and how rough the fragment is."""
         material = self.materials[v.material]
-        metal = vec2(material.metallic, material.roughness)
+        metal = sl.vec2(material.metallic, material.roughness)
         if self.has_roughness_maps and material.metallic_roughness_texture >= 0:
             metal = metal * self.read_data(material.metallic_roughness_texture, v).zy
         return metal
@@ -388,32 +368,32 @@ class MaterialShader(SceneShader, ReflectingShader):
         material = self.materials[v.material]
         if material.occlusion_texture < 0:
             return 1.0
-        return mix(1.0, self.read_data(material.occlusion_texture, v).x, material.occlusion_strength)
+        return sl.mix(1.0, self.read_data(material.occlusion_texture, v).x, material.occlusion_strength)
 
-    def find_emissive(self, v: SurfaceVarying) -> vec3:
+    def find_emissive(self, v: SurfaceVarying) -> sl.vec3:
         """Return what multiplies the emissive colour of the fragment's material."""
         if not self.has_emissive_maps:
-            return vec3(1.0)
+            return sl.vec3(1.0)
         texture = self.materials[v.material].emissive_texture
         if texture < 0:
-            return vec3(1.0)
+            return sl.vec3(1.0)
         return self.read_color(texture, v).rgb
 
 
-class FinishShader(Shader):
+class FinishShader(sl.Shader):
     """Makes pixels of light. Fog is what light goes through before its tones are mapped. Haze fades to the background,
     a final colour, so it is mixed in after that. For glow, light stays linear and of any strength."""
 
-    precision = Precision.FAST
+    precision = sl.Precision.FAST
     lean = True
     has_haze = False
     has_fog = False
     has_glow = False
 
-    haze: Uniform[Haze]
-    fog: Uniform[FogConstants]
+    haze: sl.Uniform[Haze]
+    fog: sl.Uniform[FogConstants]
 
-    def finish(self, color: vec3, position: vec3) -> vec4:
+    def finish(self, color: sl.vec3, position: sl.vec3) -> sl.vec4:
         """Return the pixel of a surface that sends this light to the eye."""
         seen = color
         if self.has_fog:
@@ -423,8 +403,8 @@ class FinishShader(Shader):
         if self.has_haze:
             seen = through_haze(seen, position, self.haze)
         if self.has_glow:
-            seen = min(seen, BRIGHTEST)
-        return vec4(seen, 1.0)
+            seen = sl.min(seen, BRIGHTEST)
+        return sl.vec4(seen, 1.0)
 
 
 class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver):
@@ -437,10 +417,10 @@ class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver):
     """Whether there is exactly one directional light. Without a loop, a compiler sees that the light is the same for
     all fragments, which saves llvmpipe a twentieth of the pass."""
 
-    ambient: Uniform[Ambient]
-    directional_lights: Storage[DirectionalLight]
+    ambient: sl.Uniform[Ambient]
+    directional_lights: sl.Storage[DirectionalLight]
 
-    def shade(self, surface: SurfacePoint, material: Material) -> vec3:
+    def shade(self, surface: SurfacePoint, material: Material) -> sl.vec3:
         """Return the light of the surface without that of point and spot lights."""
         color = self.reflect_ambient(surface, self.ambient, material)
         if self.has_emission:
@@ -454,7 +434,7 @@ class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver):
                 color += self.sunlight(surface, i)
         return color
 
-    def sunlight(self, surface: SurfacePoint, row: int) -> vec3:
+    def sunlight(self, surface: SurfacePoint, row: int) -> sl.vec3:
         """Return the light of a directional light."""
         light = self.reflect_light(surface, directional_incidence(self.directional_lights[row]))
         return self.unblocked_sun(light, surface.position, surface.plane, row)
@@ -467,14 +447,14 @@ class LampShader(ReflectingShader, ShadowReceiver):
     has_spot_lights = False
     has_gaps = False
 
-    point_lights: Storage[PointLight]
-    spot_lights: Storage[SpotLight]
-    light_rows: Storage[int]
+    point_lights: sl.Storage[PointLight]
+    spot_lights: sl.Storage[SpotLight]
+    light_rows: sl.Storage[int]
 
-    def lamplight(self, surface: SurfacePoint, lights: ivec3) -> vec3:
+    def lamplight(self, surface: SurfacePoint, lights: sl.ivec3) -> sl.vec3:
         """Return the light of the lamps between three places in the light rows: where the point lights begin, where
         they end and the spot lights begin, and where those end."""
-        color = vec3(0.0)
+        color = sl.vec3(0.0)
         if self.has_point_lights:
             for place in range(lights.x, lights.y):
                 row = self.find_row(place)
@@ -491,17 +471,17 @@ class LampShader(ReflectingShader, ShadowReceiver):
         """Return the row of the light at a place; where there may be gaps, -1 if there is none."""
         return self.light_rows[place]
 
-    def pointlight(self, surface: SurfacePoint, row: int) -> vec3:
+    def pointlight(self, surface: SurfacePoint, row: int) -> sl.vec3:
         """Return the light of the point light of a row."""
         if not in_range(surface, self.point_lights[row].position, self.point_lights[row].range):
-            return vec3(0.0)
+            return sl.vec3(0.0)
         light = self.reflect_light(surface, point_incidence(surface.position, self.point_lights[row]))
         return self.unblocked_point(light, surface.position, surface.plane, row)
 
-    def spotlight(self, surface: SurfacePoint, row: int) -> vec3:
+    def spotlight(self, surface: SurfacePoint, row: int) -> sl.vec3:
         """Return the light of the spot light of a row."""
         if not in_range(surface, self.spot_lights[row].position, self.spot_lights[row].range):
-            return vec3(0.0)
+            return sl.vec3(0.0)
         light = self.reflect_light(surface, spot_incidence(surface.position, self.spot_lights[row]))
         return self.unblocked_spot(light, surface.position, surface.plane, row)
 
@@ -509,19 +489,19 @@ class LampShader(ReflectingShader, ShadowReceiver):
 class ForwardShader(MaterialShader, LampShader, ShadingShader):
     """Draws the scene lit: a fragment by all lights that reach its object."""
 
-    def fragment(self, v: SurfaceVarying) -> vec4:
+    def fragment(self, v: SurfaceVarying) -> sl.vec4:
         return self.light(v, self.materials[v.material])
 
-    def light(self, v: SurfaceVarying, material: Material) -> vec4:
+    def light(self, v: SurfaceVarying, material: Material) -> sl.vec4:
         """Return the pixel of the lit surface."""
         return self.light_surface(self.find_surface(v, material), v, material)
 
-    def light_surface(self, surface: SurfacePoint, v: SurfaceVarying, material: Material) -> vec4:
+    def light_surface(self, surface: SurfacePoint, v: SurfaceVarying, material: Material) -> sl.vec4:
         """Return the pixel of a surface that the fragment shows."""
         color = self.shade(surface, material)
         color += self.lamplight_at(surface, v)
         return self.finish(color, v.position)
 
-    def lamplight_at(self, surface: SurfacePoint, v: SurfaceVarying) -> vec3:
+    def lamplight_at(self, surface: SurfacePoint, v: SurfaceVarying) -> sl.vec3:
         """Return the light of the lamps that reach the surface that the fragment shows."""
         return self.lamplight(surface, v.lights)

@@ -22,6 +22,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
+import rhi.shading as sl
 from renderer.frame import Blending, Effect, Frame, Needs, Pass, Target
 from renderer.frame.passes import NEARER
 from renderer.shaders.lighting import BRIGHTEST
@@ -31,19 +32,6 @@ from renderer.techniques.parts.full_screen import Color
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.variants import Lighting, draw_full_screen, scene_pass
 from rhi import BlendFactor, BlendFunction, DepthWrite, Format
-from rhi.shading import (
-    Struct,
-    Texture2D,
-    clamp,
-    discard,
-    dot,
-    fragment_coordinate,
-    ivec2,
-    max,
-    min,
-    saturate,
-    vec4,
-)
 
 COLORS: Final = "transparent colors"
 WEIGHTS: Final = "transparent weights"
@@ -63,22 +51,22 @@ _SUMS: Final = BlendFunction(
 class TransparentShader(ForwardShader):
     """Covers a part of what is behind the surface."""
 
-    def fragment(self, v: SurfaceVarying) -> vec4:
+    def fragment(self, v: SurfaceVarying) -> sl.vec4:
         seen = self.see(v)
-        return vec4(seen.rgb * seen.a, seen.a)
+        return sl.vec4(seen.rgb * seen.a, seen.a)
 
-    def see(self, v: SurfaceVarying) -> vec4:
+    def see(self, v: SurfaceVarying) -> sl.vec4:
         """Return the colour of the surface, and the share of the background that it covers."""
         material = self.materials[v.material]
         texel = self.find_texel(v)
         surface = self.color_surface(v, material, self.find_normal(v), texel)
-        return vec4(self.light_surface(surface, v, material).rgb, saturate(material.base_color.a * texel.a))
+        return sl.vec4(self.light_surface(surface, v, material).rgb, sl.saturate(material.base_color.a * texel.a))
 
 
-class WeightedTexels(Struct):
+class WeightedTexels(sl.Struct):
     """The texels that `WeightedShader` adds: a weighted colour, with the opacity in its alpha, and the weight."""
 
-    colors: vec4
+    colors: sl.vec4
     weights: float
 
 
@@ -87,24 +75,24 @@ class WeightedShader(TransparentShader):
 
     def fragment(self, v: SurfaceVarying) -> WeightedTexels:  # type: ignore[override]  # other targets than the image
         seen = self.see(v)
-        near = dot(v.position, v.position) / 40000.0  # squared distances in 200 m
-        weight = seen.a * clamp(0.03 / (1e-5 + near * near), 1e-2, _HEAVIEST)
-        return WeightedTexels(colors=vec4(seen.rgb * weight, seen.a), weights=weight)
+        near = sl.dot(v.position, v.position) / 40000.0  # squared distances in 200 m
+        weight = seen.a * sl.clamp(0.03 / (1e-5 + near * near), 1e-2, _HEAVIEST)
+        return WeightedTexels(colors=sl.vec4(seen.rgb * weight, seen.a), weights=weight)
 
 
 class BlendShader(BackgroundScreen):
     """Puts the mean of weighted surfaces over the image."""
 
-    colors: Texture2D
-    weights: Texture2D
+    colors: sl.Texture2D
+    weights: sl.Texture2D
 
-    def fragment(self) -> vec4:
-        place = ivec2(fragment_coordinate().xy)
-        colors = min(self.colors.load(place), BRIGHTEST)
+    def fragment(self) -> sl.vec4:
+        place = sl.ivec2(sl.fragment_coordinate().xy)
+        colors = sl.min(self.colors.load(place), BRIGHTEST)
         if colors.a == 1.0:
-            discard()  # nothing covers this pixel
-        weight = min(self.weights.load(place).x, BRIGHTEST)
-        return vec4(colors.rgb * ((1.0 - colors.a) / max(weight, 1e-6)), 1.0 - colors.a)
+            sl.discard()  # nothing covers this pixel
+        weight = sl.min(self.weights.load(place).x, BRIGHTEST)
+        return sl.vec4(colors.rgb * ((1.0 - colors.a) / sl.max(weight, 1e-6)), 1.0 - colors.a)
 
 
 def declare_transparency(needs: Needs, lighting: Lighting, *, image: str = "image") -> tuple[Pass[Frame], ...]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from typing import Final
 
+import rhi.shading as sl
 from renderer.scene import Camera, Depth, Scene
 from renderer.shaders import ViewConstants
 from renderer.visibility.gpu.device_culling import DeviceCulling
@@ -23,36 +24,16 @@ from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, Fin
 from renderer.visibility.scene_pass import ScenePass
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device, Encoder, UniformBuffer
-from rhi.shading import (
-    Array,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Uniform,
-    array,
-    clamp,
-    floor,
-    global_id,
-    ivec2,
-    ivec4,
-    max,
-    min,
-    uint,
-    vec2,
-    vec4,
-)
 
 _LEVELS: Final = 9
 """The number of levels of an image of 65,536 pixels a side, the image included."""
 
 
-class Levels(Struct):
+class Levels(sl.Struct):
     """The number of levels of a pyramid, and for each its width, height and first element; level 0 is the image.
     `texels` is the largest number of texels that a test covers in each direction."""
 
-    levels: Array[ivec4] = array(ivec4, _LEVELS)
+    levels: sl.Array[sl.ivec4] = sl.array(sl.ivec4, _LEVELS)
     count: int
     texels: int
 
@@ -60,45 +41,45 @@ class Levels(Struct):
 class FindSeen(FindOccludees):
     """Finds the boxes, and marks what was visible in the last frame VISIBLE."""
 
-    seen: Storage[uint]
+    seen: sl.Storage[sl.uint]
 
     def first_mark(self, row: int) -> int:
-        return VISIBLE if self.seen[row] == uint(1) else HIDDEN
+        return VISIBLE if self.seen[row] == sl.uint(1) else HIDDEN
 
 
-class BoxTest(Shader):
+class BoxTest(sl.Shader):
     """Tests whether boxes are visible in a depth image, with its pyramid."""
 
     work_group = (GROUP,)
-    view: Uniform[ViewConstants]
-    pyramid: Uniform[Levels]
-    depth: Texture2D
-    farthest: Storage[float]
-    boxes: Storage[Occludee]
+    view: sl.Uniform[ViewConstants]
+    pyramid: sl.Uniform[Levels]
+    depth: sl.Texture2D
+    farthest: sl.Storage[float]
+    boxes: sl.Storage[Occludee]
     is_reversed = True
     margin = 1.0 / 64.0
     """Margin of the rectangle in pixels, for the rounding of rasterisation."""
 
     def is_visible(self, box: Occludee) -> bool:
-        size = vec2(self.pyramid.levels[0].xy)
+        size = sl.vec2(self.pyramid.levels[0].xy)
         nearest = 0.0 if self.is_reversed else 1.0
         lower = size
-        upper = vec2(0.0)
+        upper = sl.vec2(0.0)
         for corner in range(8):
             point = box.centre
             point += box.x if corner % 2 == 1 else -box.x
             point += box.y if corner // 2 % 2 == 1 else -box.y
             point += box.z if corner // 4 == 1 else -box.z
-            clip = self.view.relative_view_projection @ vec4(point, 1.0)
+            clip = self.view.relative_view_projection @ sl.vec4(point, 1.0)
             if not clip.w > 0.0:
                 return True  # a corner is beside or behind the eye: there is no rectangle
-            pixel = (vec2(clip.x, -clip.y) / clip.w + 1.0) * 0.5 * size
-            lower = min(lower, pixel)
-            upper = max(upper, pixel)
+            pixel = (sl.vec2(clip.x, -clip.y) / clip.w + 1.0) * 0.5 * size
+            lower = sl.min(lower, pixel)
+            upper = sl.max(upper, pixel)
             depth = clip.z / clip.w
-            nearest = max(nearest, depth) if self.is_reversed else min(nearest, depth)
-        begin = ivec2(clamp(floor(lower - self.margin), vec2(0.0), size))
-        end = ivec2(clamp(floor(upper + self.margin), vec2(-1.0), size - 1.0))
+            nearest = sl.max(nearest, depth) if self.is_reversed else sl.min(nearest, depth)
+        begin = sl.ivec2(sl.clamp(sl.floor(lower - self.margin), sl.vec2(0.0), size))
+        end = sl.ivec2(sl.clamp(sl.floor(upper + self.margin), sl.vec2(-1.0), size - 1.0))
         level = 0
         most = self.pyramid.texels
         while level < self.pyramid.count - 1 and (end.x - begin.x >= most or end.y - begin.y >= most):
@@ -109,15 +90,15 @@ class BoxTest(Shader):
             return False  # behind whole tiles: the finer texels needn't be read
         return self.is_before(nearest, level, begin, end)
 
-    def is_before(self, nearest: float, level: int, begin: ivec2, end: ivec2) -> bool:
+    def is_before(self, nearest: float, level: int, begin: sl.ivec2, end: sl.ivec2) -> bool:
         for y in range(begin.y, end.y + 1):
             for x in range(begin.x, end.x + 1):
-                behind = self.fetch(level, ivec2(x, y))
+                behind = self.fetch(level, sl.ivec2(x, y))
                 if (nearest >= behind) if self.is_reversed else (nearest <= behind):
                     return True
         return False
 
-    def fetch(self, level: int, at: ivec2) -> float:
+    def fetch(self, level: int, at: sl.ivec2) -> float:
         if level == 0:
             return self.depth.load(at).r
         chosen = self.pyramid.levels[level]
@@ -127,20 +108,20 @@ class BoxTest(Shader):
 class CompareBoxes(BoxTest):
     """Marks visible objects, and records them in `seen` for the next frame."""
 
-    marks: StorageRW[uint]
-    seen: StorageRW[uint]
+    marks: sl.StorageRW[sl.uint]
+    seen: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        row = global_id().x
+        row = sl.global_id().x
         if row >= len(self.marks):
             return
         mark = self.marks[row]
         visible = False
-        if mark == uint(HIDDEN) or mark == uint(DRAWN):
+        if mark == sl.uint(HIDDEN) or mark == sl.uint(DRAWN):
             visible = self.is_visible(self.boxes[row])
-        self.seen[row] = uint(1 if visible else 0)
-        if visible and mark == uint(HIDDEN):
-            self.marks[row] = uint(VISIBLE)
+        self.seen[row] = sl.uint(1 if visible else 0)
+        if visible and mark == sl.uint(HIDDEN):
+            self.marks[row] = sl.uint(VISIBLE)
 
 
 class DepthPyramidCulling(DeviceCulling):
@@ -149,7 +130,7 @@ class DepthPyramidCulling(DeviceCulling):
     def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS) -> None:
         super().__init__(scene, device, FindSeen)
         self._texels = settings.pyramid_texels
-        self._seen = device.storage(uint, len(scene.objects), label="seen")
+        self._seen = device.storage(sl.uint, len(scene.objects), label="seen")
         self._pyramid: FarthestDepth | None = None
         self._levels: UniformBuffer[Levels] = device.uniform(
             Levels(levels=[(0, 0, 0, 0)] * _LEVELS, count=0, texels=self._texels)

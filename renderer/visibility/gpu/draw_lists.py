@@ -20,29 +20,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from renderer.shaders import DRAW_LISTS, MeshPart, ObjectPosition
 from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, Occludee, Occludees
 from renderer.visibility.repeated import clear
 from renderer.visibility.scene_pass import SceneArrays
 from rhi import DRAW, Device, Encoder, IndirectDraws
-from rhi.shading import (
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    barrier,
-    clamp,
-    floor,
-    global_id,
-    group_count,
-    group_id,
-    local_index,
-    log2,
-    max,
-    shared,
-    uint,
-)
 
 _BUCKETS: Final = 31
 """Number of distance classes: up to 1/8 m, then a half octave each up to 4 km, then all beyond."""
@@ -52,88 +36,88 @@ KEYS: Final = 2 * GROUP
 """Number of keys. Each of a group's lanes counts two of them."""
 
 
-class DrawArguments(Struct):
+class DrawArguments(sl.Struct):
     """The arguments of an indexed indirect draw, laid out as `rhi.DRAW`."""
 
-    count: uint
-    instances: uint
-    first: uint
+    count: sl.uint
+    instances: sl.uint
+    first: sl.uint
     base_vertex: int
-    base_instance: uint
+    base_instance: sl.uint
 
 
-class ListCounts(Struct):
+class ListCounts(sl.Struct):
     """The numbers of draws of each part, and of hidden rows."""
 
-    first: uint
-    second: uint
-    third: uint
-    fourth: uint
-    hidden: uint
+    first: sl.uint
+    second: sl.uint
+    third: sl.uint
+    fourth: sl.uint
+    hidden: sl.uint
 
 
 _PARTS: Final = ("first", "second", "third", "fourth")
 
 
-class CountKeys(Shader):
+class CountKeys(sl.Shader):
     """Computes each row's key and its rank among the equal keys of its group, and counts each group's keys."""
 
     work_group = (GROUP,)
-    places: Storage[ObjectPosition]
-    occludees: Storage[Occludee]
-    marks: StorageRW[uint]
-    keys: StorageRW[uint]
-    counts: StorageRW[uint]
-    in_group = shared(uint, GROUP)
+    places: sl.Storage[ObjectPosition]
+    occludees: sl.Storage[Occludee]
+    marks: sl.StorageRW[sl.uint]
+    keys: sl.StorageRW[sl.uint]
+    counts: sl.StorageRW[sl.uint]
+    in_group = sl.shared(sl.uint, GROUP)
 
     def compute(self) -> None:
-        row = global_id().x
-        lane = local_index()
+        row = sl.global_id().x
+        lane = sl.local_index()
         key = _NO_KEY
         if row < len(self.marks):
             mark = self.marks[row]
-            if mark == uint(VISIBLE):
-                octaves = log2(max(self.occludees[row].depth, 0.125))
-                key = clamp(int(floor(2.0 * octaves)) + 6, 0, _BUCKETS - 1)
+            if mark == sl.uint(VISIBLE):
+                octaves = sl.log2(sl.max(self.occludees[row].depth, 0.125))
+                key = sl.clamp(int(sl.floor(2.0 * octaves)) + 6, 0, _BUCKETS - 1)
                 key += _BUCKETS * self.places[row].draw_list
-                self.marks[row] = uint(DRAWN)
-            elif mark == uint(HIDDEN):
+                self.marks[row] = sl.uint(DRAWN)
+            elif mark == sl.uint(HIDDEN):
                 key = _HIDDEN_KEY
-        self.in_group[lane] = uint(key)
-        barrier()
+        self.in_group[lane] = sl.uint(key)
+        sl.barrier()
         rank = 0
-        count = uint(0)
-        count_beyond = uint(0)
+        count = sl.uint(0)
+        count_beyond = sl.uint(0)
         for other in range(GROUP):
             found = self.in_group[other]
-            if found == uint(lane):
+            if found == sl.uint(lane):
                 count += 1
-            if found == uint(lane + GROUP):
+            if found == sl.uint(lane + GROUP):
                 count_beyond += 1
-            if other < lane and found == uint(key):
+            if other < lane and found == sl.uint(key):
                 rank += 1
         if row < len(self.marks):
-            self.keys[row] = uint(key + KEYS * rank)
-        self.counts[lane * group_count().x + group_id().x] = count
-        self.counts[(lane + GROUP) * group_count().x + group_id().x] = count_beyond
+            self.keys[row] = sl.uint(key + KEYS * rank)
+        self.counts[lane * sl.group_count().x + sl.group_id().x] = count
+        self.counts[(lane + GROUP) * sl.group_count().x + sl.group_id().x] = count_beyond
 
 
-class WriteDraws(Shader):
+class WriteDraws(sl.Shader):
     """Writes each visible row's draw and each hidden row to the position that the prefix sums give."""
 
     work_group = (GROUP,)
-    places: Storage[ObjectPosition]
-    parts: Storage[MeshPart]
-    keys: Storage[uint]
-    sums: Storage[uint]
-    listed: StorageRW[DrawArguments]
-    hidden: StorageRW[uint]
-    totals: StorageRW[ListCounts]
-    boxes: StorageRW[DrawArguments]
+    places: sl.Storage[ObjectPosition]
+    parts: sl.Storage[MeshPart]
+    keys: sl.Storage[sl.uint]
+    sums: sl.Storage[sl.uint]
+    listed: sl.StorageRW[DrawArguments]
+    hidden: sl.StorageRW[sl.uint]
+    totals: sl.StorageRW[ListCounts]
+    boxes: sl.StorageRW[DrawArguments]
 
     def compute(self) -> None:
-        row = global_id().x
-        groups = group_count().x
+        row = sl.global_id().x
+        groups = sl.group_count().x
         hidden = self.sums[_HIDDEN_KEY * groups]
         if row == 0:
             count = self.sums[_NO_KEY * groups] - hidden
@@ -147,20 +131,20 @@ class WriteDraws(Shader):
         if row < len(self.keys):
             packed = int(self.keys[row])
             key = packed % KEYS
-            place = self.sums[key * groups + group_id().x] + uint(packed // KEYS)
+            place = self.sums[key * groups + sl.group_id().x] + sl.uint(packed // KEYS)
             if key < _HIDDEN_KEY:
                 number = key // _BUCKETS
                 at = int(place - self.sums[number * _BUCKETS * groups]) + number * len(self.keys)
                 part = self.parts[self.places[row].mesh]
                 self.listed[at] = DrawArguments(
                     count=part.count,
-                    instances=uint(1),
+                    instances=sl.uint(1),
                     first=part.first,
                     base_vertex=part.base_vertex,
-                    base_instance=uint(row),
+                    base_instance=sl.uint(row),
                 )
             elif key == _HIDDEN_KEY:
-                self.hidden[int(place - hidden)] = uint(row)
+                self.hidden[int(place - hidden)] = sl.uint(row)
 
 
 class IndirectDrawList:
@@ -178,12 +162,12 @@ class IndirectDrawList:
         self.generation = 0
         self.draws = device.storage(DrawArguments, DRAW_LISTS * count, label="listed draws")
         self.totals = device.storage(ListCounts, 1, label="list counts")
-        self.hidden = device.storage(uint, count, label="hidden rows")
+        self.hidden = device.storage(sl.uint, count, label="hidden rows")
         self.box_draw = device.storage(DrawArguments, occludees.cube.draws(instances=0), label="box draw")
         self._device = device
         self._occludees = occludees
-        self._keys = device.storage(uint, count, label="keys")
-        self._counts = device.storage(uint, KEYS * occludees.groups, label="key counts")
+        self._keys = device.storage(sl.uint, count, label="keys")
+        self._counts = device.storage(sl.uint, KEYS * occludees.groups, label="key counts")
         self._count_keys = device.program(CountKeys)
         self._add_counts = device.program(PrefixSum)
         self._write_draws = device.program(WriteDraws)

@@ -11,19 +11,9 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, Final
 
+import rhi.shading as sl
 from renderer.scene import Depth
 from rhi import Device, Encoder, StorageBuffer, Texture, UniformBuffer
-from rhi.shading import (
-    Shader,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Uniform,
-    global_id,
-    ivec2,
-    max,
-    min,
-)
 
 SCALE: Final = 4
 """Number of texels of a level, in each direction, that one texel of the next level covers."""
@@ -33,25 +23,25 @@ FAR: Final = {Depth.REVERSED: 0.0, Depth.STANDARD: 1.0}
 """The farthest depth: that of a pixel where nothing is drawn."""
 
 
-class ReductionStep(Struct):
+class ReductionStep(sl.Struct):
     """The step from one level to the next: their sizes, and their first elements in the buffer."""
 
-    source: ivec2
-    target: ivec2
+    source: sl.ivec2
+    target: sl.ivec2
     source_begin: int
     target_begin: int
 
 
-class DownSample(Shader):
+class DownSample(sl.Shader):
     """Computes the farthest of 4 × 4 texels, or of fewer at an edge, from a level in the buffer."""
 
     work_group = (_GROUP, _GROUP)
-    step: Uniform[ReductionStep]
-    farthest: StorageRW[float]
+    step: sl.Uniform[ReductionStep]
+    farthest: sl.StorageRW[float]
     is_reversed = True
 
     def compute(self) -> None:
-        at = global_id().xy
+        at = sl.global_id().xy
         size = self.step.target
         if at.x >= size.x or at.y >= size.y:
             return
@@ -59,20 +49,20 @@ class DownSample(Shader):
         found = 1.0 if self.is_reversed else 0.0
         for y in range(SCALE):
             for x in range(SCALE):
-                depth = self.fetch(min(SCALE * at + ivec2(x, y), last))
-                found = min(found, depth) if self.is_reversed else max(found, depth)
+                depth = self.fetch(sl.min(SCALE * at + sl.ivec2(x, y), last))
+                found = sl.min(found, depth) if self.is_reversed else sl.max(found, depth)
         self.farthest[self.step.target_begin + at.y * size.x + at.x] = found
 
-    def fetch(self, at: ivec2) -> float:
+    def fetch(self, at: sl.ivec2) -> float:
         return self.farthest[self.step.source_begin + at.y * self.step.source.x + at.x]
 
 
 class DownSampleTexture(DownSample):
     """Computes the farthest of 4 × 4 pixels of the depth texture."""
 
-    depth: Texture2D
+    depth: sl.Texture2D
 
-    def fetch(self, at: ivec2) -> float:
+    def fetch(self, at: sl.ivec2) -> float:
         return self.depth.load(at).r
 
 

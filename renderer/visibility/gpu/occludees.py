@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
+import rhi.shading as sl
 from renderer.scene import Camera, Depth, FrustumPlane
 from renderer.shaders import MeshPart, Object, ObjectPosition, ViewConstants, relative_position
 from renderer.visibility.boxes.bounds import ROUNDING, TOO_FAR, margin_terms, near_radius
@@ -33,26 +34,6 @@ from rhi import (
     UniformBuffer,
 )
 from rhi.math import is_parallel
-from rhi.shading import (
-    Shader,
-    Storage,
-    StorageRange,
-    StorageRW,
-    Struct,
-    Uniform,
-    abs,
-    cross,
-    dot,
-    function,
-    global_id,
-    instance_index,
-    length,
-    max,
-    transpose,
-    uint,
-    vec3,
-    vec4,
-)
 
 HIDDEN: Final = 0
 """The mark of an object that is hidden, as far as is known."""
@@ -74,17 +55,17 @@ _NEARER: Final = {
 }
 
 
-class Occludee(Struct):
+class Occludee(sl.Struct):
     """A box relative to the eye: its centre, half of each edge, and the view depth of its farthest corner."""
 
-    centre: vec3
+    centre: sl.vec3
     depth: float
-    x: vec3
-    y: vec3
-    z: vec3
+    x: sl.vec3
+    y: sl.vec3
+    z: sl.vec3
 
 
-class Lens(Struct):
+class Lens(sl.Struct):
     """The properties of a camera that are not in its matrix.
 
     The margin of a box whose farthest point is f metres away is dot(margin, (1, f, f²)). Boxes within `near_radius`
@@ -92,34 +73,34 @@ class Lens(Struct):
     effect.
     """
 
-    forward: vec3
+    forward: sl.vec3
     near_radius: float
-    margin: vec3
+    margin: sl.vec3
     near_depth: float
 
 
-@function
-def is_beyond(plane: vec4, box: Occludee) -> bool:
+@sl.function
+def is_beyond(plane: sl.vec4, box: Occludee) -> bool:
     """Return whether a box is completely behind a plane."""
     n = plane.xyz
-    reach = abs(dot(n, box.x)) + abs(dot(n, box.y)) + abs(dot(n, box.z))
-    return dot(n, box.centre) + plane.w + reach < 0.0
+    reach = sl.abs(sl.dot(n, box.x)) + sl.abs(sl.dot(n, box.y)) + sl.abs(sl.dot(n, box.z))
+    return sl.dot(n, box.centre) + plane.w + reach < 0.0
 
 
-class FindOccludees(Shader):
+class FindOccludees(sl.Shader):
     """Writes the box and the first mark of each object."""
 
     work_group = (GROUP,)
-    view: Uniform[ViewConstants]
-    lens: Uniform[Lens]
-    objects: Storage[Object]
-    places: Storage[ObjectPosition]
-    parts: Storage[MeshPart]
-    boxes: StorageRW[Occludee]
-    marks: StorageRW[uint]
+    view: sl.Uniform[ViewConstants]
+    lens: sl.Uniform[Lens]
+    objects: sl.Storage[Object]
+    places: sl.Storage[ObjectPosition]
+    parts: sl.Storage[MeshPart]
+    boxes: sl.StorageRW[Occludee]
+    marks: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        row = global_id().x
+        row = sl.global_id().x
         if row >= len(self.marks):
             return
         place = self.places[row]
@@ -127,7 +108,7 @@ class FindOccludees(Shader):
         linear = self.objects[row].linear
         middle = linear @ (0.5 * (part.lower + part.upper))
         half = 0.5 * (part.upper - part.lower)
-        columns = transpose(linear)
+        columns = sl.transpose(linear)
         box = Occludee(
             centre=relative_position(place, self.view) + middle,
             depth=0.0,
@@ -135,35 +116,40 @@ class FindOccludees(Shader):
             y=columns[1] * half.y,
             z=columns[2] * half.z,
         )
-        size = length(box.x) + length(box.y) + length(box.z)
-        far = length(box.centre) + size
-        margin = dot(self.lens.margin, vec3(1.0, far, far * far)) + ROUNDING * (length(middle) + size)
+        size = sl.length(box.x) + sl.length(box.y) + sl.length(box.z)
+        far = sl.length(box.centre) + size
+        margin = sl.dot(self.lens.margin, sl.vec3(1.0, far, far * far)) + ROUNDING * (sl.length(middle) + size)
 
-        x = columns[0] / max(length(columns[0]), 1e-30)
-        y = columns[1] / max(length(columns[1]), 1e-30)
-        z = columns[2] / max(length(columns[2]), 1e-30)
-        volume = dot(x, cross(y, z))
-        sides = abs(box.x) + abs(box.y) + abs(box.z) + margin
-        if abs(volume) > _SKEW:
-            padding = margin / abs(volume)
+        x = columns[0] / sl.max(sl.length(columns[0]), 1e-30)
+        y = columns[1] / sl.max(sl.length(columns[1]), 1e-30)
+        z = columns[2] / sl.max(sl.length(columns[2]), 1e-30)
+        volume = sl.dot(x, sl.cross(y, z))
+        sides = sl.abs(box.x) + sl.abs(box.y) + sl.abs(box.z) + margin
+        if sl.abs(volume) > _SKEW:
+            padding = margin / sl.abs(volume)
             box.x += x * padding
             box.y += y * padding
             box.z += z * padding
-            sides = abs(box.x) + abs(box.y) + abs(box.z)
+            sides = sl.abs(box.x) + sl.abs(box.y) + sl.abs(box.z)
             if volume < 0.0:  # mirrored: its faces must face outwards all the same
                 box.z = -box.z
         else:
-            box.x = vec3(sides.x, 0.0, 0.0)
-            box.y = vec3(0.0, sides.y, 0.0)
-            box.z = vec3(0.0, 0.0, sides.z)
+            box.x = sl.vec3(sides.x, 0.0, 0.0)
+            box.y = sl.vec3(0.0, sides.y, 0.0)
+            box.z = sl.vec3(0.0, 0.0, sides.z)
 
         forward = self.lens.forward
-        middle_depth = dot(box.centre, forward)
-        box.depth = middle_depth + abs(dot(forward, box.x)) + abs(dot(forward, box.y)) + abs(dot(forward, box.z))
-        away = max(abs(box.centre) - sides, vec3(0.0))
-        begin = middle_depth - dot(abs(forward), sides)
+        middle_depth = sl.dot(box.centre, forward)
+        box.depth = (
+            middle_depth
+            + sl.abs(sl.dot(forward, box.x))
+            + sl.abs(sl.dot(forward, box.y))
+            + sl.abs(sl.dot(forward, box.z))
+        )
+        away = sl.max(sl.abs(box.centre) - sides, sl.vec3(0.0))
+        begin = middle_depth - sl.dot(sl.abs(forward), sides)
         mark = self.first_mark(row)
-        is_near = length(away) <= self.lens.near_radius or begin <= self.lens.near_depth
+        is_near = sl.length(away) <= self.lens.near_radius or begin <= self.lens.near_depth
         if is_near or not far < TOO_FAR:
             mark = VISIBLE
         elif self.is_outside(box):
@@ -171,11 +157,11 @@ class FindOccludees(Shader):
         if place.draw_list < 0:  # it is on no list
             mark = OUTSIDE
         if is_near or mark == OUTSIDE or not far < TOO_FAR:
-            box.x = vec3(0.0)
-            box.y = vec3(0.0)
-            box.z = vec3(0.0)
+            box.x = sl.vec3(0.0)
+            box.y = sl.vec3(0.0)
+            box.z = sl.vec3(0.0)
         self.boxes[row] = box
-        self.marks[row] = uint(mark)
+        self.marks[row] = sl.uint(mark)
 
     def first_mark(self, row: int) -> int:
         return HIDDEN
@@ -192,42 +178,42 @@ class FindOccludees(Shader):
         )
 
 
-class BoxVarying(Struct):
+class BoxVarying(sl.Struct):
     """The varyings of `MarkBoxes`."""
 
-    clip: vec4
+    clip: sl.vec4
     row: int
 
 
-class MarkBoxes(Shader):
+class MarkBoxes(sl.Shader):
     """Marks each object of whose box a fragment passes the depth test."""
 
     early_depth = True
-    camera: Uniform[BoxCamera]
-    boxes: Storage[Occludee]
-    marks: StorageRW[uint]
+    camera: sl.Uniform[BoxCamera]
+    boxes: sl.Storage[Occludee]
+    marks: sl.StorageRW[sl.uint]
 
     def vertex(self, v: CubeCorner) -> BoxVarying:
         row = self.row()
         box = self.boxes[row]
         p = v.position
         corner = box.centre + box.x * p.x + box.y * p.y + box.z * p.z
-        return BoxVarying(clip=self.camera.relative_view_projection @ vec4(corner, 1.0), row=row)
+        return BoxVarying(clip=self.camera.relative_view_projection @ sl.vec4(corner, 1.0), row=row)
 
     def row(self) -> int:
-        return instance_index()
+        return sl.instance_index()
 
     def fragment(self, v: BoxVarying) -> None:
-        self.marks[v.row] = uint(VISIBLE)
+        self.marks[v.row] = sl.uint(VISIBLE)
 
 
 class MarkListedBoxes(MarkBoxes):
     """Like `MarkBoxes`, for the boxes of listed rows only."""
 
-    rows: Storage[uint]
+    rows: sl.Storage[sl.uint]
 
     def row(self) -> int:
-        return int(self.rows[instance_index()])
+        return int(self.rows[sl.instance_index()])
 
 
 class Occludees:
@@ -242,7 +228,7 @@ class Occludees:
         """`find` is the shader that finds the boxes and decides their first marks."""
         self.count = count
         self.boxes = device.storage(Occludee, count, label="boxes")
-        self.marks = device.storage(uint, count, label="marks")
+        self.marks = device.storage(sl.uint, count, label="marks")
         self.cube = make_cube(device)
         self._lens = device.uniform(_lens(Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))))
         self._device = device
@@ -257,7 +243,7 @@ class Occludees:
         """Write the camera that boxes are found for."""
         self._lens.write(_lens(camera))
 
-    def find(self, encoder: Encoder, arrays: SceneArrays, **more: StorageRange[Any]) -> None:
+    def find(self, encoder: Encoder, arrays: SceneArrays, **more: sl.StorageRange[Any]) -> None:
         """Find the boxes as the camera sees them, and set all first marks; `more` are further bindings."""
         encoder.dispatch(
             self._find,
@@ -283,7 +269,7 @@ class Occludees:
         encoder: Encoder,
         camera: UniformBuffer[BoxCamera],
         depth: Depth,
-        rows: StorageBuffer[uint],
+        rows: StorageBuffer[sl.uint],
         draw: StorageBuffer[Any],
     ) -> None:
         """Mark like `mark_all`, for the boxes of `rows` only, whose number `draw` holds."""

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from renderer.scene import Camera, Depth, Scene
 from renderer.scene.arrays import Floats, Rows
 from renderer.shaders import Vertex, ViewConstants
@@ -34,41 +35,28 @@ from rhi import (
     Texture,
     UniformBuffer,
 )
-from rhi.shading import (
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Uniform,
-    global_id,
-    instance_index,
-    mat3,
-    uint,
-    vec3,
-    vec4,
-)
 
 _NEARER: Final = {Depth.REVERSED: DepthFunction.GREATER, Depth.STANDARD: DepthFunction.LESS}
 _WINDINGS: Final = ((False, FrontFace.COUNTER_CLOCKWISE), (True, FrontFace.CLOCKWISE))
 
 
-class Occluder(Struct):
+class Occluder(sl.Struct):
     """An occluder's transform, relative to the eye."""
 
-    linear: mat3
-    position: vec3
+    linear: sl.mat3
+    position: sl.vec3
 
 
-class DrawOccluders(Shader):
+class DrawOccluders(sl.Shader):
     """Draws occluders with no output but depth."""
 
-    view: Uniform[ViewConstants]
-    occluders: Storage[Occluder]
+    view: sl.Uniform[ViewConstants]
+    occluders: sl.Storage[Occluder]
 
-    def vertex(self, v: Vertex) -> vec4:
-        occluder = self.occluders[instance_index()]
+    def vertex(self, v: Vertex) -> sl.vec4:
+        occluder = self.occluders[sl.instance_index()]
         position = occluder.linear @ v.position + occluder.position
-        return self.view.relative_view_projection @ vec4(position, 1.0)
+        return self.view.relative_view_projection @ sl.vec4(position, 1.0)
 
     def fragment(self) -> None:
         pass
@@ -78,12 +66,12 @@ class FindShown(BoxTest):
     """Writes 1 for each visible box, 0 for the others."""
 
     margin = 1.0 + 1.0 / 64.0
-    shown: StorageRW[uint]
+    shown: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        row = global_id().x
+        row = sl.global_id().x
         if row < len(self.shown):
-            self.shown[row] = uint(1 if self.is_visible(self.boxes[row]) else 0)
+            self.shown[row] = sl.uint(1 if self.is_visible(self.boxes[row]) else 0)
 
 
 class _SizedDepth:
@@ -121,7 +109,7 @@ class OccluderDepth:
         self._view = device.uniform(_view(np.eye(4, dtype=np.float32)))
         self._occluders = device.storage(Occluder, occluders, label="occluders")
         self._boxes = device.storage(Occludee, boxes, label="boxes")
-        self._shown = device.storage(uint, boxes, label="shown")
+        self._shown = device.storage(sl.uint, boxes, label="shown")
         self._image: _SizedDepth | None = None
         self._depth = Depth.REVERSED
 

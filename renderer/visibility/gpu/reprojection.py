@@ -22,6 +22,7 @@ from typing import Final
 
 import numpy as np
 
+import rhi.shading as sl
 from renderer.scene import Camera, Depth
 from renderer.scene.arrays import Floats
 from renderer.visibility.gpu.farthest_depth import FAR, SCALE, FarthestDepth, of_direction
@@ -38,50 +39,30 @@ from rhi import (
     StorageBuffer,
     Texture,
 )
-from rhi.shading import (
-    FragmentDepth,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Uniform,
-    abs,
-    atomic_max,
-    float_bits_to_uint,
-    fragment_coordinate,
-    global_id,
-    ivec2,
-    mat4,
-    uint,
-    uint_bits_to_float,
-    vec2,
-    vec4,
-    vertex_index,
-)
 
 _GROUP: Final = 8
 
 
-class Motion(Struct):
+class Motion(sl.Struct):
     """The matrix from the last frame's clip space to this one's, and the image's size in pixels and in texels."""
 
-    matrix: mat4
-    pixels: vec2
-    texels: ivec2
+    matrix: sl.mat4
+    pixels: sl.vec2
+    texels: sl.ivec2
 
 
-class Scatter(Shader):
+class Scatter(sl.Shader):
     """Writes each point to where it is seen now. A nearer point has a larger key; 0 means that there is no point."""
 
     work_group = (_GROUP, _GROUP)
-    motion: Uniform[Motion]
-    farthest: Storage[float]
-    keys: StorageRW[uint]
+    motion: sl.Uniform[Motion]
+    farthest: sl.Storage[float]
+    keys: sl.StorageRW[sl.uint]
     is_reversed = True
     fills_holes = False
 
     def compute(self) -> None:
-        at = global_id().xy
+        at = sl.global_id().xy
         texels = self.motion.texels
         pixels = self.motion.pixels
         if at.x >= texels.x or at.y >= texels.y:
@@ -90,19 +71,19 @@ class Scatter(Shader):
         depth = self.farthest[here]
         if depth == (0.0 if self.is_reversed else 1.0):
             return  # the sky hides nothing
-        middle = (vec2(at) + 0.5) * (2.0 * SCALE) / pixels - 1.0
-        clip = self.motion.matrix @ vec4(middle.x, -middle.y, depth, 1.0)
+        middle = (sl.vec2(at) + 0.5) * (2.0 * SCALE) / pixels - 1.0
+        clip = self.motion.matrix @ sl.vec4(middle.x, -middle.y, depth, 1.0)
         is_ahead = clip.w > 0.0 and clip.z >= 0.0 and clip.z <= clip.w
         if is_ahead:
             depth = clip.z / clip.w
-        bits = float_bits_to_uint(depth)
+        bits = sl.float_bits_to_uint(depth)
         key = bits if self.is_reversed else ~bits
         if self.fills_holes:
-            if self.keys[here] == uint(0):
+            if self.keys[here] == sl.uint(0):
                 self.keys[here] = key
-        elif is_ahead and max(abs(clip.x), abs(clip.y)) < clip.w:
-            to = ivec2((vec2(clip.x, -clip.y) / clip.w + 1.0) * pixels / (2.0 * SCALE))
-            atomic_max(self.keys[to.y * texels.x + to.x], key)
+        elif is_ahead and max(sl.abs(clip.x), sl.abs(clip.y)) < clip.w:
+            to = sl.ivec2((sl.vec2(clip.x, -clip.y) / clip.w + 1.0) * pixels / (2.0 * SCALE))
+            sl.atomic_max(self.keys[to.y * texels.x + to.x], key)
 
 
 class FillHoles(Scatter):
@@ -111,29 +92,29 @@ class FillHoles(Scatter):
     fills_holes = True
 
 
-class OnlyDepth(Struct):
+class OnlyDepth(sl.Struct):
     """The output of a fragment shader that writes only depth."""
 
-    depth: FragmentDepth
+    depth: sl.FragmentDepth
 
 
-class WriteDepth(Shader):
+class WriteDepth(sl.Shader):
     """Writes the depths that the keys stand for to a depth target."""
 
-    motion: Uniform[Motion]
-    keys: Storage[uint]
+    motion: sl.Uniform[Motion]
+    keys: sl.Storage[sl.uint]
     is_reversed = True
 
-    def vertex(self) -> vec4:
-        corner = vertex_index()
-        return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
+    def vertex(self) -> sl.vec4:
+        corner = sl.vertex_index()
+        return sl.vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
 
     def fragment(self) -> OnlyDepth:
-        at = ivec2(fragment_coordinate().xy)
+        at = sl.ivec2(sl.fragment_coordinate().xy)
         key = self.keys[at.y * self.motion.texels.x + at.x]
-        if key == uint(0):
+        if key == sl.uint(0):
             return OnlyDepth(depth=0.0 if self.is_reversed else 1.0)
-        return OnlyDepth(depth=uint_bits_to_float(key if self.is_reversed else ~key))
+        return OnlyDepth(depth=sl.uint_bits_to_float(key if self.is_reversed else ~key))
 
 
 class ReprojectedDepth:
@@ -222,7 +203,7 @@ class _Sized:
         self.farthest = FarthestDepth(device, size, levels=1)
         width, height = self.texels = self.farthest.sizes[1]
         self.groups = (-(-width // _GROUP), -(-height // _GROUP))
-        self.keys: StorageBuffer[uint] = device.storage(uint, width * height, label="reprojected depths")
+        self.keys: StorageBuffer[sl.uint] = device.storage(sl.uint, width * height, label="reprojected depths")
         self.target = device.texture(self.texels, Format.D32F, label="reprojected depth")
         x, y = size[0] / (SCALE * width), size[1] / (SCALE * height)
         self.to_texels = np.diag([x, y, 1.0, 1.0])  # the image is only a part of the grid of texels

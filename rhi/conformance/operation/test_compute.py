@@ -7,48 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rhi.shading as sl
 from rhi import Device, Format, TextureKind
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import random_texels, require_images, squeezed
 from rhi.conformance.reference import encode, rounding
-from rhi.shading import (
-    Array,
-    Image2D,
-    Image2DArray,
-    Image3D,
-    IntImage2D,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    UintImage2D,
-    Uniform,
-    array,
-    atomic_add,
-    atomic_and,
-    atomic_compare_exchange,
-    atomic_exchange,
-    atomic_max,
-    atomic_min,
-    atomic_or,
-    atomic_xor,
-    barrier,
-    global_id,
-    group_count,
-    group_id,
-    image,
-    ivec3,
-    local_id,
-    local_index,
-    mat3,
-    mat4,
-    shared,
-    uint,
-    uvec4,
-    vec2,
-    vec3,
-    vec4,
-)
 
 pytestmark = [pytest.mark.needs("shading", "compute"), pytest.mark.recorded_too]
 
@@ -56,27 +19,31 @@ pytestmark = [pytest.mark.needs("shading", "compute"), pytest.mark.recorded_too]
 # -- dispatches --------------------------------------------------------------------------------------------
 
 
-class Places(Shader):
+class Places(sl.Shader):
     """Writes the indices of each invocation."""
 
     work_group = (4, 2, 1)
-    places: StorageRW[uvec4]
-    locals: StorageRW[uvec4]
+    places: sl.StorageRW[sl.uvec4]
+    locals: sl.StorageRW[sl.uvec4]
 
     def compute(self) -> None:
-        g = global_id()
-        width = group_count().x * 4
-        height = group_count().y * 2
+        g = sl.global_id()
+        width = sl.group_count().x * 4
+        height = sl.group_count().y * 2
         i = g.x + width * (g.y + height * g.z)
-        self.places[i] = uvec4(uint(group_id().x), uint(group_id().y), uint(group_id().z), uint(i))
-        self.locals[i] = uvec4(uint(local_id().x), uint(local_id().y), uint(local_id().z), uint(local_index()))
+        self.places[i] = sl.uvec4(
+            sl.uint(sl.group_id().x), sl.uint(sl.group_id().y), sl.uint(sl.group_id().z), sl.uint(i)
+        )
+        self.locals[i] = sl.uvec4(
+            sl.uint(sl.local_id().x), sl.uint(sl.local_id().y), sl.uint(sl.local_id().z), sl.uint(sl.local_index())
+        )
 
 
 @pytest.mark.parametrize("groups", [(1, 1, 1), (3, 1, 1), (1, 5, 1), (1, 1, 4), (3, 2, 2)], ids=str)
 def test_every_invocation_runs_once_and_knows_its_place(device: Device, groups: tuple[int, int, int]) -> None:
     shape = (groups[2], groups[1] * 2, groups[0] * 4)
     count = int(np.prod(shape))
-    with device.storage(uvec4, count) as where, device.storage(uvec4, count) as local:
+    with device.storage(sl.uvec4, count) as where, device.storage(sl.uvec4, count) as local:
         device.dispatch(device.program(Places), groups, places=where, locals=local)
         group, inside = where.read().reshape(*shape, 4), local.read().reshape(*shape, 4)
     z, y, x = np.indices(shape)
@@ -84,43 +51,43 @@ def test_every_invocation_runs_once_and_knows_its_place(device: Device, groups: 
     assert_same(inside, np.stack([x % 4, y % 2, z * 0, x % 4 + 4 * (y % 2)], axis=-1))
 
 
-class Count(Shader):
+class Count(sl.Shader):
     """Counts its invocations."""
 
     work_group = (8,)
-    total: StorageRW[uint]
+    total: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        atomic_add(self.total[0], uint(1))
+        sl.atomic_add(self.total[0], sl.uint(1))
 
 
 @pytest.mark.parametrize(("groups", "expected"), [(5, 40), ((2, 3), 48), ((2, 2, 2), 64), (0, 0), ((4, 0), 0)])
 def test_a_number_of_groups_has_one_to_three_dimensions(device: Device, groups: Any, expected: int) -> None:
-    with device.storage(uint, 1) as total:
+    with device.storage(sl.uint, 1) as total:
         device.dispatch(device.program(Count), groups, total=total)
         assert_same(total.read(), expected)
 
 
 @pytest.mark.parametrize("words", [(3, 1, 1), (2, 2, 2), (0, 1, 1)], ids=str)
 def test_an_indirect_dispatch_reads_its_groups(device: Device, words: tuple[int, int, int]) -> None:
-    with device.storage(uint, 1) as total, device.buffer(np.array([9, *words, 9], "u4")) as arguments:
+    with device.storage(sl.uint, 1) as total, device.buffer(np.array([9, *words, 9], "u4")) as arguments:
         device.dispatch_indirect(device.program(Count), arguments, 4, total=total)
         assert_same(total.read(), 8 * np.prod(words))
 
 
-class Arguments(Shader):
+class Arguments(sl.Shader):
     """Writes the arguments of a later dispatch."""
 
-    words: StorageRW[uint]
+    words: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        self.words[0] = uint(3)
-        self.words[1] = uint(2)
-        self.words[2] = uint(1)
+        self.words[0] = sl.uint(3)
+        self.words[1] = sl.uint(2)
+        self.words[2] = sl.uint(1)
 
 
 def test_an_indirect_dispatch_sees_what_a_dispatch_before_it_wrote(device: Device) -> None:
-    with device.storage(uint, 1) as total, device.storage(uint, 3) as arguments:
+    with device.storage(sl.uint, 1) as total, device.storage(sl.uint, 3) as arguments:
         device.dispatch(device.program(Arguments), 1, words=arguments)
         device.dispatch_indirect(device.program(Count), arguments, 0, total=total)
         assert_same(total.read(), 48)
@@ -128,7 +95,7 @@ def test_an_indirect_dispatch_sees_what_a_dispatch_before_it_wrote(device: Devic
 
 def test_dispatches_are_counted(device: Device) -> None:
     device.reset_statistics()
-    with device.storage(uint, 1) as total:
+    with device.storage(sl.uint, 1) as total:
         device.dispatch(device.program(Count), 1, total=total)
         device.dispatch(device.program(Count), 1, total=total)
     assert device.statistics.dispatches == 2
@@ -137,45 +104,45 @@ def test_dispatches_are_counted(device: Device) -> None:
 # -- layouts -----------------------------------------------------------------------------------------------
 
 
-class Inner(Struct):
+class Inner(sl.Struct):
     """A struct inside a struct."""
 
     weight: float
-    axis: vec3
+    axis: sl.vec3
 
 
-class Mixed(Struct):
+class Mixed(sl.Struct):
     """The field types that std140 and std430 lay out differently."""
 
     a: float
-    b: vec3
+    b: sl.vec3
     c: float
-    d: vec2
-    e: mat3
-    f: Array[float] = array(float, 3)
+    d: sl.vec2
+    e: sl.mat3
+    f: sl.Array[float] = sl.array(float, 3)
     g: int
     h: Inner
-    i: Array[vec3] = array(vec3, 2)
-    j: uint
-    k: mat4
+    i: sl.Array[sl.vec3] = sl.array(sl.vec3, 2)
+    j: sl.uint
+    k: sl.mat4
 
 
-class ReadMixed(Shader):
+class ReadMixed(sl.Shader):
     """Reads one number of each field, from a uniform and from storage."""
 
-    constants: Uniform[Mixed]
-    rows: Storage[Mixed]
-    results: StorageRW[vec4]
+    constants: sl.Uniform[Mixed]
+    rows: sl.Storage[Mixed]
+    results: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
         c = self.constants
         r = self.rows[1]
-        self.results[0] = vec4(c.a, c.b.z, c.c, c.d.y)
-        self.results[1] = vec4(c.e[1][2], c.f[2], float(c.g), c.h.weight)
-        self.results[2] = vec4(c.h.axis.y, c.i[1].z, float(c.j), c.k[3][1])
-        self.results[3] = vec4(r.a, r.b.z, r.c, r.d.y)
-        self.results[4] = vec4(r.e[1][2], r.f[2], float(r.g), r.h.weight)
-        self.results[5] = vec4(r.h.axis.y, r.i[1].z, float(r.j), r.k[3][1])
+        self.results[0] = sl.vec4(c.a, c.b.z, c.c, c.d.y)
+        self.results[1] = sl.vec4(c.e[1][2], c.f[2], float(c.g), c.h.weight)
+        self.results[2] = sl.vec4(c.h.axis.y, c.i[1].z, float(c.j), c.k[3][1])
+        self.results[3] = sl.vec4(r.a, r.b.z, r.c, r.d.y)
+        self.results[4] = sl.vec4(r.e[1][2], r.f[2], float(r.g), r.h.weight)
+        self.results[5] = sl.vec4(r.h.axis.y, r.i[1].z, float(r.j), r.k[3][1])
 
 
 MIXED: dict[str, Any] = {
@@ -208,24 +175,24 @@ def test_structs_lie_where_their_dtype_says(device: Device) -> None:
     with (
         device.uniform(value) as constants,
         device.storage(Mixed, rows) as storage,
-        device.storage(vec4, 6) as results,
+        device.storage(sl.vec4, 6) as results,
     ):
         device.dispatch(device.program(ReadMixed), 1, constants=constants, rows=storage, results=results)
         assert_same(results.read(), expected)
 
 
-class WriteMixed(Shader):
+class WriteMixed(sl.Shader):
     """Fills a struct in storage."""
 
-    rows: StorageRW[Mixed]
+    rows: sl.StorageRW[Mixed]
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         self.rows[i].a = float(i)
-        self.rows[i].b = vec3(1.0, 2.0, 3.0)
-        self.rows[i].d = vec2(4.0, 5.0)
+        self.rows[i].b = sl.vec3(1.0, 2.0, 3.0)
+        self.rows[i].d = sl.vec2(4.0, 5.0)
         self.rows[i].f[1] = 6.0
-        self.rows[i].h.axis = vec3(7.0, 8.0, 9.0)
+        self.rows[i].h.axis = sl.vec3(7.0, 8.0, 9.0)
         for column in range(4):
             self.rows[i].k[2][column] = float(10 + column)
 
@@ -244,42 +211,42 @@ def test_structs_are_written_where_their_dtype_says(device: Device) -> None:
     assert_same(rows["k"][:, [0, 1, 3]], 0)
 
 
-class Lengths(Shader):
+class Lengths(sl.Shader):
     """Writes the number of bound elements."""
 
-    first: Storage[vec4]
-    second: Storage[uint]
-    third: Storage[Inner]
-    results: StorageRW[uint]
+    first: sl.Storage[sl.vec4]
+    second: sl.Storage[sl.uint]
+    third: sl.Storage[Inner]
+    results: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        self.results[0] = uint(len(self.first))
-        self.results[1] = uint(len(self.second))
-        self.results[2] = uint(len(self.third))
+        self.results[0] = sl.uint(len(self.first))
+        self.results[1] = sl.uint(len(self.second))
+        self.results[2] = sl.uint(len(self.third))
 
 
 def test_a_storage_buffer_knows_its_length(device: Device) -> None:
     with (
-        device.storage(vec4, 5) as first,
-        device.storage(uint, 7) as second,
+        device.storage(sl.vec4, 5) as first,
+        device.storage(sl.uint, 7) as second,
         device.storage(Inner, 3) as third,
-        device.storage(uint, 3) as results,
+        device.storage(sl.uint, 3) as results,
     ):
         device.dispatch(device.program(Lengths), 1, first=first, second=second, third=third, results=results)
         assert_same(results.read(), [5, 7, 3])
 
 
-class Pick(Struct):
+class Pick(sl.Struct):
     """A number."""
 
     value: float
 
 
-class ReadPick(Shader):
+class ReadPick(sl.Shader):
     """Copies a uniform's number."""
 
-    pick: Uniform[Pick]
-    results: StorageRW[float]
+    pick: sl.Uniform[Pick]
+    results: sl.StorageRW[float]
 
     def compute(self) -> None:
         self.results[0] = self.pick.value
@@ -310,7 +277,7 @@ def test_a_uniform_written_between_dispatches_holds_for_the_later_one(device: De
 
 def test_a_storage_view_of_a_buffer_shares_its_memory(device: Device) -> None:
     with device.buffer(np.arange(4, dtype="u4")) as buffer:
-        total = device.storage(uint, buffer)
+        total = device.storage(sl.uint, buffer)
         device.dispatch(device.program(Count), 2, total=total)
         assert_same(buffer.read(), [16, 1, 2, 3])
 
@@ -318,56 +285,56 @@ def test_a_storage_view_of_a_buffer_shares_its_memory(device: Device) -> None:
 # -- shared memory and barriers ----------------------------------------------------------------------------
 
 
-class PrefixSum(Shader):
+class PrefixSum(sl.Shader):
     """A scan over a work-group, which is wrong unless every barrier works."""
 
     work_group = (64,)
-    values: Storage[uint]
-    results: StorageRW[uint]
-    partial = shared(uint, 64)
+    values: sl.Storage[sl.uint]
+    results: sl.StorageRW[sl.uint]
+    partial = sl.shared(sl.uint, 64)
 
     def compute(self) -> None:
-        i = local_index()
-        self.partial[i] = self.values[global_id().x]
-        barrier()
+        i = sl.local_index()
+        self.partial[i] = self.values[sl.global_id().x]
+        sl.barrier()
         step = 1
         while step < 64:
-            before = uint(0)
+            before = sl.uint(0)
             if i >= step:
                 before = self.partial[i - step]
-            barrier()
+            sl.barrier()
             self.partial[i] += before
-            barrier()
+            sl.barrier()
             step *= 2
-        self.results[global_id().x] = self.partial[i]
+        self.results[sl.global_id().x] = self.partial[i]
 
 
 def test_a_work_group_sees_its_shared_memory_after_a_barrier(device: Device) -> None:
     values = np.random.default_rng(0).integers(0, 1000, 256).astype("u4")
-    with device.storage(uint, values) as source, device.storage(uint, 256) as results:
+    with device.storage(sl.uint, values) as source, device.storage(sl.uint, 256) as results:
         device.dispatch(device.program(PrefixSum), 4, values=source, results=results)
         assert_same(results.read(), values.reshape(4, 64).cumsum(axis=1).reshape(-1))
 
 
-class SharedCount(Shader):
+class SharedCount(sl.Shader):
     """An atomic counter in shared memory."""
 
     work_group = (32,)
-    results: StorageRW[uint]
-    total = shared(uint)
+    results: sl.StorageRW[sl.uint]
+    total = sl.shared(sl.uint)
 
     def compute(self) -> None:
-        if local_index() == 0:
-            self.total = uint(0)
-        barrier()
-        atomic_add(self.total, uint(local_index()))
-        barrier()
-        if local_index() == 0:
-            self.results[group_id().x] = self.total
+        if sl.local_index() == 0:
+            self.total = sl.uint(0)
+        sl.barrier()
+        sl.atomic_add(self.total, sl.uint(sl.local_index()))
+        sl.barrier()
+        if sl.local_index() == 0:
+            self.results[sl.group_id().x] = self.total
 
 
 def test_atomics_work_in_shared_memory(device: Device) -> None:
-    with device.storage(uint, 3) as results:
+    with device.storage(sl.uint, 3) as results:
         device.dispatch(device.program(SharedCount), 3, results=results)
         assert_same(results.read(), 32 * 31 // 2)
 
@@ -375,30 +342,30 @@ def test_atomics_work_in_shared_memory(device: Device) -> None:
 # -- atomics -----------------------------------------------------------------------------------------------
 
 
-class Atomics(Shader):
+class Atomics(sl.Shader):
     """Every atomic operation, from 256 invocations."""
 
     work_group = (64,)
-    signed: StorageRW[int]
-    unsigned: StorageRW[uint]
-    order: StorageRW[uint]
+    signed: sl.StorageRW[int]
+    unsigned: sl.StorageRW[sl.uint]
+    order: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        i = global_id().x
-        u = uint(i)
-        atomic_add(self.signed[0], 2 - i)
-        atomic_min(self.signed[1], 100 - i)
-        atomic_max(self.signed[2], i - 100)
-        atomic_add(self.unsigned[0], u)
-        atomic_min(self.unsigned[1], u + uint(7))
-        atomic_max(self.unsigned[2], u)
-        atomic_or(self.unsigned[3], u)
-        atomic_and(self.unsigned[4], ~u)
-        atomic_xor(self.unsigned[5], u)
-        atomic_compare_exchange(self.unsigned[6], uint(5), u + uint(1000))
-        mine = atomic_add(self.unsigned[7], uint(1))
+        i = sl.global_id().x
+        u = sl.uint(i)
+        sl.atomic_add(self.signed[0], 2 - i)
+        sl.atomic_min(self.signed[1], 100 - i)
+        sl.atomic_max(self.signed[2], i - 100)
+        sl.atomic_add(self.unsigned[0], u)
+        sl.atomic_min(self.unsigned[1], u + sl.uint(7))
+        sl.atomic_max(self.unsigned[2], u)
+        sl.atomic_or(self.unsigned[3], u)
+        sl.atomic_and(self.unsigned[4], ~u)
+        sl.atomic_xor(self.unsigned[5], u)
+        sl.atomic_compare_exchange(self.unsigned[6], sl.uint(5), u + sl.uint(1000))
+        mine = sl.atomic_add(self.unsigned[7], sl.uint(1))
         self.order[mine] = u
-        atomic_exchange(self.unsigned[8], uint(42))
+        sl.atomic_exchange(self.unsigned[8], sl.uint(42))
 
 
 def test_atomics_lose_nothing(device: Device) -> None:
@@ -407,8 +374,8 @@ def test_atomics_lose_nothing(device: Device) -> None:
     unsigned = np.array([0, 1 << 31, 0, 0, 0xFFFFFFFF, 0, 5, 0, 0], "u4")
     with (
         device.storage(int, signed) as a,
-        device.storage(uint, unsigned) as b,
-        device.storage(uint, 256) as order,
+        device.storage(sl.uint, unsigned) as b,
+        device.storage(sl.uint, 256) as order,
     ):
         device.dispatch(device.program(Atomics), 4, signed=a, unsigned=b, order=order)
         assert_same(a.read(), [(2 - i).sum(), 100 - 255, 155])
@@ -423,35 +390,35 @@ def test_atomics_lose_nothing(device: Device) -> None:
 
 
 def image_copy(pixel_format: Format, annotation: Any) -> Any:
-    class Copy(Shader):
-        source: annotation = image(pixel_format)
-        target: annotation = image(pixel_format)
+    class Copy(sl.Shader):
+        source: annotation = sl.image(pixel_format)
+        target: annotation = sl.image(pixel_format)
 
         def compute(self) -> None:
-            at = global_id().xy
+            at = sl.global_id().xy
             self.target.store(at, self.source.load(at))
 
     return Copy
 
 
 IMAGE_FORMATS = [
-    (Format.R8, Image2D),
-    (Format.RG8, Image2D),
-    (Format.RGBA8, Image2D),
-    (Format.RGBA8_SNORM, Image2D),
-    (Format.R16F, Image2D),
-    (Format.RGBA16F, Image2D),
-    (Format.R32F, Image2D),
-    (Format.RGBA32F, Image2D),
-    (Format.RGB10A2, Image2D),
-    (Format.R11G11B10F, Image2D),
-    (Format.RGB10A2UI, UintImage2D),
-    (Format.R8UI, UintImage2D),
-    (Format.RGBA16UI, UintImage2D),
-    (Format.R32UI, UintImage2D),
-    (Format.RGBA32UI, UintImage2D),
-    (Format.R32I, IntImage2D),
-    (Format.RGBA32I, IntImage2D),
+    (Format.R8, sl.Image2D),
+    (Format.RG8, sl.Image2D),
+    (Format.RGBA8, sl.Image2D),
+    (Format.RGBA8_SNORM, sl.Image2D),
+    (Format.R16F, sl.Image2D),
+    (Format.RGBA16F, sl.Image2D),
+    (Format.R32F, sl.Image2D),
+    (Format.RGBA32F, sl.Image2D),
+    (Format.RGB10A2, sl.Image2D),
+    (Format.R11G11B10F, sl.Image2D),
+    (Format.RGB10A2UI, sl.UintImage2D),
+    (Format.R8UI, sl.UintImage2D),
+    (Format.RGBA16UI, sl.UintImage2D),
+    (Format.R32UI, sl.UintImage2D),
+    (Format.RGBA32UI, sl.UintImage2D),
+    (Format.R32I, sl.IntImage2D),
+    (Format.RGBA32I, sl.IntImage2D),
 ]
 
 
@@ -471,13 +438,13 @@ def test_an_image_is_loaded_and_stored_in_its_format(device: Device, format: For
         program.destroy()
 
 
-class StoreColor(Shader):
+class StoreColor(sl.Shader):
     """Stores a color in an image of 8 bits."""
 
-    target: Image2D = image(Format.RGBA8)
+    target: sl.Image2D = sl.image(Format.RGBA8)
 
     def compute(self) -> None:
-        self.target.store(global_id().xy, vec4(0.2, 0.5, -3.0, 7.0))
+        self.target.store(sl.global_id().xy, sl.vec4(0.2, 0.5, -3.0, 7.0))
 
 
 @pytest.mark.needs("max_image_slots")
@@ -514,26 +481,26 @@ def test_one_layer_is_an_image(device: Device, layer: int) -> None:
         assert_same(target.read_layers()[..., 3], np.where(stored, 255, 0)[:, None, None])
 
 
-class StoreLayers(Shader):
+class StoreLayers(sl.Shader):
     """Stores its number in each texel of an array, counted across rows and layers."""
 
-    target: Image2DArray = image(Format.R32F)
+    target: sl.Image2DArray = sl.image(Format.R32F)
 
     def compute(self) -> None:
-        at = global_id()
+        at = sl.global_id()
         size = self.target.size()
-        self.target.store(at, vec4(float(at.x + size.x * (at.y + size.y * at.z))))
+        self.target.store(at, sl.vec4(float(at.x + size.x * (at.y + size.y * at.z))))
 
 
-class StoreVolume(Shader):
+class StoreVolume(sl.Shader):
     """Stores its number in each texel of a volume, counted across rows and slices."""
 
-    target: Image3D = image(Format.R32F)
+    target: sl.Image3D = sl.image(Format.R32F)
 
     def compute(self) -> None:
-        at = global_id()
+        at = sl.global_id()
         size = self.target.size()
-        self.target.store(ivec3(at.x, at.y, at.z), vec4(float(at.x + size.x * (at.y + size.y * at.z))))
+        self.target.store(sl.ivec3(at.x, at.y, at.z), sl.vec4(float(at.x + size.x * (at.y + size.y * at.z))))
 
 
 @pytest.mark.parametrize(
@@ -551,21 +518,21 @@ def test_all_layers_are_an_image(device: Device, kind: TextureKind, shader: Any)
 # -- order of dispatches and other commands ----------------------------------------------------------------
 
 
-class Double(Shader):
+class Double(sl.Shader):
     """Computes 2x + 1 of the number x that another invocation of the previous dispatch wrote."""
 
     work_group = (32,)
-    source: Storage[uint]
-    target: StorageRW[uint]
+    source: sl.Storage[sl.uint]
+    target: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        i = global_id().x
-        self.target[i] = self.source[(i + 37) % 256] * uint(2) + uint(1)
+        i = sl.global_id().x
+        self.target[i] = self.source[(i + 37) % 256] * sl.uint(2) + sl.uint(1)
 
 
 def test_a_dispatch_sees_what_the_one_before_wrote(device: Device) -> None:
     values = np.arange(256, dtype="u4")
-    with device.storage(uint, values) as a, device.storage(uint, 256) as b:
+    with device.storage(sl.uint, values) as a, device.storage(sl.uint, 256) as b:
         expected = values
         for _ in range(10):
             device.dispatch(device.program(Double), 8, source=a, target=b)
@@ -576,7 +543,7 @@ def test_a_dispatch_sees_what_the_one_before_wrote(device: Device) -> None:
 
 
 def test_copies_clears_and_writes_keep_their_place_among_dispatches(device: Device) -> None:
-    with device.storage(uint, 1) as total, device.buffer(4, np.dtype("u4")) as log:
+    with device.storage(sl.uint, 1) as total, device.buffer(4, np.dtype("u4")) as log:
         program = device.program(Count)
         device.dispatch(program, 1, total=total)
         total.owner.copy_to(log, target_offset=0)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rhi.shading as sl
 from rhi import (
     DRAW_UNINDEXED,
     BlendFunction,
@@ -21,22 +22,6 @@ from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_blendable, require_samples
 from rhi.conformance.shaders import Checkered, Colored, Corner, DepthFromColor, Shade
 from rhi.conformance.shapes import centers, corners, rectangle
-from rhi.shading import (
-    Shader,
-    Storage,
-    StorageRW,
-    Texture2D,
-    atomic_add,
-    broadcast_first,
-    ddx,
-    discard,
-    fragment_coordinate,
-    global_id,
-    ivec2,
-    uint,
-    vec4,
-    vertex_index,
-)
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
@@ -58,16 +43,16 @@ def test_a_discarded_fragment_writes_neither_color_nor_depth(device: Device) -> 
         assert_mask(depth.read(), BOARD)
 
 
-class CountFragments(Shader):
+class CountFragments(sl.Shader):
     """Counts the fragments that run."""
 
-    total: StorageRW[uint]
+    total: sl.StorageRW[sl.uint]
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
 
-    def fragment(self, v: Shade) -> vec4:
-        atomic_add(self.total[0], uint(1))
+    def fragment(self, v: Shade) -> sl.vec4:
+        sl.atomic_add(self.total[0], sl.uint(1))
         return v.color
 
 
@@ -77,21 +62,21 @@ class CountEarly(CountFragments):
     early_depth = True
 
 
-class CountDiscarding(Shader):
+class CountDiscarding(sl.Shader):
     """Counts before and after it discards half of the fragments."""
 
     early_depth = True
-    total: StorageRW[uint]
+    total: sl.StorageRW[sl.uint]
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
 
-    def fragment(self, v: Shade) -> vec4:
-        atomic_add(self.total[0], uint(1))
-        at = ivec2(fragment_coordinate().xy)
+    def fragment(self, v: Shade) -> sl.vec4:
+        sl.atomic_add(self.total[0], sl.uint(1))
+        at = sl.ivec2(sl.fragment_coordinate().xy)
         if (at.x + at.y) % 2 == 1:
-            discard()
-        atomic_add(self.total[1], uint(1))
+            sl.discard()
+        sl.atomic_add(self.total[1], sl.uint(1))
         return v.color
 
 
@@ -99,7 +84,7 @@ def test_every_covered_texel_runs_one_fragment(device: Device) -> None:
     with (
         device.texture(SIZE, Format.R8) as image,
         device.mesh(rectangle(-1, 0, 0, 1)) as mesh,
-        device.storage(uint, 1) as total,
+        device.storage(sl.uint, 1) as total,
     ):
         with device.render_pass(image):
             device.draw(device.program(CountFragments), mesh, total=total)
@@ -116,7 +101,7 @@ def test_a_texel_runs_one_fragment_however_many_of_its_samples_are_covered(
     with (
         device.texture(SIZE, Format.R8, samples=4) as image,
         device.mesh(rows, primitive=primitive) as mesh,
-        device.storage(uint, 1) as total,
+        device.storage(sl.uint, 1) as total,
     ):
         with device.render_pass(image):
             device.draw(device.program(CountFragments), mesh, total=total)
@@ -132,7 +117,7 @@ def counted(device: Device, shader: Any) -> int:
         device.texture(SIZE, Format.D32F) as depth,
         device.mesh(np.concatenate(hidden)) as front,
         device.mesh(rectangle(depth=0.5)) as behind,
-        device.storage(uint, 2) as total,
+        device.storage(sl.uint, 2) as total,
     ):
         with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0):
             device.draw(device.program(Colored), front)
@@ -156,7 +141,7 @@ def test_with_early_depth_a_discarded_fragment_has_already_written_depth(device:
         device.texture(SIZE, Format.R8) as image,
         device.texture(SIZE, Format.D32F) as depth,
         device.mesh(rectangle()) as mesh,
-        device.storage(uint, 2) as total,
+        device.storage(sl.uint, 2) as total,
     ):
         with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0):
             device.draw(device.program(CountDiscarding), mesh, total=total)
@@ -192,24 +177,24 @@ def test_a_fragment_s_own_depth_is_clamped(device: Device) -> None:
 # -- order of memory accesses, without explicit barriers --------------------------------------------------
 
 
-class Scale(Shader):
+class Scale(sl.Shader):
     """Writes the vertices of a rectangle."""
 
-    vertices: StorageRW[vec4]
+    vertices: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         x = -1.0 if i == 0 or i == 3 else 0.0
         y = 0.0 if i < 2 else 1.0
-        self.vertices[2 * i] = vec4(x, y, 0.5, 1.0)
-        self.vertices[2 * i + 1] = vec4(1.0)
+        self.vertices[2 * i] = sl.vec4(x, y, 0.5, 1.0)
+        self.vertices[2 * i + 1] = sl.vec4(1.0)
 
 
 @pytest.mark.needs("compute")
 def test_a_draw_reads_vertices_that_a_dispatch_wrote(device: Device) -> None:
     with device.buffer(4, Corner.dtype) as vertices, device.texture(SIZE, Format.R8) as image:
         mesh = device.mesh(vertices, primitive=Primitive.QUADS)
-        device.dispatch(device.program(Scale), 4, vertices=device.storage(vec4, vertices))
+        device.dispatch(device.program(Scale), 4, vertices=device.storage(sl.vec4, vertices))
         with device.render_pass(image):
             device.draw(device.program(Colored), mesh)
         mask = np.zeros((8, 8), bool)
@@ -218,45 +203,45 @@ def test_a_draw_reads_vertices_that_a_dispatch_wrote(device: Device) -> None:
         mesh.destroy()
 
 
-class Enumerate(Shader):
+class Enumerate(sl.Shader):
     """Writes indices."""
 
-    indices: StorageRW[uint]
+    indices: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        i = global_id().x
-        self.indices[i] = uint(i)
+        i = sl.global_id().x
+        self.indices[i] = sl.uint(i)
 
 
 @pytest.mark.needs("compute")
 def test_a_draw_reads_indices_that_a_dispatch_wrote(device: Device) -> None:
     with device.buffer(6, np.dtype("u4")) as indices, device.texture(SIZE, Format.R8) as image:
         with device.mesh(rectangle(), indices) as mesh:
-            device.dispatch(device.program(Enumerate), 6, indices=device.storage(uint, indices))
+            device.dispatch(device.program(Enumerate), 6, indices=device.storage(sl.uint, indices))
             with device.render_pass(image):
                 device.draw(device.program(Colored), mesh)
         assert_same(image.read(), 255)
 
 
-class Choose(Shader):
+class Choose(sl.Shader):
     """Writes two indirect draws and their count."""
 
-    words: StorageRW[uint]
+    words: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
         for i in range(2):
-            self.words[5 * i] = uint(1)
-            self.words[5 * i + 1] = uint(1)
-            self.words[5 * i + 2] = uint(3 + 2 * i)
-            self.words[5 * i + 3] = uint(0)
-        self.words[10] = uint(1)
+            self.words[5 * i] = sl.uint(1)
+            self.words[5 * i + 1] = sl.uint(1)
+            self.words[5 * i + 2] = sl.uint(3 + 2 * i)
+            self.words[5 * i + 3] = sl.uint(0)
+        self.words[10] = sl.uint(1)
 
 
 @pytest.mark.needs("compute", "indirect_count")
 def test_an_indirect_draw_reads_arguments_and_count_that_a_dispatch_wrote(device: Device) -> None:
     rows = corners(centers([(i, 0) for i in range(8)], (8, 1)))
     with (
-        device.storage(uint, 11) as draws,
+        device.storage(sl.uint, 11) as draws,
         device.texture((8, 1), Format.R8) as image,
         device.mesh(rows, primitive=Primitive.POINTS) as mesh,
     ):
@@ -268,16 +253,16 @@ def test_an_indirect_draw_reads_arguments_and_count_that_a_dispatch_wrote(device
     assert DRAW_UNINDEXED.itemsize == 20
 
 
-class Sampled(Shader):
+class Sampled(sl.Shader):
     """Reads the texel below each fragment."""
 
-    source: Texture2D
+    source: sl.Texture2D
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
 
-    def fragment(self, v: Shade) -> vec4:
-        return self.source.load(ivec2(fragment_coordinate().xy)) + v.color
+    def fragment(self, v: Shade) -> sl.vec4:
+        return self.source.load(sl.ivec2(sl.fragment_coordinate().xy)) + v.color
 
 
 def test_a_pass_reads_what_the_pass_before_drew(device: Device) -> None:
@@ -294,28 +279,28 @@ def test_a_pass_reads_what_the_pass_before_drew(device: Device) -> None:
         assert_same(one.read()[..., 0], 20 / 32)
 
 
-class Fill(Shader):
+class Fill(sl.Shader):
     """Writes each fragment's number to storage."""
 
-    out: StorageRW[uint]
+    out: sl.StorageRW[sl.uint]
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
 
-    def fragment(self, v: Shade) -> vec4:
-        at = ivec2(fragment_coordinate().xy)
-        self.out[at.x + 8 * at.y] = uint(at.x + 8 * at.y + 1)
+    def fragment(self, v: Shade) -> sl.vec4:
+        at = sl.ivec2(sl.fragment_coordinate().xy)
+        self.out[at.x + 8 * at.y] = sl.uint(at.x + 8 * at.y + 1)
         return v.color
 
 
-class Sum(Shader):
+class Sum(sl.Shader):
     """Sums all numbers."""
 
-    values: Storage[uint]
-    total: StorageRW[uint]
+    values: sl.Storage[sl.uint]
+    total: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        total = uint(0)
+        total = sl.uint(0)
         for i in range(len(self.values)):
             total += self.values[i]
         self.total[0] = total
@@ -326,8 +311,8 @@ def test_a_dispatch_reads_what_fragments_wrote(device: Device) -> None:
     with (
         device.texture(SIZE, Format.R8) as image,
         device.mesh(rectangle()) as mesh,
-        device.storage(uint, 64) as values,
-        device.storage(uint, 1) as total,
+        device.storage(sl.uint, 64) as values,
+        device.storage(sl.uint, 1) as total,
     ):
         with device.render_pass(image), device.states(ColorWrite.OFF):
             device.draw(device.program(Fill), mesh, out=values)
@@ -335,21 +320,21 @@ def test_a_dispatch_reads_what_fragments_wrote(device: Device) -> None:
         assert_same(total.read(), 64 * 65 // 2)
 
 
-class WaterfallAtEdges(Shader):
+class WaterfallAtEdges(sl.Shader):
     """Goes through the columns that are shaded together, of which some are shaded for derivatives only."""
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
 
-    def fragment(self, v: Shade) -> vec4:
-        column = int(fragment_coordinate().x)
+    def fragment(self, v: Shade) -> sl.vec4:
+        column = int(sl.fragment_coordinate().x)
         found = 0.0
         while True:
-            shared = broadcast_first(column)
+            shared = sl.broadcast_first(column)
             if column == shared:
                 found = float(shared)
                 break
-        return vec4(found, ddx(found), 0.0, 1.0)
+        return sl.vec4(found, sl.ddx(found), 0.0, 1.0)
 
 
 def test_a_loop_over_what_fragments_broadcast_ends_at_the_edges_of_triangles(device: Device) -> None:
@@ -369,15 +354,15 @@ def test_a_loop_over_what_fragments_broadcast_ends_at_the_edges_of_triangles(dev
     assert_same(drawn[covered, 1], np.ones(covered.sum()))
 
 
-class FromMemory(Shader):
+class FromMemory(sl.Shader):
     """Reads positions from storage by vertex index."""
 
-    points: Storage[vec4]
+    points: sl.Storage[sl.vec4]
 
     def vertex(self) -> Shade:
-        return Shade(clip=self.points[vertex_index()], color=vec4(1.0))
+        return Shade(clip=self.points[sl.vertex_index()], color=sl.vec4(1.0))
 
-    def fragment(self, v: Shade) -> vec4:
+    def fragment(self, v: Shade) -> sl.vec4:
         return v.color
 
 
@@ -387,7 +372,7 @@ def test_a_vertex_stage_reads_storage(device: Device) -> None:
     rows[3] = (9, 9, 9, 1)
     with (
         device.texture((8, 1), Format.R8) as image,
-        device.storage(vec4, rows) as points,
+        device.storage(sl.vec4, rows) as points,
         device.mesh(8, primitive=Primitive.POINTS) as mesh,
     ):
         with device.render_pass(image):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import rhi
+import rhi.shading as sl
 from rhi import (
     BlendFunction,
     ColorWrite,
@@ -27,20 +28,6 @@ from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import require_samples
 from rhi.conformance.shaders import Colored, Corner, Count, Loads, Shade, Tint, Tinted, Weighted
 from rhi.conformance.shapes import centers, corners, rectangle
-from rhi.shading import (
-    Image2D,
-    Shader,
-    Storage,
-    StorageRW,
-    Texture2D,
-    fragment_coordinate,
-    global_id,
-    image,
-    ivec2,
-    min,
-    uint,
-    vec4,
-)
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
@@ -49,13 +36,13 @@ HOSTILE = (Scissor(0, 0, 1, 1), ColorWrite.OFF, CullMode.FRONT, DepthFunction.NE
 """States that would break a copy that is implemented as a draw."""
 
 
-class Fill(Shader):
+class Fill(sl.Shader):
     """Stores one color everywhere."""
 
-    target: Image2D = image(Format.RGBA8)
+    target: sl.Image2D = sl.image(Format.RGBA8)
 
     def compute(self) -> None:
-        self.target.store(global_id().xy, vec4(1.0))
+        self.target.store(sl.global_id().xy, sl.vec4(1.0))
 
 
 def hostile_draw(device: Device) -> None:
@@ -183,7 +170,7 @@ def test_a_condition_drops_draws_only(device: Device) -> None:
 @pytest.mark.needs("occlusion_queries", "conditional_rendering", "compute")
 def test_a_condition_does_not_drop_dispatches(device: Device) -> None:
     query = device.occlusion_query()
-    with device.texture(SIZE, Format.RGBA8) as image, device.storage(uint, 1) as total:
+    with device.texture(SIZE, Format.RGBA8) as image, device.storage(sl.uint, 1) as total:
         with device.render_pass(image), query:
             pass
         with device.conditional(query):
@@ -216,7 +203,7 @@ def test_a_draw_sees_the_constants_of_its_time(device: Device) -> None:
 
 
 def test_a_draw_sees_the_storage_of_its_time(device: Device) -> None:
-    with device.storage(vec4, 1) as weights:
+    with device.storage(sl.vec4, 1) as weights:
         rows = np.zeros((1, 4), "f4")
 
         def write(i: int) -> None:
@@ -229,7 +216,7 @@ def test_a_draw_sees_the_storage_of_its_time(device: Device) -> None:
 def test_a_draw_sees_the_copies_of_its_time(device: Device) -> None:
     numbers = np.zeros((8, 4), "f4")
     numbers[:, 0] = np.arange(8)
-    with device.storage(vec4, numbers) as source, device.storage(vec4, 1) as weights:
+    with device.storage(sl.vec4, numbers) as source, device.storage(sl.vec4, 1) as weights:
         image = steps(
             device,
             lambda i: source.owner.copy_to(weights.owner, size=16, offset=16 * i),
@@ -354,8 +341,8 @@ def test_points_of_two_devices_are_counted_by_their_own_queries(device: Device, 
 class SlowlyLoaded(Loads):
     """Loads a texel and takes its time, so that the pass is still running when the next commands are issued."""
 
-    def fragment(self, v: Shade) -> vec4:
-        color = self.source.load(ivec2(fragment_coordinate().xy))
+    def fragment(self, v: Shade) -> sl.vec4:
+        color = self.source.load(sl.ivec2(sl.fragment_coordinate().xy))
         for _ in range(2000):
             color = color * 0.5 + v.color
         return color
@@ -364,20 +351,20 @@ class SlowlyLoaded(Loads):
 class LoadedByVertices(Colored):
     """Loads its color from a texture in the vertex stage."""
 
-    source: Texture2D
+    source: sl.Texture2D
 
     def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=self.source.load(ivec2(3, 3)))
+        return Shade(clip=v.position, color=self.source.load(sl.ivec2(3, 3)))
 
 
-class LoadedByGroups(Shader):
+class LoadedByGroups(sl.Shader):
     """Stores a texel of a texture in a buffer."""
 
-    source: Texture2D
-    texels: StorageRW[vec4]
+    source: sl.Texture2D
+    texels: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
-        self.texels[0] = self.source.load(ivec2(3, 3))
+        self.texels[0] = self.source.load(sl.ivec2(3, 3))
 
 
 LARGE = (128, 128)
@@ -429,13 +416,13 @@ def read_by_vertices(device: Device, texture: rhi.Texture) -> Any:
 
 
 def read_by_dispatch(device: Device, texture: rhi.Texture) -> Any:
-    with device.storage(vec4, 1) as texels:
+    with device.storage(sl.vec4, 1) as texels:
         device.dispatch(device.program(LoadedByGroups), 1, source=texture, texels=texels)
         return np.array(texels.read().tolist()).ravel()[0]
 
 
 def read_by_indirect_dispatch(device: Device, texture: rhi.Texture) -> Any:
-    with device.storage(vec4, 1) as texels, device.buffer(np.ones(3, np.uint32)) as groups:
+    with device.storage(sl.vec4, 1) as texels, device.buffer(np.ones(3, np.uint32)) as groups:
         program = device.program(LoadedByGroups)
         device.dispatch_indirect(program, groups, source=texture, texels=texels)
         return np.array(texels.read().tolist()).ravel()[0]
@@ -505,81 +492,81 @@ class ReadsLate(Colored):
         waited = zero
         for _ in range(2000):
             waited = waited * 0.5 + 0.5 * zero
-        return int(min(waited, 0.0))
+        return int(sl.min(waited, 0.0))
 
 
 class ReadsElementLate(ReadsLate):
     """Loads an element of a buffer."""
 
-    elements: Storage[vec4]
+    elements: sl.Storage[sl.vec4]
 
-    def fragment(self, v: Shade) -> vec4:
+    def fragment(self, v: Shade) -> sl.vec4:
         return self.elements[self.wait(v.color.x)]
 
 
 class ReadsTexelLate(ReadsLate):
     """Loads a texel."""
 
-    source: Texture2D
+    source: sl.Texture2D
 
-    def fragment(self, v: Shade) -> vec4:
-        return self.source.load(ivec2(fragment_coordinate().xy) + ivec2(self.wait(v.color.x), 0))
+    def fragment(self, v: Shade) -> sl.vec4:
+        return self.source.load(sl.ivec2(sl.fragment_coordinate().xy) + sl.ivec2(self.wait(v.color.x), 0))
 
 
-class StoredByGroups(Shader):
+class StoredByGroups(sl.Shader):
     """Stores 7 in the first element."""
 
-    elements: StorageRW[vec4]
+    elements: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
-        self.elements[0] = vec4(7.0)
+        self.elements[0] = sl.vec4(7.0)
 
 
 class StoredByVertices(Colored):
     """Stores 7 in the first element, in the vertex stage."""
 
-    elements: StorageRW[vec4]
+    elements: sl.StorageRW[sl.vec4]
 
     def vertex(self, v: Corner) -> Shade:
-        self.elements[0] = vec4(7.0)
+        self.elements[0] = sl.vec4(7.0)
         return Shade(clip=v.position, color=v.color)
 
 
-class ImageFilled(Shader):
+class ImageFilled(sl.Shader):
     """Stores 7 in each texel."""
 
-    target: Image2D = image(Format.R32F)
+    target: sl.Image2D = sl.image(Format.R32F)
 
     def compute(self) -> None:
-        self.target.store(global_id().xy, vec4(7.0))
+        self.target.store(sl.global_id().xy, sl.vec4(7.0))
 
 
 BLACK = (0.0, 0.0, 0.0, 0.0)
 SEVENS = np.full(4, 7, np.float32)
 
 
-def write_elements(device: Device, elements: rhi.StorageBuffer[vec4]) -> None:
+def write_elements(device: Device, elements: rhi.StorageBuffer[sl.vec4]) -> None:
     elements.owner.write(SEVENS)
 
 
-def write_all_elements(device: Device, elements: rhi.StorageBuffer[vec4]) -> None:
+def write_all_elements(device: Device, elements: rhi.StorageBuffer[sl.vec4]) -> None:
     elements.write(np.full((elements.count, 4), 7, np.float32))
 
 
-def copy_elements(device: Device, elements: rhi.StorageBuffer[vec4]) -> None:
+def copy_elements(device: Device, elements: rhi.StorageBuffer[sl.vec4]) -> None:
     with device.buffer(SEVENS) as sevens:
         sevens.copy_to(elements.owner)
 
 
-def clear_elements(device: Device, elements: rhi.StorageBuffer[vec4]) -> None:
+def clear_elements(device: Device, elements: rhi.StorageBuffer[sl.vec4]) -> None:
     elements.owner.clear(int(SEVENS.view(np.uint32)[0]))
 
 
-def store_elements(device: Device, elements: rhi.StorageBuffer[vec4]) -> None:
+def store_elements(device: Device, elements: rhi.StorageBuffer[sl.vec4]) -> None:
     device.dispatch(device.program(StoredByGroups), 1, elements=elements)
 
 
-def store_elements_by_vertices(device: Device, elements: rhi.StorageBuffer[vec4]) -> None:
+def store_elements_by_vertices(device: Device, elements: rhi.StorageBuffer[sl.vec4]) -> None:
     with device.texture((1, 1), Format.RGBA8) as other, device.mesh(rectangle()) as mesh:
         with device.render_pass(other):
             device.draw(device.program(StoredByVertices), mesh, elements=elements)
@@ -599,7 +586,7 @@ BUFFER_WRITES = [
 @pytest.mark.needs("max_storage_slots")
 @pytest.mark.parametrize(("write", "count"), BUFFER_WRITES)
 def test_a_buffer_is_written_after_an_older_pass_has_read_it(
-    device: Device, write: Callable[[Device, rhi.StorageBuffer[vec4]], None], count: int
+    device: Device, write: Callable[[Device, rhi.StorageBuffer[sl.vec4]], None], count: int
 ) -> None:
     with (
         device.texture(LARGE, Format.R32F) as image,
@@ -607,7 +594,7 @@ def test_a_buffer_is_written_after_an_older_pass_has_read_it(
         device.mesh(rectangle(color=BLACK)) as mesh,
     ):
         for _ in range(3):  # the first pass may wait for a compiler
-            with device.storage(vec4, count) as elements:
+            with device.storage(sl.vec4, count) as elements:
                 with device.render_pass(image):
                     device.draw(device.program(ReadsElementLate), mesh, elements=elements)
                 with device.render_pass(other, clear=BLACK):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from rhi import (
     DRAW,
     BlendFunction,
@@ -25,20 +26,6 @@ from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_targets, require_vertex_alignment
 from rhi.conformance.shaders import Colored, Corner, FlatShade
 from rhi.conformance.shapes import centers, corners, rectangle
-from rhi.shading import (
-    Flat,
-    Shader,
-    Struct,
-    draw_index,
-    instance_index,
-    ivec4,
-    uint,
-    uvec4,
-    vec2,
-    vec3,
-    vec4,
-    vertex_index,
-)
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
@@ -165,20 +152,20 @@ def test_arrays_by_name_make_a_mesh(device: Device) -> None:
 # -- vertex formats ----------------------------------------------------------------------------------------
 
 
-class Probe(Struct):
+class Probe(sl.Struct):
     """A vertex with one attribute to be tested."""
 
-    position: vec2
-    value: vec4
+    position: sl.vec2
+    value: sl.vec4
 
 
-class ShowFloat(Shader):
+class ShowFloat(sl.Shader):
     """Draws the attribute as a color."""
 
     def vertex(self, v: Probe) -> FlatShade:
-        return FlatShade(clip=vec4(v.position, 0.5, 1.0), color=v.value)
+        return FlatShade(clip=sl.vec4(v.position, 0.5, 1.0), color=v.value)
 
-    def fragment(self, v: FlatShade) -> vec4:
+    def fragment(self, v: FlatShade) -> sl.vec4:
         return v.color
 
 
@@ -202,20 +189,20 @@ def test_a_float_attribute_takes_floats_and_normalised_integers(device: Device, 
         assert_near(image.read()[0], expected, 1e-6, "conversion in float32")
 
 
-class Pair(Struct):
+class Pair(sl.Struct):
     """A vertex with two components to be tested."""
 
-    position: vec2
-    pair: vec2
+    position: sl.vec2
+    pair: sl.vec2
 
 
-class ShowPair(Shader):
+class ShowPair(sl.Shader):
     """Draws two components as a color."""
 
     def vertex(self, v: Pair) -> FlatShade:
-        return FlatShade(clip=vec4(v.position, 0.5, 1.0), color=vec4(v.pair, 0.0, 1.0))
+        return FlatShade(clip=sl.vec4(v.position, 0.5, 1.0), color=sl.vec4(v.pair, 0.0, 1.0))
 
-    def fragment(self, v: FlatShade) -> vec4:
+    def fragment(self, v: FlatShade) -> sl.vec4:
         return v.color
 
 
@@ -245,37 +232,37 @@ def test_a_vector_may_be_fed_more_components_than_it_reads(device: Device) -> No
         assert_same(image.read()[0, :, :2], values[:, :2])
 
 
-class IntegerProbe(Struct):
+class IntegerProbe(sl.Struct):
     """A vertex with integers."""
 
-    position: vec2
-    unsigned: uvec4
-    signed: ivec4
-    single: uint
+    position: sl.vec2
+    unsigned: sl.uvec4
+    signed: sl.ivec4
+    single: sl.uint
 
 
-class Integers(Struct):
+class Integers(sl.Struct):
     """Integer varyings."""
 
-    clip: vec4
-    unsigned: Flat[uvec4]
-    signed: Flat[ivec4]
-    single: Flat[uint]
+    clip: sl.vec4
+    unsigned: sl.Flat[sl.uvec4]
+    signed: sl.Flat[sl.ivec4]
+    single: sl.Flat[sl.uint]
 
 
-class IntegerOutputs(Struct):
+class IntegerOutputs(sl.Struct):
     """Integer outputs."""
 
-    unsigned: uvec4
-    signed: ivec4
-    single: uint
+    unsigned: sl.uvec4
+    signed: sl.ivec4
+    single: sl.uint
 
 
-class ShowIntegers(Shader):
+class ShowIntegers(sl.Shader):
     """Writes integer attributes to integer targets."""
 
     def vertex(self, v: IntegerProbe) -> Integers:
-        return Integers(clip=vec4(v.position, 0.5, 1.0), unsigned=v.unsigned, signed=v.signed, single=v.single)
+        return Integers(clip=sl.vec4(v.position, 0.5, 1.0), unsigned=v.unsigned, signed=v.signed, single=v.single)
 
     def fragment(self, v: Integers) -> IntegerOutputs:
         return IntegerOutputs(unsigned=v.unsigned, signed=v.signed, single=v.single)
@@ -300,20 +287,20 @@ def test_integer_attributes_keep_all_their_bits(device: Device, code: str) -> No
         target.destroy()
 
 
-class Narrow(Struct):
+class Narrow(sl.Struct):
     """A vertex with three components and one."""
 
-    position: vec3
+    position: sl.vec3
     weight: float
 
 
-class ShowNarrow(Shader):
+class ShowNarrow(sl.Shader):
     """Draws points at three-component positions, with a one-component color."""
 
     def vertex(self, v: Narrow) -> FlatShade:
-        return FlatShade(clip=vec4(v.position, 1.0), color=vec4(v.weight))
+        return FlatShade(clip=sl.vec4(v.position, 1.0), color=sl.vec4(v.weight))
 
-    def fragment(self, v: FlatShade) -> vec4:
+    def fragment(self, v: FlatShade) -> sl.vec4:
         return v.color
 
 
@@ -332,21 +319,21 @@ def test_three_components_and_one_lie_where_the_dtype_says(device: Device) -> No
 # -- instances ---------------------------------------------------------------------------------------------
 
 
-class Instanced(Struct):
+class Instanced(sl.Struct):
     """A vertex attribute and an instance attribute."""
 
-    position: vec2
-    offset: vec2
+    position: sl.vec2
+    offset: sl.vec2
     shade: float
 
 
-class ShowInstances(Shader):
+class ShowInstances(sl.Shader):
     """Draws a point, moved by the instance's offset."""
 
     def vertex(self, v: Instanced) -> FlatShade:
-        return FlatShade(clip=vec4(v.position + v.offset, 0.5, 1.0), color=vec4(v.shade))
+        return FlatShade(clip=sl.vec4(v.position + v.offset, 0.5, 1.0), color=sl.vec4(v.shade))
 
-    def fragment(self, v: FlatShade) -> vec4:
+    def fragment(self, v: FlatShade) -> sl.vec4:
         return v.color
 
 
@@ -391,13 +378,13 @@ def test_instances_of_indexed_meshes_read_their_elements(device: Device) -> None
         assert_same(image.read()[0], [0, 0, 0, 0, 2, 3, 0, 0])
 
 
-class Numbered(Shader):
+class Numbered(sl.Shader):
     """Writes the indices of the vertex and instance."""
 
     def vertex(self, v: Corner) -> FlatShade:
-        return FlatShade(clip=v.position, color=vec4(float(vertex_index()), float(instance_index()), 0.0, 1.0))
+        return FlatShade(clip=v.position, color=sl.vec4(float(sl.vertex_index()), float(sl.instance_index()), 0.0, 1.0))
 
-    def fragment(self, v: FlatShade) -> vec4:
+    def fragment(self, v: FlatShade) -> sl.vec4:
         return v.color
 
 
@@ -405,7 +392,7 @@ class NumberedDraws(Numbered):
     """Writes the indices of the vertex, instance and draw."""
 
     def vertex(self, v: Corner) -> FlatShade:
-        color = vec4(float(vertex_index()), float(instance_index()), float(draw_index()), 1.0)
+        color = sl.vec4(float(sl.vertex_index()), float(sl.instance_index()), float(sl.draw_index()), 1.0)
         return FlatShade(clip=v.position, color=color)
 
 
@@ -437,15 +424,15 @@ def test_without_indices_vertices_count_from_the_first_of_the_buffer(device: Dev
         assert_same(image.read()[0, 3:5], [(3, 0, 0, 1), (4, 0, 0, 1)])
 
 
-class FullTriangle(Shader):
+class FullTriangle(sl.Shader):
     """Covers the whole target with one triangle, from vertex numbers alone."""
 
     def vertex(self) -> FlatShade:
-        x = float(vertex_index() % 2) * 4.0 - 1.0
-        y = float(vertex_index() // 2) * 4.0 - 1.0
-        return FlatShade(clip=vec4(x, y, 0.5, 1.0), color=vec4(1.0))
+        x = float(sl.vertex_index() % 2) * 4.0 - 1.0
+        y = float(sl.vertex_index() // 2) * 4.0 - 1.0
+        return FlatShade(clip=sl.vec4(x, y, 0.5, 1.0), color=sl.vec4(1.0))
 
-    def fragment(self, v: FlatShade) -> vec4:
+    def fragment(self, v: FlatShade) -> sl.vec4:
         return v.color
 
 

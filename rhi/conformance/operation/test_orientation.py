@@ -5,28 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import rhi.shading as sl
 from rhi import Device, Format, Region, Viewport
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.shaders import Colored, Corner, Shade
 from rhi.conformance.shapes import WHITE, corners, rectangle
-from rhi.shading import (
-    Image2D,
-    Shader,
-    StorageRW,
-    Struct,
-    Uniform,
-    ddx,
-    ddy,
-    fragment_coordinate,
-    global_id,
-    image,
-    mat2,
-    mat3,
-    mat4,
-    vec2,
-    vec3,
-    vec4,
-)
 
 pytestmark = [pytest.mark.needs("shading"), pytest.mark.recorded_too]
 
@@ -77,14 +60,14 @@ def test_a_drawn_texture_is_copied_as_it_is(device: Device) -> None:
         assert_mask(target.read(), mask)
 
 
-class FragmentPlace(Shader):
+class FragmentPlace(sl.Shader):
     """Writes the coordinates of the fragment."""
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
 
-    def fragment(self, v: Shade) -> vec4:
-        return fragment_coordinate()
+    def fragment(self, v: Shade) -> sl.vec4:
+        return sl.fragment_coordinate()
 
 
 @pytest.mark.needs("draws")
@@ -108,14 +91,14 @@ def test_fragment_coordinates_do_not_depend_on_the_viewport(device: Device) -> N
         assert_same(pixels[5, 7, :2], (7.5, 5.5))
 
 
-class Derivatives(Shader):
+class Derivatives(sl.Shader):
     """Writes the derivatives of the color, to the right and downwards."""
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
 
-    def fragment(self, v: Shade) -> vec4:
-        return vec4(ddx(v.color.xy), ddy(v.color.xy))
+    def fragment(self, v: Shade) -> sl.vec4:
+        return sl.vec4(sl.ddx(v.color.xy), sl.ddy(v.color.xy))
 
 
 @pytest.mark.needs("draws")
@@ -129,14 +112,14 @@ def test_derivatives_point_right_and_down(device: Device) -> None:
         assert_near(target.read(), (1, 0, 0, 2), 1e-4, "differences of interpolated float32 values")
 
 
-class Marks(Shader):
+class Marks(sl.Shader):
     """Writes its own coordinates into an image."""
 
-    target: Image2D = image(Format.RGBA32F)
+    target: sl.Image2D = sl.image(Format.RGBA32F)
 
     def compute(self) -> None:
-        at = global_id().xy
-        self.target.store(at, vec4(vec2(at), 0.0, 1.0))
+        at = sl.global_id().xy
+        self.target.store(at, sl.vec4(sl.vec2(at), 0.0, 1.0))
 
 
 @pytest.mark.needs("compute")
@@ -148,14 +131,14 @@ def test_image_stores_count_from_the_top_left(device: Device) -> None:
         assert_same(target.read()[..., :2], np.stack([x, y], axis=-1))
 
 
-class ImageLoads(Shader):
+class ImageLoads(sl.Shader):
     """Copies an image texel by texel."""
 
-    source: Image2D = image(Format.RGBA8)
-    target: Image2D = image(Format.RGBA8)
+    source: sl.Image2D = sl.image(Format.RGBA8)
+    target: sl.Image2D = sl.image(Format.RGBA8)
 
     def compute(self) -> None:
-        at = global_id().xy
+        at = sl.global_id().xy
         self.target.store(at, self.source.load(at))
 
 
@@ -178,24 +161,24 @@ def test_image_loads_see_drawn_texels_from_the_top_left(device: Device) -> None:
 # -- matrices ----------------------------------------------------------------------------------------------
 
 
-class Camera(Struct):
+class Camera(sl.Struct):
     """Matrices of three sizes, and a number after them that reveals a wrong layout."""
 
-    world: mat4
-    turn: mat3
-    flat: mat2
+    world: sl.mat4
+    turn: sl.mat3
+    flat: sl.mat2
     scale: float
 
 
-class Moved(Shader):
+class Moved(sl.Shader):
     """Transforms positions by a matrix."""
 
-    camera: Uniform[Camera]
+    camera: sl.Uniform[Camera]
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=self.camera.world @ v.position, color=v.color)
 
-    def fragment(self, v: Shade) -> vec4:
+    def fragment(self, v: Shade) -> sl.vec4:
         return v.color
 
 
@@ -221,19 +204,19 @@ def test_a_matrix_is_applied_as_numpy_does(device: Device) -> None:
         assert_mask(target.read(), mask)
 
 
-class Products(Shader):
+class Products(sl.Shader):
     """Every product of matrix and vector, and single elements."""
 
-    camera: Uniform[Camera]
-    results: StorageRW[vec4]
+    camera: sl.Uniform[Camera]
+    results: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
-        v = vec3(1.0, 10.0, 100.0)
-        self.results[0] = vec4(self.camera.turn @ v, self.camera.scale)
-        self.results[1] = vec4(v @ self.camera.turn, 0.0)
-        self.results[2] = vec4(self.camera.flat @ vec2(1.0, 10.0), vec2(1.0, 10.0) @ self.camera.flat)
-        self.results[3] = self.camera.world @ vec4(v, 1000.0)
-        self.results[4] = vec4((self.camera.turn @ self.camera.turn) @ v, 0.0)
+        v = sl.vec3(1.0, 10.0, 100.0)
+        self.results[0] = sl.vec4(self.camera.turn @ v, self.camera.scale)
+        self.results[1] = sl.vec4(v @ self.camera.turn, 0.0)
+        self.results[2] = sl.vec4(self.camera.flat @ sl.vec2(1.0, 10.0), sl.vec2(1.0, 10.0) @ self.camera.flat)
+        self.results[3] = self.camera.world @ sl.vec4(v, 1000.0)
+        self.results[4] = sl.vec4((self.camera.turn @ self.camera.turn) @ v, 0.0)
 
 
 @pytest.mark.needs("compute")
@@ -242,7 +225,7 @@ def test_products_of_matrices_are_those_of_numpy(device: Device) -> None:
     v = np.array([1.0, 10.0, 100.0])
     with (
         device.uniform(Camera(world=world, turn=TURN, flat=FLAT, scale=7.0)) as camera,
-        device.storage(vec4, 5) as results,
+        device.storage(sl.vec4, 5) as results,
     ):
         device.dispatch(device.program(Products), 1, camera=camera, results=results)
         back = results.read()

@@ -16,32 +16,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from rhi import Device
 from rhi.conformance.compare import assert_same
-from rhi.shading import (
-    Array,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Uniform,
-    abs,
-    array,
-    atomic_add,
-    atomic_compare_exchange,
-    barrier,
-    bitfield_extract,
-    bitfield_insert,
-    global_id,
-    ivec4,
-    mat3,
-    shared,
-    uint,
-    unchecked,
-    uvec4,
-    vec3,
-    vec4,
-)
 
 Values = dict[str, NDArray[Any]]
 GROUP = 16
@@ -75,17 +52,17 @@ def field(value: int, at: int, bits: int) -> tuple[int, int]:
     return start, (1 << min(bits % 2**32, 32 - start)) - 1
 
 
-class Operators(Shader):
+class Operators(sl.Shader):
     """Every operator of ints whose result drivers leave open for some operands."""
 
     work_group = (GROUP,)
-    a: Storage[int]
-    b: Storage[int]
-    ints: StorageRW[int]
-    uints: StorageRW[uint]
+    a: sl.Storage[int]
+    b: sl.Storage[int]
+    ints: sl.StorageRW[int]
+    uints: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         a = self.a[i]
         b = self.b[i]
         o = 16 * i
@@ -97,29 +74,29 @@ class Operators(Shader):
         self.ints[o + 5] = a - b
         self.ints[o + 6] = a * b
         self.ints[o + 7] = -a
-        self.ints[o + 8] = abs(a)
-        self.ints[o + 9] = bitfield_extract(a, b, 5)
-        self.ints[o + 10] = bitfield_extract(a, 5, b)
-        self.ints[o + 11] = bitfield_insert(a, -1, b, 5)
+        self.ints[o + 8] = sl.abs(a)
+        self.ints[o + 9] = sl.bitfield_extract(a, b, 5)
+        self.ints[o + 10] = sl.bitfield_extract(a, 5, b)
+        self.ints[o + 11] = sl.bitfield_insert(a, -1, b, 5)
         zero = self.a[0]  # a constant would be refused
-        v = ivec4(a, b, a, b) // ivec4(b, a, -1, zero)
-        w = ivec4(a, b, a, b) % ivec4(b, a, -1, zero)
-        s = ivec4(a, b, a, b) << ivec4(b, a, zero + 33, zero - 1)
+        v = sl.ivec4(a, b, a, b) // sl.ivec4(b, a, -1, zero)
+        w = sl.ivec4(a, b, a, b) % sl.ivec4(b, a, -1, zero)
+        s = sl.ivec4(a, b, a, b) << sl.ivec4(b, a, zero + 33, zero - 1)
         self.ints[o + 12] = v.x ^ v.y ^ v.z ^ v.w
         self.ints[o + 13] = w.x ^ w.y ^ w.z ^ w.w
         self.ints[o + 14] = s.x ^ s.y ^ s.z ^ s.w
         self.ints[o + 15] = (a // 4) ^ (b % 8)
-        x = uint(a)
-        y = uint(b)
+        x = sl.uint(a)
+        y = sl.uint(b)
         self.uints[8 * i] = x // y
         self.uints[8 * i + 1] = x % y
         self.uints[8 * i + 2] = x << y
         self.uints[8 * i + 3] = x >> y
-        self.uints[8 * i + 4] = bitfield_extract(x, b, 5)
-        self.uints[8 * i + 5] = bitfield_insert(x, uint(MOST), 5, b)
-        q = uvec4(x, y, x, y) // uvec4(y, x, uint(zero), uint(3))
+        self.uints[8 * i + 4] = sl.bitfield_extract(x, b, 5)
+        self.uints[8 * i + 5] = sl.bitfield_insert(x, sl.uint(MOST), 5, b)
+        q = sl.uvec4(x, y, x, y) // sl.uvec4(y, x, sl.uint(zero), sl.uint(3))
         self.uints[8 * i + 6] = q.x ^ q.y ^ q.z ^ q.w
-        r = uvec4(x, y, x, y) % y
+        r = sl.uvec4(x, y, x, y) % y
         self.uints[8 * i + 7] = r.x ^ r.y ^ r.z ^ r.w
 
 
@@ -157,21 +134,21 @@ def expected_operators() -> Values:
     return {"ints": np.array(ints, np.int64), "uints": np.array(uints, np.int64)}
 
 
-class Conversions(Shader):
+class Conversions(sl.Shader):
     """Floats as ints, by scalars and by vectors."""
 
     work_group = (GROUP,)
-    x: Storage[float]
-    ints: StorageRW[int]
-    uints: StorageRW[uint]
+    x: sl.Storage[float]
+    ints: sl.StorageRW[int]
+    uints: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         x = self.x[i]
         self.ints[i] = int(x)
-        self.uints[i] = uint(x)
-        v = ivec4(vec4(x, -x, 0.5 * x, 1.0))
-        w = uvec4(vec4(x, -x, 0.5 * x, 1.0))
+        self.uints[i] = sl.uint(x)
+        v = sl.ivec4(sl.vec4(x, -x, 0.5 * x, 1.0))
+        w = sl.uvec4(sl.vec4(x, -x, 0.5 * x, 1.0))
         self.ints[N + i] = v.x ^ v.y ^ v.z ^ v.w
         self.uints[N + i] = w.x ^ w.y ^ w.z ^ w.w
 
@@ -194,18 +171,18 @@ def expected_conversions() -> Values:
 # -- memory ------------------------------------------------------------------------------------------------
 
 
-class Part(Struct):
+class Part(sl.Struct):
     """An element of some words, with an array inside."""
 
-    weights: Array[float] = array(float, 3)
+    weights: sl.Array[float] = sl.array(float, 3)
     end: float
 
 
-class Fixed(Struct):
+class Fixed(sl.Struct):
     """Arrays and a matrix in uniform memory."""
 
-    numbers: Array[float] = array(float, 5)
-    turn: mat3
+    numbers: sl.Array[float] = sl.array(float, 5)
+    turn: sl.mat3
 
 
 TABLE = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
@@ -215,40 +192,40 @@ INDICES = (0, 1, 2, -1, 3, 4, 5, 6, -2, 15, 16, 17, 23, 24, 25, 1000, 100000, -1
 """Indices inside the memory of the shaders below, just outside, and as far as 32 bits reach."""
 
 
-class Reads(Shader):
+class Reads(sl.Shader):
     """Reads of every kind of memory, at an index that only the device knows."""
 
     work_group = (GROUP,)
-    at: Storage[int]
-    words: Storage[float]
-    parts: Storage[Part]
-    fixed: Uniform[Fixed]
-    out: StorageRW[float]
-    mine = shared(float, 8)
+    at: sl.Storage[int]
+    words: sl.Storage[float]
+    parts: sl.Storage[Part]
+    fixed: sl.Uniform[Fixed]
+    out: sl.StorageRW[float]
+    mine = sl.shared(float, 8)
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         k = self.at[i]
         first = self.at[i - i % GROUP]
         o = 12 * i
         if i % GROUP < 8:
             self.mine[i % GROUP] = float(i % GROUP) + 1.0
-        barrier()
+        sl.barrier()
         self.out[o] = self.words[k]
-        self.out[o + 1] = self.words[uint(k)]
+        self.out[o + 1] = self.words[sl.uint(k)]
         self.out[o + 2] = self.words[i + first]
         self.out[o + 3] = self.parts[k].weights[k] + self.parts[k].end
         self.out[o + 4] = self.parts[1].weights[k] + self.parts[i + first].weights[1]
         self.out[o + 5] = self.fixed.numbers[k]
-        self.out[o + 6] = self.fixed.turn[k][k] + mat3(1, 2, 3, 4, 5, 6, 7, 8, 9)[k][uint(k)]
+        self.out[o + 6] = self.fixed.turn[k][k] + sl.mat3(1, 2, 3, 4, 5, 6, 7, 8, 9)[k][sl.uint(k)]
         self.out[o + 7] = TABLE[k] + self.mine[k] + self.mine[i % GROUP + first]
-        table = array(float, 7)
+        table = sl.array(float, 7)
         for j in range(7):
             table[j] = float(3 * j)
-        self.out[o + 8] = table[k] + table[uint(k)]
-        v = vec4(1.0, 2.0, 3.0, 4.0)
-        self.out[o + 9] = v[k] + 10.0 * v[uint(k)]
-        self.out[o + 10] = TABLE[unchecked(i % 6)] + self.words[WORDS - 1]
+        self.out[o + 8] = table[k] + table[sl.uint(k)]
+        v = sl.vec4(1.0, 2.0, 3.0, 4.0)
+        self.out[o + 9] = v[k] + 10.0 * v[sl.uint(k)]
+        self.out[o + 10] = TABLE[sl.unchecked(i % 6)] + self.words[WORDS - 1]
         self.out[o + 11] = self.words[k] if 0 <= k < len(self.words) else -1.0
 
 
@@ -291,45 +268,45 @@ def expected_reads() -> Values:
     return {"out": np.array(out, np.float64)}
 
 
-class Writes(Shader):
+class Writes(sl.Shader):
     """Writes to every kind of memory, at an index that only the device knows; no two meet."""
 
     work_group = (GROUP,)
-    at: Storage[int]
-    words: StorageRW[float]
-    parts: StorageRW[Part]
-    counts: StorageRW[int]
-    out: StorageRW[float]
-    mine = shared(float, 8)
-    sums = shared(int, 8)
+    at: sl.Storage[int]
+    words: sl.StorageRW[float]
+    parts: sl.StorageRW[Part]
+    counts: sl.StorageRW[int]
+    out: sl.StorageRW[float]
+    mine = sl.shared(float, 8)
+    sums = sl.shared(int, 8)
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         k = self.at[i]
         o = 6 * i
         j = i % GROUP
         if j < 8:
             self.mine[j] = 0.0
             self.sums[j] = 0
-        barrier()
+        sl.barrier()
         self.words[i + self.at[0]] = float(i) + 1.0
         self.words[WORDS - 4 - i] += 1000.0
         self.parts[i + 2].weights[k] = float(i) + 1.0
         self.parts[i - 1].end = 8.0
         self.mine[j + self.at[i - j]] = float(j) + 1.0
-        self.out[o] = float(atomic_add(self.counts[k], 1) * 0)
-        self.out[o + 1] = float(atomic_compare_exchange(self.counts[k + (1 << 29)], 0, 5))
-        atomic_add(self.sums[k], 1)
-        barrier()
+        self.out[o] = float(sl.atomic_add(self.counts[k], 1) * 0)
+        self.out[o + 1] = float(sl.atomic_compare_exchange(self.counts[k + (1 << 29)], 0, 5))
+        sl.atomic_add(self.sums[k], 1)
+        sl.barrier()
         self.out[o + 2] = self.mine[j % 8] + 100.0 * float(self.sums[j % 8])
-        table = array(float, 3)
-        other = array(float, 3)
+        table = sl.array(float, 3)
+        other = sl.array(float, 3)
         table[k] = 7.0
-        table[uint(k)] += 20.0
+        table[sl.uint(k)] += 20.0
         self.out[o + 3] = table[0] + 100.0 * table[1] + 10000.0 * table[2] + other[0] + other[1] + other[2]
-        v = vec3(0.0, 0.0, 0.0)
+        v = sl.vec3(0.0, 0.0, 0.0)
         v[k] = 1.0
-        m = mat3(0.0)
+        m = sl.mat3(0.0)
         m[k][1] = 2.0
         self.out[o + 4] = v.x + 10.0 * v.y + 100.0 * v.z + m[0][1] * 1000.0 + m[1][1] * 10000.0 + m[2][1] * 1e5
         self.out[o + 5] = float(len(self.words))
@@ -364,7 +341,7 @@ def expected_writes() -> Values:
     return result
 
 
-CASES: dict[str, tuple[type[Shader], Callable[[], dict[str, Any]], Callable[[], Values]]] = {
+CASES: dict[str, tuple[type[sl.Shader], Callable[[], dict[str, Any]], Callable[[], Values]]] = {
     "operators": (
         Operators,
         lambda: {**operands(), "ints": np.zeros(16 * N, "i4"), "uints": np.zeros(8 * N, "u4")},
@@ -389,10 +366,10 @@ def test_operands_at_the_edges_and_indices_outside_have_one_result(device: Devic
     bound: dict[str, Any] = {}
     for name, value in given().items():
         guards.append(device.storage(float, np.full(4096, -7, "f4")))  # between the buffers of the shader
-        if isinstance(value, Struct):
+        if isinstance(value, sl.Struct):
             bound[name] = device.uniform(value)
         else:
-            element = Part if name == "parts" else {"f": float, "i": int, "u": uint}[value.dtype.kind]
+            element = Part if name == "parts" else {"f": float, "i": int, "u": sl.uint}[value.dtype.kind]
             bound[name] = device.storage(element, value)
     device.dispatch(device.program(shader), GROUPS, **bound)
     for name, values in expected().items():

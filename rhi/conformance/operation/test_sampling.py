@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
+import rhi.shading as sl
 from rhi import Comparison, CompressedFormat, Device, Filter, Format, SamplerDescriptor, TextureKind, Wrap
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import random_texels, require_format, squeezed
@@ -15,33 +16,6 @@ from rhi.conformance.reference import channels_of, compare, decode, encode
 from rhi.conformance.shaders import Colored, Corner, Shade
 from rhi.conformance.shapes import rectangle
 from rhi.contract.formats import COLOR_FORMATS, ChannelKind
-from rhi.shading import (
-    DepthTexture2D,
-    DepthTexture2DArray,
-    DepthTextureCube,
-    Image2D,
-    IntTexture2D,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Texture2DArray,
-    Texture3D,
-    TextureCube,
-    UintTexture2D,
-    Uniform,
-    function,
-    global_id,
-    image,
-    ivec2,
-    ivec3,
-    ivec4,
-    uvec4,
-    vec2,
-    vec3,
-    vec4,
-)
 
 pytestmark = pytest.mark.needs("shading", "compute", "max_texture_slots")
 
@@ -54,57 +28,57 @@ def identity(value: Any) -> str:
     return value.name if isinstance(value, Format | TextureKind | Wrap | Comparison) else str(value)
 
 
-class Constant(Struct):
+class Constant(sl.Struct):
     """A number in a uniform block."""
 
-    value: vec4
+    value: sl.vec4
 
 
-@function
-def flat_place(at: vec4) -> vec2:
+@sl.function
+def flat_place(at: sl.vec4) -> sl.vec2:
     """Return (u, v)."""
     return at.xy
 
 
-@function
-def solid_place(at: vec4) -> vec3:
+@sl.function
+def solid_place(at: sl.vec4) -> sl.vec3:
     """Return (u, v, layer), (u, v, w) or a direction."""
     return at.xyz
 
 
-def make_sampling_shader(kind: Any, place: Any) -> type[Shader]:
+def make_sampling_shader(kind: Any, place: Any) -> type[sl.Shader]:
     """Return a shader that samples a texture of this type at each place, at the level in the place's w."""
 
-    class Sampling(Shader):
+    class Sampling(sl.Shader):
         """Samples a texture at the given places and levels."""
 
         source: kind
-        places: Storage[vec4]
-        results: StorageRW[vec4]
+        places: sl.Storage[sl.vec4]
+        results: sl.StorageRW[sl.vec4]
 
         def compute(self) -> None:
-            i = global_id().x
+            i = sl.global_id().x
             at = self.places[i]
             self.results[i] = self.source.sample_lod(place(at), at.w)
 
     return Sampling
 
 
-Sample2D = make_sampling_shader(Texture2D, flat_place)
-SampleArray = make_sampling_shader(Texture2DArray, solid_place)
-Sample3D = make_sampling_shader(Texture3D, solid_place)
-SampleCube = make_sampling_shader(TextureCube, solid_place)
+Sample2D = make_sampling_shader(sl.Texture2D, flat_place)
+SampleArray = make_sampling_shader(sl.Texture2DArray, solid_place)
+Sample3D = make_sampling_shader(sl.Texture3D, solid_place)
+SampleCube = make_sampling_shader(sl.TextureCube, solid_place)
 
 
-class Gather2D(Shader):
+class Gather2D(sl.Shader):
     """Gathers component 1 of the four texels around (u, v)."""
 
-    source: Texture2D
-    places: Storage[vec4]
-    results: StorageRW[vec4]
+    source: sl.Texture2D
+    places: sl.Storage[sl.vec4]
+    results: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         self.results[i] = self.source.gather(self.places[i].xy, 1)
 
 
@@ -113,7 +87,7 @@ def sampled(device: Device, shader: Any, texture: Any, places: ArrayLike) -> NDA
     given = np.asarray(places, "f4")
     full = np.zeros((len(given), 4), "f4")
     full[:, : given.shape[1]] = given
-    with device.storage(vec4, full) as where, device.storage(vec4, len(full)) as results:
+    with device.storage(sl.vec4, full) as where, device.storage(sl.vec4, len(full)) as results:
         device.dispatch(device.program(shader), len(full), source=texture, places=where, results=results)
         return results.read()
 
@@ -139,25 +113,25 @@ def test_a_shader_reads_what_the_format_means(device: Device, format: Format) ->
         assert_near(back, expected, 1e-6, "conversion in float32")
 
 
-class LoadUint(Shader):
+class LoadUint(sl.Shader):
     """Loads unsigned integers by texel."""
 
-    source: UintTexture2D
-    results: StorageRW[uvec4]
+    source: sl.UintTexture2D
+    results: sl.StorageRW[sl.uvec4]
 
     def compute(self) -> None:
-        at = global_id().xy
+        at = sl.global_id().xy
         self.results[at.y * 4 + at.x] = self.source.load(at)
 
 
-class LoadInt(Shader):
+class LoadInt(sl.Shader):
     """Loads signed integers by texel."""
 
-    source: IntTexture2D
-    results: StorageRW[ivec4]
+    source: sl.IntTexture2D
+    results: sl.StorageRW[sl.ivec4]
 
     def compute(self) -> None:
-        at = global_id().xy
+        at = sl.global_id().xy
         self.results[at.y * 4 + at.x] = self.source.load(at)
 
 
@@ -169,7 +143,7 @@ def test_integers_are_read_as_they_are(device: Device, format: Format) -> None:
     expected[:, 3] = 1
     expected[:, : format.channels] = channels_of(format, squeezed(format, data)).reshape(8, -1)
     shader, element = cast(
-        "tuple[Any, Any]", (LoadUint, uvec4) if format.kind is ChannelKind.UINT else (LoadInt, ivec4)
+        "tuple[Any, Any]", (LoadUint, sl.uvec4) if format.kind is ChannelKind.UINT else (LoadInt, sl.ivec4)
     )
     with (
         device.texture(squeezed(format, data), format) as texture,
@@ -231,15 +205,15 @@ def test_srgb_is_filtered_in_linear_light(device: Device) -> None:
     assert_near(back, 0.5, 1 / 128, FILTERED)
 
 
-class Drawn(Shader):
+class Drawn(sl.Shader):
     """Samples a texture over the whole target, at the level that the derivatives choose."""
 
-    source: Texture2D
+    source: sl.Texture2D
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
 
-    def fragment(self, v: Shade) -> vec4:
+    def fragment(self, v: Shade) -> sl.vec4:
         return self.source.sample(v.color.xy)
 
 
@@ -383,21 +357,21 @@ def test_the_mip_filter_chooses_levels(device: Device, mip: Filter | None, expec
     assert_near(back[:, 0], expected, 10 / 256 + 1e-3, "levels are mixed with 8 fraction bits at least")
 
 
-class LoadLevels(Shader):
+class LoadLevels(sl.Shader):
     """Writes one texel and the size of each level."""
 
-    source: Texture2D
-    results: StorageRW[vec4]
+    source: sl.Texture2D
+    results: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
-        level = global_id().x
+        level = sl.global_id().x
         size = self.source.size(level)
-        texel = self.source.load(size - ivec2(1, 1), level)
-        self.results[level] = vec4(vec2(size), texel.x, float(self.source.levels()))
+        texel = self.source.load(size - sl.ivec2(1, 1), level)
+        self.results[level] = sl.vec4(sl.vec2(size), texel.x, float(self.source.levels()))
 
 
 def test_levels_are_loaded_and_measured(device: Device) -> None:
-    with ladder(device) as texture, device.storage(vec4, 4) as results:
+    with ladder(device) as texture, device.storage(sl.vec4, 4) as results:
         device.dispatch(device.program(LoadLevels), 4, source=texture, results=results)
         assert_same(results.read(), [(8, 8, 0, 4), (4, 4, 10, 4), (2, 2, 20, 4), (1, 1, 30, 4)])
 
@@ -492,18 +466,18 @@ def test_gather_gives_the_four_texels_of_a_linear_filter(device: Device) -> None
     assert_same(back[1], (12, 13, 9, 8))
 
 
-class Compared(Shader):
+class Compared(sl.Shader):
     """Compares a shadow map at (x, y) with a reference z."""
 
-    source: DepthTexture2D
-    places: Storage[vec4]
-    results: StorageRW[vec4]
+    source: sl.DepthTexture2D
+    places: sl.Storage[sl.vec4]
+    results: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         at = self.places[i]
         gathered = self.source.gather_compare(at.xy, at.z)
-        self.results[i] = vec4(
+        self.results[i] = sl.vec4(
             self.source.sample_compare_lod(at.xy, at.z, 0.0), gathered.x, gathered.y, gathered.z + gathered.w
         )
 
@@ -547,26 +521,26 @@ def test_one_texture_is_read_through_several_samplers(device: Device) -> None:
     assert_near(linear[:, 0] * 255, 50, 1, FILTERED)
 
 
-class TwoTextures(Shader):
+class TwoTextures(sl.Shader):
     """Reads three textures at once."""
 
-    first: Texture2D
-    second: Texture2D
-    volume: Texture3D
-    results: StorageRW[vec4]
+    first: sl.Texture2D
+    second: sl.Texture2D
+    volume: sl.Texture3D
+    results: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
-        a = self.first.load(ivec2(0, 0)).x
-        b = self.second.load(ivec2(0, 0)).x
-        c = self.volume.load(ivec3(0, 0, 1)).x
-        self.results[0] = vec4(a, b, c, a - b)
+        a = self.first.load(sl.ivec2(0, 0)).x
+        b = self.second.load(sl.ivec2(0, 0)).x
+        c = self.volume.load(sl.ivec3(0, 0, 1)).x
+        self.results[0] = sl.vec4(a, b, c, a - b)
 
 
 def test_several_textures_stay_apart(device: Device) -> None:
     textures = [device.texture(np.full((2, 2), value, "f4"), Format.R32F) for value in (3.0, 5.0)]
     volume = device.texture(np.arange(8, dtype="f4").reshape(2, 2, 2, 1), Format.R32F, kind=TextureKind.D3)
     a, b = textures
-    with device.storage(vec4, 1) as results:
+    with device.storage(sl.vec4, 1) as results:
         for first, second in ((a, b), (b, a), (a, a)):
             device.dispatch(device.program(TwoTextures), 1, first=first, second=second, volume=volume, results=results)
             values = {id(a): 3.0, id(b): 5.0}
@@ -576,35 +550,35 @@ def test_several_textures_stay_apart(device: Device) -> None:
         texture.destroy()
 
 
-class Slots(Shader):
+class Slots(sl.Shader):
     """Uses as many textures, storage buffers, uniforms and images as every device has."""
 
-    t0: Texture2D
-    t1: Texture2D
-    t2: Texture2D
-    t3: Texture2D
-    t4: Texture2D
-    t5: Texture2D
-    t6: Texture2D
-    t7: Texture2D
-    s0: Storage[vec4]
-    s1: Storage[vec4]
-    s2: Storage[vec4]
-    results: StorageRW[vec4]
-    u0: Uniform[Constant]
-    u1: Uniform[Constant]
-    u2: Uniform[Constant]
-    u3: Uniform[Constant]
-    i0: Image2D = image(Format.R32F)
-    i1: Image2D = image(Format.R32F)
+    t0: sl.Texture2D
+    t1: sl.Texture2D
+    t2: sl.Texture2D
+    t3: sl.Texture2D
+    t4: sl.Texture2D
+    t5: sl.Texture2D
+    t6: sl.Texture2D
+    t7: sl.Texture2D
+    s0: sl.Storage[sl.vec4]
+    s1: sl.Storage[sl.vec4]
+    s2: sl.Storage[sl.vec4]
+    results: sl.StorageRW[sl.vec4]
+    u0: sl.Uniform[Constant]
+    u1: sl.Uniform[Constant]
+    u2: sl.Uniform[Constant]
+    u3: sl.Uniform[Constant]
+    i0: sl.Image2D = sl.image(Format.R32F)
+    i1: sl.Image2D = sl.image(Format.R32F)
 
     def compute(self) -> None:
-        o = ivec2(0, 0)
-        self.results[0] = vec4(self.t0.load(o).x, self.t1.load(o).x, self.t2.load(o).x, self.t3.load(o).x)
-        self.results[1] = vec4(self.t4.load(o).x, self.t5.load(o).x, self.t6.load(o).x, self.t7.load(o).x)
-        self.results[2] = vec4(self.s0[0].x, self.s1[0].x, self.s2[0].x, self.i0.load(o).x)
-        self.results[3] = vec4(self.u0.value.x, self.u1.value.x, self.u2.value.x, self.u3.value.x)
-        self.i1.store(o, vec4(77.0))
+        o = sl.ivec2(0, 0)
+        self.results[0] = sl.vec4(self.t0.load(o).x, self.t1.load(o).x, self.t2.load(o).x, self.t3.load(o).x)
+        self.results[1] = sl.vec4(self.t4.load(o).x, self.t5.load(o).x, self.t6.load(o).x, self.t7.load(o).x)
+        self.results[2] = sl.vec4(self.s0[0].x, self.s1[0].x, self.s2[0].x, self.i0.load(o).x)
+        self.results[3] = sl.vec4(self.u0.value.x, self.u1.value.x, self.u2.value.x, self.u3.value.x)
+        self.i1.store(o, sl.vec4(77.0))
 
 
 def test_many_bindings_of_every_kind_stay_apart(device: Device) -> None:
@@ -613,9 +587,9 @@ def test_many_bindings_of_every_kind_stay_apart(device: Device) -> None:
 
     textures = {f"t{i}": texture(i + 1.0) for i in range(8)}
     images = {"i0": texture(50.0), "i1": texture(0.0)}
-    storage = {f"s{i}": device.storage(vec4, np.full((1, 4), i + 20.0, "f4")) for i in range(3)}
+    storage = {f"s{i}": device.storage(sl.vec4, np.full((1, 4), i + 20.0, "f4")) for i in range(3)}
     uniforms = {f"u{i}": device.uniform(Constant(value=(i + 30.0, 0, 0, 0))) for i in range(4)}
-    with device.storage(vec4, 4) as results:
+    with device.storage(sl.vec4, 4) as results:
         bound = {**textures, **storage, **uniforms, **{name: each.image() for name, each in images.items()}}
         device.dispatch(device.program(Slots), 1, results=results, **bound)
         expected = [(1, 2, 3, 4), (5, 6, 7, 8), (20, 21, 22, 50), (30, 31, 32, 33)]
@@ -625,19 +599,19 @@ def test_many_bindings_of_every_kind_stay_apart(device: Device) -> None:
         resource.destroy()
 
 
-class Graded(Shader):
+class Graded(sl.Shader):
     """Samples at the level of explicit derivatives, and at that of implicit ones with a bias of 1, −1 and 0."""
 
-    source: Texture2D
+    source: sl.Texture2D
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
 
-    def fragment(self, v: Shade) -> vec4:
-        graded = self.source.sample_grad(v.color.xy, vec2(4.0 / 64.0, 0.0), vec2(0.0, 4.0 / 64.0)).x
+    def fragment(self, v: Shade) -> sl.vec4:
+        graded = self.source.sample_grad(v.color.xy, sl.vec2(4.0 / 64.0, 0.0), sl.vec2(0.0, 4.0 / 64.0)).x
         biased = self.source.sample_bias(v.color.xy, 1.0).x
         plain = self.source.sample(v.color.xy).x
-        return vec4(graded, biased, self.source.sample_bias(v.color.xy, -1.0).x, plain)
+        return sl.vec4(graded, biased, self.source.sample_bias(v.color.xy, -1.0).x, plain)
 
 
 @pytest.mark.needs("draws")
@@ -699,22 +673,22 @@ def test_a_floor_seen_at_a_grazing_angle_keeps_more_contrast_with_more_anisotrop
     assert full.sum() > 3 * none.sum() > 0
 
 
-class ComparedLayers(Shader):
+class ComparedLayers(sl.Shader):
     """Compares a layered and a cube shadow map."""
 
-    layers: DepthTexture2DArray
-    around: DepthTextureCube
-    results: StorageRW[vec4]
+    layers: sl.DepthTexture2DArray
+    around: sl.DepthTextureCube
+    results: sl.StorageRW[sl.vec4]
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
 
-    def fragment(self, v: Shade) -> vec4:
-        first = self.layers.sample_compare(vec3(0.5, 0.5, 0.0), 0.5)
-        second = self.layers.sample_compare(vec3(0.5, 0.5, 1.0), 0.5)
-        left = self.around.sample_compare(vec3(-1.0, 0.0, 0.0), 0.5)
-        up = self.around.sample_compare(vec3(0.0, 1.0, 0.0), 0.5)
-        self.results[0] = vec4(first, second, left, up)
+    def fragment(self, v: Shade) -> sl.vec4:
+        first = self.layers.sample_compare(sl.vec3(0.5, 0.5, 0.0), 0.5)
+        second = self.layers.sample_compare(sl.vec3(0.5, 0.5, 1.0), 0.5)
+        left = self.around.sample_compare(sl.vec3(-1.0, 0.0, 0.0), 0.5)
+        up = self.around.sample_compare(sl.vec3(0.0, 1.0, 0.0), 0.5)
+        self.results[0] = sl.vec4(first, second, left, up)
         return v.color
 
 
@@ -725,7 +699,7 @@ def test_depth_arrays_and_cubes_are_compared(device: Device) -> None:
         device.texture((4, 4), Format.D32F, kind=TextureKind.D2_ARRAY, layers=2) as layers,
         device.texture((4, 4), Format.D32F, kind=TextureKind.CUBE) as around,
         device.texture((1, 1), Format.R8) as image,
-        device.storage(vec4, 1) as results,
+        device.storage(sl.vec4, 1) as results,
         device.mesh(rectangle()) as mesh,
     ):
         for texture, layer in ((layers, 1), (around, 2)):
@@ -757,28 +731,28 @@ def test_beyond_a_shadow_map_its_border_is_compared(device: Device) -> None:
     assert_same(back[:, 0], (0, 1, 1))
 
 
-class Texels(Shader):
+class Texels(sl.Shader):
     """Loads and stores of texels in and around a texture of 8 by 8, and of levels that it lacks."""
 
     work_group = (16,)
-    source: Texture2D
-    at: Storage[int]
-    target: Image2D = image(Format.RGBA32F)
-    out: StorageRW[vec4]
+    source: sl.Texture2D
+    at: sl.Storage[int]
+    target: sl.Image2D = sl.image(Format.RGBA32F)
+    out: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         k = self.at[i]
-        self.target.store(ivec2(k, 3), vec4(2.0))
-        self.out[2 * i] = self.source.load(ivec2(k, 3))
-        self.out[2 * i + 1] = self.source.load(ivec2(0, 0), k)
+        self.target.store(sl.ivec2(k, 3), sl.vec4(2.0))
+        self.out[2 * i] = self.source.load(sl.ivec2(k, 3))
+        self.out[2 * i + 1] = self.source.load(sl.ivec2(0, 0), k)
 
 
 @pytest.mark.needs("max_image_slots")
 def test_texels_outside_are_zeros_and_stores_outside_are_dropped(device: Device) -> None:
     at = np.resize(np.array([0, 1, 7, 8, -1, 2, 3, 100, -(2**31), 2**31 - 1, 65536, -9], np.int32), 64)
     source = device.texture(np.full((8, 8, 4), 255, "u1"), Format.RGBA8, levels=2)
-    target, out = device.texture((8, 8), Format.RGBA32F), device.storage(vec4, 2 * len(at))
+    target, out = device.texture((8, 8), Format.RGBA32F), device.storage(sl.vec4, 2 * len(at))
     device.dispatch(
         device.program(Texels), len(at) // 16, source=source, at=device.storage(int, at), target=target.image(), out=out
     )

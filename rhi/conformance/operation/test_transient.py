@@ -9,25 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 import rhi
+import rhi.shading as sl
 from rhi import BlendFunction, CullMode, Device, Format, Primitive, ValidationError
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, Corner, FlatShade, Shade, Tint, Tinted, Weighted
 from rhi.conformance.shapes import centers, corners, rectangle, window_to_clip
-from rhi.shading import (
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Uniform,
-    instance_index,
-    mat3,
-    mat4,
-    uint,
-    vec2,
-    vec3,
-    vec4,
-)
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
@@ -66,7 +53,7 @@ def test_a_value_is_read_when_it_is_drawn_with(device: Device) -> None:
     with device.texture(size, Format.R32F) as image, device.mesh(points(8, size), primitive=Primitive.POINTS) as mesh:
         with device.render_pass(image):
             for index in range(6):
-                tint.color = vec4(index + 1, 0, 0, 0)
+                tint.color = sl.vec4(index + 1, 0, 0, 0)
                 device.draw(program, mesh.view(index, 1), tint=kept if index in (2, 3) else tint)
             part = mesh.draws()
             part["first"], part["count"] = 6, 1
@@ -200,37 +187,37 @@ def test_frames_of_transient_vertices_around_the_wrap_are_intact(fresh_device: D
         assert_same(image.read().reshape(-1), np.arange(512) + 1000 * frame)
 
 
-class Painted(Struct):
+class Painted(sl.Struct):
     """A vertex as interface renderers pack it: a place, and a color in four bytes."""
 
-    position: vec2
-    color: vec4
+    position: sl.vec2
+    color: sl.vec4
 
 
-class Flagged(Struct):
+class Flagged(sl.Struct):
     """A color of the whole primitive, and a number that integers feed."""
 
-    position: vec2
+    position: sl.vec2
     number: int
 
 
-class PaintedShader(Shader):
+class PaintedShader(sl.Shader):
     """Draws vertices in their own colors."""
 
     def vertex(self, v: Painted) -> Shade:
-        return Shade(clip=vec4(v.position, 0.5, 1.0), color=v.color)
+        return Shade(clip=sl.vec4(v.position, 0.5, 1.0), color=v.color)
 
-    def fragment(self, v: Shade) -> vec4:
+    def fragment(self, v: Shade) -> sl.vec4:
         return v.color
 
 
-class FlaggedShader(Shader):
+class FlaggedShader(sl.Shader):
     """Draws vertices in the color of their number."""
 
     def vertex(self, v: Flagged) -> FlatShade:
-        return FlatShade(clip=vec4(v.position, 0.5, 1.0), color=vec4(float(v.number)))
+        return FlatShade(clip=sl.vec4(v.position, 0.5, 1.0), color=sl.vec4(float(v.number)))
 
-    def fragment(self, v: FlatShade) -> vec4:
+    def fragment(self, v: FlatShade) -> sl.vec4:
         return v.color
 
 
@@ -269,20 +256,20 @@ def test_integers_that_feed_floats_are_normalised(device: Device, way: str, code
         assert_near(image.read()[0], expected, 1e-6, "a division in float32")
 
 
-class PaintedTwo(Struct):
+class PaintedTwo(sl.Struct):
     """A color of two components."""
 
-    position: vec2
-    color: vec2
+    position: sl.vec2
+    color: sl.vec2
 
 
-class PaintedTwice(Shader):
+class PaintedTwice(sl.Shader):
     """Draws vertices in their own two components."""
 
     def vertex(self, v: PaintedTwo) -> Shade:
-        return Shade(clip=vec4(v.position, 0.5, 1.0), color=vec4(v.color, 0.0, 1.0))
+        return Shade(clip=sl.vec4(v.position, 0.5, 1.0), color=sl.vec4(v.color, 0.0, 1.0))
 
-    def fragment(self, v: Shade) -> vec4:
+    def fragment(self, v: Shade) -> sl.vec4:
         return v.color
 
 
@@ -359,20 +346,20 @@ def test_draws_of_a_transient_mesh_count_from_its_own_start(device: Device) -> N
         assert_near(image.read()[0], drawn, 1e-6, "a division in float32")
 
 
-class Instance(Struct):
+class Instance(sl.Struct):
     """A point, moved by its instance and in the color of its number."""
 
-    position: vec2
-    shift: vec2
+    position: sl.vec2
+    shift: sl.vec2
 
 
-class Instanced(Shader):
+class Instanced(sl.Shader):
     """Draws the number of each instance."""
 
     def vertex(self, v: Instance) -> FlatShade:
-        return FlatShade(clip=vec4(v.position + v.shift, 0.5, 1.0), color=vec4(float(instance_index())))
+        return FlatShade(clip=sl.vec4(v.position + v.shift, 0.5, 1.0), color=sl.vec4(float(sl.instance_index())))
 
-    def fragment(self, v: FlatShade) -> vec4:
+    def fragment(self, v: FlatShade) -> sl.vec4:
         return v.color
 
 
@@ -437,17 +424,17 @@ def test_a_mesh_made_before_its_ring_grew_is_drawn_after_it(fresh_device: Device
         assert_same(image.read()[0], np.arange(4))
 
 
-class Weighed(Shader):
+class Weighed(sl.Shader):
     """Draws instances in colors from storage, scaled by one number."""
 
-    scale: Uniform[float]
-    weights: Storage[vec4]
+    scale: sl.Uniform[float]
+    weights: sl.Storage[sl.vec4]
 
     def vertex(self, v: Instance) -> FlatShade:
-        place = vec4(v.position + v.shift, 0.5, 1.0)
-        return FlatShade(clip=place, color=self.weights[instance_index()] * self.scale)
+        place = sl.vec4(v.position + v.shift, 0.5, 1.0)
+        return FlatShade(clip=place, color=self.weights[sl.instance_index()] * self.scale)
 
-    def fragment(self, v: FlatShade) -> vec4:
+    def fragment(self, v: FlatShade) -> sl.vec4:
         return v.color
 
 
@@ -461,7 +448,7 @@ def test_a_command_buffer_has_transient_geometry_of_its_own(device: Device) -> N
     with device.texture((count, 1), Format.R32F) as image:
         with device.record() as commands, commands.render_pass(image, clear=(99, 0, 0, 0)):
             memory = commands.transient
-            bound: Any = {"scale": memory.uniform(2.0), "weights": memory.storage(vec4, weights)}
+            bound: Any = {"scale": memory.uniform(2.0), "weights": memory.storage(sl.vec4, weights)}
             mesh = memory.mesh(
                 program, {"position": np.repeat(place, 3, 0)}, primitive=Primitive.POINTS, instances=shifts
             )
@@ -479,13 +466,13 @@ def test_a_command_buffer_has_transient_geometry_of_its_own(device: Device) -> N
 # -- storage -----------------------------------------------------------------------------------------------
 
 
-class Accumulate(Shader):
+class Accumulate(sl.Shader):
     """Adds to storage."""
 
-    sums: StorageRW[vec4]
+    sums: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
-        self.sums[0] = self.sums[0] + vec4(1.0)
+        self.sums[0] = self.sums[0] + sl.vec4(1.0)
 
 
 def test_each_draw_of_a_frame_reads_its_own_storage(device: Device) -> None:
@@ -496,7 +483,7 @@ def test_each_draw_of_a_frame_reads_its_own_storage(device: Device) -> None:
         with device.render_pass(image):
             for index in range(256):
                 weights = np.full((1 + index % 3, 4), index, "<f4")
-                device.draw(program, mesh.view(index, 1), weights=device.transient.storage(vec4, weights))
+                device.draw(program, mesh.view(index, 1), weights=device.transient.storage(sl.vec4, weights))
         device.present()
         assert_same(image.read().reshape(-1), np.arange(256))
 
@@ -505,8 +492,8 @@ def test_each_draw_of_a_frame_reads_its_own_storage(device: Device) -> None:
 def test_transient_storage_is_read_only(device: Device) -> None:
     program = device.program(Accumulate)
     with pytest.raises(ValidationError, match="binding-type"):
-        device.dispatch(program, 1, sums=device.transient.storage(vec4, 4))
-    with device.storage(vec4, 1) as sums:
+        device.dispatch(program, 1, sums=device.transient.storage(sl.vec4, 4))
+    with device.storage(sl.vec4, 1) as sums:
         device.dispatch(program, 1, sums=sums)
         assert_same(sums.read(), [[1, 1, 1, 1]])
 
@@ -514,32 +501,32 @@ def test_transient_storage_is_read_only(device: Device) -> None:
 def test_transient_storage_of_a_number_is_zeroed(device: Device) -> None:
     with device.texture((2, 2), Format.R32F) as image, device.mesh(rectangle()) as mesh:
         for _ in range(3):
-            device.transient.storage(vec4, np.full((64, 4), 7, "<f4"))
+            device.transient.storage(sl.vec4, np.full((64, 4), 7, "<f4"))
             device.present()
         with device.render_pass(image, clear=(9, 0, 0, 0)):
-            device.draw(device.program(Weighted), mesh, weights=device.transient.storage(vec4, 64))
+            device.draw(device.program(Weighted), mesh, weights=device.transient.storage(sl.vec4, 64))
         assert_same(image.read(), 0)
 
 
 # -- single values -----------------------------------------------------------------------------------------
 
 
-class Values(Shader):
+class Values(sl.Shader):
     """Sums single values of each kind, so that each lies where the layout says."""
 
-    scale: Uniform[float]
-    number: Uniform[int]
-    bits: Uniform[uint]
-    offset: Uniform[vec3]
-    turn: Uniform[mat3]
-    view: Uniform[mat4]
+    scale: sl.Uniform[float]
+    number: sl.Uniform[int]
+    bits: sl.Uniform[sl.uint]
+    offset: sl.Uniform[sl.vec3]
+    turn: sl.Uniform[sl.mat3]
+    view: sl.Uniform[sl.mat4]
 
     def vertex(self, v: Corner) -> FlatShade:
         turned = self.turn @ self.offset
-        seen = self.view @ vec4(turned, self.scale)
-        return FlatShade(clip=v.position, color=seen + vec4(float(self.number), float(self.bits), 0.0, 0.0))
+        seen = self.view @ sl.vec4(turned, self.scale)
+        return FlatShade(clip=v.position, color=seen + sl.vec4(float(self.number), float(self.bits), 0.0, 0.0))
 
-    def fragment(self, v: FlatShade) -> vec4:
+    def fragment(self, v: FlatShade) -> sl.vec4:
         return v.color
 
 
@@ -568,12 +555,12 @@ def test_a_single_value_is_bound_as_its_own_class(device: Device) -> None:
     with device.texture((1, 1), Format.RGBA32F) as image, device.mesh(rectangle()) as mesh:
         right: dict[str, Any] = {
             "scale": device.transient.uniform(0.5), "number": device.transient.uniform(1),
-            "bits": device.transient.uniform(uint(1)), "offset": device.transient.uniform(vec3(0)),
-            "turn": device.transient.uniform(mat3(1)), "view": device.transient.uniform(mat4(1)),
+            "bits": device.transient.uniform(sl.uint(1)), "offset": device.transient.uniform(sl.vec3(0)),
+            "turn": device.transient.uniform(sl.mat3(1)), "view": device.transient.uniform(sl.mat4(1)),
         }  # fmt: skip
         with device.render_pass(image):
             device.draw(program, mesh, **right)
-            for name, wrong in (("scale", 1), ("number", 1.0), ("bits", 1), ("view", mat3(1))):
+            for name, wrong in (("scale", 1), ("number", 1.0), ("bits", 1), ("view", sl.mat3(1))):
                 with pytest.raises(ValidationError, match="binding-type"):
                     device.draw(program, mesh, **right | {name: device.transient.uniform(wrong)})
 

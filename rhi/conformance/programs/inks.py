@@ -8,72 +8,50 @@ from __future__ import annotations
 
 from typing import Final
 
+import rhi.shading as sl
 from rhi.conformance.programs.steps import Ink
 from rhi.conformance.shaders import Corner, FlatShade, Shade
-from rhi.shading import (
-    FragmentDepth,
-    Shader,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Texture2DArray,
-    Uniform,
-    atomic_add,
-    atomic_max,
-    clamp,
-    discard,
-    fragment_coordinate,
-    global_id,
-    instance_index,
-    ivec2,
-    ivec3,
-    ivec4,
-    uint,
-    uvec4,
-    vec2,
-    vec4,
-)
 
 
-class Move(Struct):
+class Move(sl.Struct):
     """The distance by which each instance is moved in clip space; the level and layer to load from."""
 
-    step: vec2
+    step: sl.vec2
     level: int
     layer: int
 
 
-class FlatInk(Shader):
+class FlatInk(sl.Shader):
     """The color of the first corner."""
 
-    move: Uniform[Move]
+    move: sl.Uniform[Move]
 
     def vertex(self, v: Corner) -> FlatShade:
-        step = vec4(self.move.step, 0.0, 0.0) * (float(instance_index()) * v.position.w)
+        step = sl.vec4(self.move.step, 0.0, 0.0) * (float(sl.instance_index()) * v.position.w)
         return FlatShade(clip=v.position + step, color=v.color)
 
-    def fragment(self, v: FlatShade) -> vec4:
+    def fragment(self, v: FlatShade) -> sl.vec4:
         return v.color
 
 
-class SmoothInk(Shader):
+class SmoothInk(sl.Shader):
     """The interpolated color."""
 
-    move: Uniform[Move]
+    move: sl.Uniform[Move]
 
     def vertex(self, v: Corner) -> Shade:
-        step = vec4(self.move.step, 0.0, 0.0) * (float(instance_index()) * v.position.w)
+        step = sl.vec4(self.move.step, 0.0, 0.0) * (float(sl.instance_index()) * v.position.w)
         return Shade(clip=v.position + step, color=v.color)
 
-    def fragment(self, v: Shade) -> vec4:
+    def fragment(self, v: Shade) -> sl.vec4:
         return v.color
 
 
-class Pair(Struct):
+class Pair(sl.Struct):
     """Two colors."""
 
-    first: vec4
-    second: vec4
+    first: sl.vec4
+    second: sl.vec4
 
 
 class TwoInk(FlatInk):
@@ -86,24 +64,24 @@ class TwoInk(FlatInk):
 class UintInk(FlatInk):
     """The color as unsigned integers."""
 
-    def fragment(self, v: FlatShade) -> uvec4:  # type: ignore[override]
-        return uvec4(v.color)
+    def fragment(self, v: FlatShade) -> sl.uvec4:  # type: ignore[override]
+        return sl.uvec4(v.color)
 
 
 class IntInk(FlatInk):
     """The color as signed integers."""
 
-    def fragment(self, v: FlatShade) -> ivec4:  # type: ignore[override]
-        return ivec4(v.color)
+    def fragment(self, v: FlatShade) -> sl.ivec4:  # type: ignore[override]
+        return sl.ivec4(v.color)
 
 
 class HolesInk(FlatInk):
     """Discards every other texel."""
 
-    def fragment(self, v: FlatShade) -> vec4:
-        place = ivec2(fragment_coordinate().xy)
+    def fragment(self, v: FlatShade) -> sl.vec4:
+        place = sl.ivec2(sl.fragment_coordinate().xy)
         if (place.x + place.y) % 2 == 0:
-            discard()
+            sl.discard()
         return v.color
 
 
@@ -113,11 +91,11 @@ class HolesEarlyInk(HolesInk):
     early_depth = True
 
 
-class Deep(Struct):
+class Deep(sl.Struct):
     """A color and a depth."""
 
-    color: vec4
-    depth: FragmentDepth
+    color: sl.vec4
+    depth: sl.FragmentDepth
 
 
 class DeepInk(FlatInk):
@@ -130,13 +108,13 @@ class DeepInk(FlatInk):
 class CountInk(FlatInk):
     """Counts fragments, and keeps the largest red of each column."""
 
-    counts: StorageRW[uint]
-    reds: StorageRW[uint]
+    counts: sl.StorageRW[sl.uint]
+    reds: sl.StorageRW[sl.uint]
 
-    def fragment(self, v: FlatShade) -> vec4:
-        column = int(fragment_coordinate().x) % 64
-        atomic_add(self.counts[column], uint(1))
-        atomic_max(self.reds[column], uint(max(v.color.x, 0.0) * 16.0))
+    def fragment(self, v: FlatShade) -> sl.vec4:
+        column = int(sl.fragment_coordinate().x) % 64
+        sl.atomic_add(self.counts[column], sl.uint(1))
+        sl.atomic_max(self.reds[column], sl.uint(max(v.color.x, 0.0) * 16.0))
         return v.color
 
 
@@ -149,38 +127,38 @@ class CountEarlyInk(CountInk):
 class LoadInk(FlatInk):
     """Adds the texel of an image."""
 
-    source: Texture2D
+    source: sl.Texture2D
 
-    def fragment(self, v: FlatShade) -> vec4:
-        return v.color + self.source.load(ivec2(fragment_coordinate().xy), self.move.level)
+    def fragment(self, v: FlatShade) -> sl.vec4:
+        return v.color + self.source.load(sl.ivec2(sl.fragment_coordinate().xy), self.move.level)
 
 
 class LoadLayerInk(FlatInk):
     """Adds the texel of a layer of an array."""
 
-    source: Texture2DArray
+    source: sl.Texture2DArray
 
-    def fragment(self, v: FlatShade) -> vec4:
-        place = ivec2(fragment_coordinate().xy)
-        return v.color + self.source.load(ivec3(place, self.move.layer), self.move.level)
+    def fragment(self, v: FlatShade) -> sl.vec4:
+        place = sl.ivec2(sl.fragment_coordinate().xy)
+        return v.color + self.source.load(sl.ivec3(place, self.move.layer), self.move.level)
 
 
-class AddTexels(Shader):
+class AddTexels(sl.Shader):
     """Adds the first channel of each texel to the cell of its column."""
 
     work_group = (8, 8)
-    source: Texture2D
-    counts: StorageRW[uint]
+    source: sl.Texture2D
+    counts: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        place = ivec2(global_id().xy)
+        place = sl.ivec2(sl.global_id().xy)
         size = self.source.size()
         if place.x < size.x and place.y < size.y:
-            value = clamp(self.source.load(place).x, 0.0, 4.0)
-            atomic_add(self.counts[place.x % 64], uint(value * 8.0))
+            value = sl.clamp(self.source.load(place).x, 0.0, 4.0)
+            sl.atomic_add(self.counts[place.x % 64], sl.uint(value * 8.0))
 
 
-SHADERS: Final[dict[Ink, type[Shader]]] = {
+SHADERS: Final[dict[Ink, type[sl.Shader]]] = {
     Ink.FLAT: FlatInk,
     Ink.SMOOTH: SmoothInk,
     Ink.TWO: TwoInk,

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import rhi
+import rhi.shading as sl
 from rhi import (
     AlphaTest,
     Device,
@@ -29,19 +30,6 @@ from rhi.conformance.shaders import Colored, Count
 from rhi.conformance.validation.refusal import refuses
 from rhi.contract.descriptors import Binding, BindingKind
 from rhi.errors import rules
-from rhi.shading import (
-    PointSize,
-    Shader,
-    StorageRW,
-    Struct,
-    compile_shader,
-    draw_index,
-    point_coordinate,
-    shared,
-    uint,
-    vec2,
-    vec4,
-)
 
 SIZE = (4, 4)
 
@@ -198,41 +186,41 @@ def test_lines_are_as_wide_as_the_device_says_and_no_wider(recording: Device) ->
         pass
 
 
-class Dot(Struct):
+class Dot(sl.Struct):
     """A position and a point size."""
 
-    clip: vec4
-    size: PointSize
+    clip: sl.vec4
+    size: sl.PointSize
 
 
-class Dots(Shader):
+class Dots(sl.Shader):
     """Draws points of two texels."""
 
     def vertex(self) -> Dot:
-        return Dot(clip=vec4(0.0, 0.0, 0.0, 1.0), size=2.0)
+        return Dot(clip=sl.vec4(0.0, 0.0, 0.0, 1.0), size=2.0)
 
-    def fragment(self) -> vec4:
-        return vec4(1.0)
+    def fragment(self) -> sl.vec4:
+        return sl.vec4(1.0)
 
 
-class Inside(Shader):
+class Inside(sl.Shader):
     """Writes the place inside a point."""
 
-    def vertex(self) -> vec4:
-        return vec4(0.0, 0.0, 0.0, 1.0)
+    def vertex(self) -> sl.vec4:
+        return sl.vec4(0.0, 0.0, 0.0, 1.0)
 
-    def fragment(self) -> vec4:
-        return vec4(point_coordinate(), vec2(0.0))
+    def fragment(self) -> sl.vec4:
+        return sl.vec4(sl.point_coordinate(), sl.vec2(0.0))
 
 
-class Numbered(Shader):
+class Numbered(sl.Shader):
     """Reads the index of the draw."""
 
-    def vertex(self) -> vec4:
-        return vec4(float(draw_index()), 0.0, 0.0, 1.0)
+    def vertex(self) -> sl.vec4:
+        return sl.vec4(float(sl.draw_index()), 0.0, 0.0, 1.0)
 
-    def fragment(self) -> vec4:
-        return vec4(1.0)
+    def fragment(self) -> sl.vec4:
+        return sl.vec4(1.0)
 
 
 class Early(Colored):
@@ -241,17 +229,17 @@ class Early(Colored):
     early_depth = True
 
 
-class Kept(Shader):
+class Kept(sl.Shader):
     """Stores in the vertex stage."""
 
-    values: StorageRW[float]
+    values: sl.StorageRW[float]
 
-    def vertex(self) -> vec4:
+    def vertex(self) -> sl.vec4:
         self.values[0] = 1.0
-        return vec4(0.0)
+        return sl.vec4(0.0)
 
-    def fragment(self) -> vec4:
-        return vec4(1.0)
+    def fragment(self) -> sl.vec4:
+        return sl.vec4(1.0)
 
 
 @pytest.mark.needs("draws")
@@ -265,7 +253,9 @@ class Kept(Shader):
         (Kept, "vertex_writes"),
     ],
 )
-def test_programs_need_a_device_that_has_what_they_use(recording: Device, shader: type[Shader], feature: str) -> None:
+def test_programs_need_a_device_that_has_what_they_use(
+    recording: Device, shader: type[sl.Shader], feature: str
+) -> None:
     if float(getattr(recording.capabilities, feature)) > (1.0 if feature == "max_point_size" else 0.0):
         recording.program(shader).destroy()
     else:
@@ -278,7 +268,7 @@ def test_programs_need_a_device_that_has_what_they_use(recording: Device, shader
 def test_groups_are_no_more_than_the_device_says(recording: Device, axis: int) -> None:
     groups = [1, 1, 1]
     groups[axis] = recording.capabilities.max_dispatch[axis] + 1
-    with recording.storage(uint, 1) as total, refuses(rules.DISPATCH_SIZE, recording):
+    with recording.storage(sl.uint, 1) as total, refuses(rules.DISPATCH_SIZE, recording):
         recording.dispatch(recording.program(Count), groups, total=total)
 
 
@@ -287,9 +277,9 @@ def test_groups_are_no_more_in_all_than_the_device_says(recording: Device) -> No
     """Drivers that count them in 32 bits end the process, or run what is left: of 2³² groups none. That the most are
     taken is shown by a null device with the same limits, which doesn't execute them for hours."""
     rows = recording.capabilities.max_dispatch_groups >> 16
-    with rhi.create_device("null", profile=recording.capabilities) as null, null.storage(uint, 1) as total:
+    with rhi.create_device("null", profile=recording.capabilities) as null, null.storage(sl.uint, 1) as total:
         null.dispatch(null.program(Count), (1 << 15, rows, 2), total=total)
-    with recording.storage(uint, 1) as total, refuses(rules.DISPATCH_SIZE, recording):
+    with recording.storage(sl.uint, 1) as total, refuses(rules.DISPATCH_SIZE, recording):
         recording.dispatch(recording.program(Count), (1 << 15, rows // 2 + 1, 4), total=total)
 
 
@@ -307,7 +297,7 @@ def test_groups_are_no_more_in_all_than_the_device_says(recording: Device) -> No
 def test_bindings_are_no_more_than_the_device_says(recording: Device, kind: BindingKind, limit: str) -> None:
     def program(count: int) -> ProgramDescriptor:
         bindings = tuple(Binding(f"b{i}", kind, i, False, None, 16) for i in range(count))
-        return replace(compile_shader(Colored), bindings=bindings)
+        return replace(sl.compile_shader(Colored), bindings=bindings)
 
     most = getattr(recording.capabilities, limit)
     with refuses(rules.DEVICE_CAPABILITY, recording):
@@ -319,11 +309,11 @@ def test_bindings_are_no_more_than_the_device_says(recording: Device, kind: Bind
 def test_a_work_group_shares_no_more_than_the_device_says(recording: Device) -> None:
     most = recording.capabilities.max_shared_bytes // 4
 
-    class Sharing(Shader):
+    class Sharing(sl.Shader):
         """Shares a little too much."""
 
-        results: StorageRW[float]
-        numbers = shared(float, most + 1)
+        results: sl.StorageRW[float]
+        numbers = sl.shared(float, most + 1)
 
         def compute(self) -> None:
             self.numbers[0] = 1.0

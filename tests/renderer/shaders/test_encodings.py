@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from renderer.lab.exam import CASES, Found
 from renderer.lab.exam.encodings import (
     ACROSS,
@@ -54,10 +55,6 @@ from renderer.shaders.encodings import (
     encode_octahedral_best,
     find_bitangent,
 )
-from rhi.shading import (
-    evaluate,
-    run_compute,
-)
 
 Floats = NDArray[Any]
 
@@ -81,16 +78,16 @@ def test_octahedral_normals_are_as_exact_as_their_bits_allow(
     given, steps, last = normals.astype(np.float32), float(2 ** (bits - 1) - 1), float(2**bits - 1)
 
     def off(code: Floats, decode: Any, scale: float) -> tuple[float, float]:
-        angles = find_degrees(normals, np.asarray(evaluate(decode, code, scale), np.float64))
+        angles = find_degrees(normals, np.asarray(sl.evaluate(decode, code, scale), np.float64))
         return angles.mean(), angles.max()
 
-    found = off(evaluate(encode_octahedral, given, steps), decode_octahedral, steps)
+    found = off(sl.evaluate(encode_octahedral, given, steps), decode_octahedral, steps)
     assert found[0] < 1.02 * rounded[0]
     assert 0.9 * rounded[1] < found[1] < 1.005 * rounded[1]
-    found = off(evaluate(encode_octahedral_best, given, steps), decode_octahedral, steps)
+    found = off(sl.evaluate(encode_octahedral_best, given, steps), decode_octahedral, steps)
     assert found[0] < 1.02 * best[0]
     assert 0.9 * best[1] < found[1] < 1.005 * best[1]
-    found = off(evaluate(encode_octahedral_truncated, given, last), decode_octahedral_truncated, last)
+    found = off(sl.evaluate(encode_octahedral_truncated, given, last), decode_octahedral_truncated, last)
     assert found[0] < 1.02 * truncated[0]
     assert 0.9 * truncated[1] < found[1] < 1.005 * truncated[1]
 
@@ -104,8 +101,8 @@ def make_frames(normals: Floats, tangents: Floats, sides: Floats | float = 1.0) 
 def test_a_tangent_is_stored_better_than_by_its_cosine() -> None:
     values = sample_frames(np.random.default_rng(3), 40_000)
     frames = make_frames(values[:, :3], values[:, 4:7], values[:, 7])
-    ours = evaluate(decode_frame, evaluate(encode_frame, frames))
-    theirs = evaluate(decode_tangent_frame, evaluate(encode_tangent_frame, frames))
+    ours = sl.evaluate(decode_frame, sl.evaluate(encode_frame, frames))
+    theirs = sl.evaluate(decode_tangent_frame, sl.evaluate(encode_tangent_frame, frames))
     assert find_degrees(values[:, :3], ours["normal"].astype(float)).max() < 0.08
     assert find_degrees(values[:, 4:7], ours["tangent"].astype(float)).max() < 0.46
     assert 0.7 < find_degrees(values[:, 4:7], theirs["tangent"].astype(float)).max() < 0.94
@@ -113,15 +110,15 @@ def test_a_tangent_is_stored_better_than_by_its_cosine() -> None:
     assert (theirs["side"] == values[:, 7]).all()
     assert np.abs(np.sum(ours["normal"] * ours["tangent"], 1)).max() < 1e-6
     bitangents = np.cross(values[:, :3], values[:, 4:7]) * values[:, 7:]
-    read = np.asarray(evaluate(find_bitangent, ours), float)
+    read = np.asarray(sl.evaluate(find_bitangent, ours), float)
     assert find_degrees(bitangents, read).max() < 0.46
 
 
 def test_derivatives_are_stored_better_than_by_cosines() -> None:
     values = sample_changes(np.random.default_rng(4), 40_000)[:, :4]
     given = values.astype(np.float32)
-    ours = np.asarray(evaluate(decode_change, evaluate(encode_change, given[:, :2])), float)
-    theirs = np.asarray(evaluate(decode_derivatives, evaluate(encode_derivatives, given)), float)
+    ours = np.asarray(sl.evaluate(decode_change, sl.evaluate(encode_change, given[:, :2])), float)
+    theirs = np.asarray(sl.evaluate(decode_derivatives, sl.evaluate(encode_derivatives, given)), float)
     assert find_degrees(values[:, :2], ours).max() < 0.12
     assert find_vector_errors(values[:, :2], ours).max() < 0.31
     assert 9.0 < find_degrees(values[:, :2], theirs[:, :2]).max() < 10.3
@@ -137,7 +134,7 @@ def test_derivatives_are_stored_better_than_by_cosines() -> None:
 def test_hard_cases_are_stored_in_float64(number: int, judge: Callable[[Floats], Found]) -> None:
     packed = pack_values(list_values())
     groups, results = -(-len(packed) // GROUP), 4 * len(packed)
-    read = run_compute(EveryEncoding, groups, values=packed, results=results, dtype=np.float64)["results"]
+    read = sl.run_compute(EveryEncoding, groups, values=packed, results=results, dtype=np.float64)["results"]
     found = judge(np.concatenate([read["first"], read["second"]], axis=1).reshape(-1, 4, 8))
     assert CASES[number].judge(found), found
 
@@ -151,7 +148,7 @@ def test_positions_far_from_the_origin_are_read_in_float64(lens: str) -> None:
     camera, encoding = find_far_positions(lens)
     groups = -(-len(values) // GROUP)
     bindings = {"values": pack_values(values), "turns": Turns(count=1), "results": len(values), **encoding.uniforms}
-    found = run_compute(encoding.shader, groups, dtype=np.float64, **bindings)["results"]
+    found = sl.run_compute(encoding.shader, groups, dtype=np.float64, **bindings)["results"]
     read = np.concatenate([found["first"], found["second"]], axis=1)
     along, across = find_position_errors(camera, values, read)
     assert along.max() < 1e-6
@@ -160,11 +157,11 @@ def test_positions_far_from_the_origin_are_read_in_float64(lens: str) -> None:
 
 @pytest.mark.parametrize("codes", [4, 512, 2048])
 def test_a_direction_of_any_number_of_codes_comes_back(codes: int) -> None:
-    read = evaluate(decode_direction, np.arange(codes), codes)
+    read = sl.evaluate(decode_direction, np.arange(codes), codes)
     assert (np.abs(read).sum(1) == 1.0).all()
-    assert (evaluate(encode_direction, read, codes) == np.arange(codes)).all()
+    assert (sl.evaluate(encode_direction, read, codes) == np.arange(codes)).all()
 
 
 @pytest.mark.parametrize("codes", [4, 512, 2048])
 def test_a_vector_of_length_0_has_a_direction(codes: int) -> None:
-    assert evaluate(encode_direction, np.zeros(2, np.float32), codes) == codes // 4
+    assert sl.evaluate(encode_direction, np.zeros(2, np.float32), codes) == codes // 4

@@ -13,6 +13,7 @@ from frames import make_boxes, open_renderer, read_colors
 from numpy.typing import NDArray
 
 import rhi
+import rhi.shading as sl
 from renderer.content import BUILT_IN
 from renderer.lab.exam import CASES
 from renderer.lab.exam.shadows import FLOOR, SETTINGS, SLOPES, find_acne, make_slope
@@ -32,55 +33,44 @@ from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.shadows.maps import FarDepth
 from renderer.shadows.receiver import FILTERS, ShadowReader
 from renderer.techniques import TECHNIQUES
-from rhi.shading import (
-    FragmentDepth,
-    Storage,
-    Struct,
-    Texture2D,
-    fragment_coordinate,
-    ivec2,
-    vec2,
-    vec3,
-    vec4,
-)
 
 Pixels = NDArray[np.int64]
 TILE = (16, 32, 16)
 
 
-class Compared(Struct):
+class Compared(sl.Struct):
     """A point to be compared with a map."""
 
-    at: vec2
-    slope: vec2
+    at: sl.vec2
+    slope: sl.vec2
     depth: float
 
 
-class StoredDepth(Struct):
+class StoredDepth(sl.Struct):
     """What `StoreDepth` writes."""
 
-    depth: FragmentDepth
+    depth: sl.FragmentDepth
 
 
 class StoreDepth(FarDepth):
     """Copies numbers to depth."""
 
-    numbers: Texture2D
+    numbers: sl.Texture2D
 
     def fragment(self) -> StoredDepth:
-        return StoredDepth(depth=self.numbers.load(ivec2(fragment_coordinate().xy)).x)
+        return StoredDepth(depth=self.numbers.load(sl.ivec2(sl.fragment_coordinate().xy)).x)
 
 
 class FilterCheck(FarDepth, ShadowReader):
     """Shows the lit share of points, one in each pixel."""
 
-    points: Storage[Compared]
+    points: sl.Storage[Compared]
 
-    def fragment(self) -> vec4:
-        place = fragment_coordinate().xy
+    def fragment(self) -> sl.vec4:
+        place = sl.fragment_coordinate().xy
         point = self.points[int(place.x) + 64 * int(place.y)]
-        share = self.find_lit_share(point.at, point.depth, point.slope, vec2(24.0, 40.0), 8.0)
-        return vec4(vec3(share), 1.0)
+        share = self.find_lit_share(point.at, point.depth, point.slope, sl.vec2(24.0, 40.0), 8.0)
+        return sl.vec4(sl.vec3(share), 1.0)
 
 
 @cache

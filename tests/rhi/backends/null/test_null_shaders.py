@@ -9,73 +9,58 @@ import pytest
 from house_kit import Corner
 
 import rhi
+import rhi.shading as sl
 from rhi import Format, IndirectDraws
 from rhi.backends.null import NullBackend, Simulation
 from rhi.errors import ShaderError
-from rhi.shading import (
-    Image2D,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Uniform,
-    global_id,
-    image,
-    instance_index,
-    ivec2,
-    uint,
-    vec3,
-    vec4,
-)
 
 
-class Scale(Struct):
+class Scale(sl.Struct):
     factor: float
 
 
-class Item(Struct):
-    place: vec3
+class Item(sl.Struct):
+    place: sl.vec3
     weight: float
 
 
-class Weigh(Shader):
+class Weigh(sl.Shader):
     work_group = (4,)
-    scale: Uniform[Scale]
-    items: Storage[Item]
-    weights: StorageRW[float]
+    scale: sl.Uniform[Scale]
+    items: sl.Storage[Item]
+    weights: sl.StorageRW[float]
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         if i < len(self.weights):
             self.weights[i] += self.scale.factor * self.items[i].weight * self.items[i].place.z
 
 
-class Brighten(Shader):
-    source: Texture2D
-    target: Image2D = image(Format.RGBA8)
+class Brighten(sl.Shader):
+    source: sl.Texture2D
+    target: sl.Image2D = sl.image(Format.RGBA8)
 
     def compute(self) -> None:
-        at = ivec2(global_id().xy)
-        self.target.store(at, self.source.load(at) + vec4(0.0, 1.0, 0.0, 0.0))
+        at = sl.ivec2(sl.global_id().xy)
+        self.target.store(at, self.source.load(at) + sl.vec4(0.0, 1.0, 0.0, 0.0))
 
 
-class Careless(Shader):
+class Careless(sl.Shader):
     checked = True
-    weights: StorageRW[float]
+    weights: sl.StorageRW[float]
 
     def compute(self) -> None:
-        self.weights[global_id().x + 7] = 1.0
+        self.weights[sl.global_id().x + 7] = 1.0
 
 
-class Mark(Shader):
-    marks: StorageRW[uint]
+class Mark(sl.Shader):
+    marks: sl.StorageRW[sl.uint]
 
-    def vertex(self, v: Corner) -> vec4:
-        return vec4(v.position + float(instance_index()), 0.5, 1.0)
+    def vertex(self, v: Corner) -> sl.vec4:
+        return sl.vec4(v.position + float(sl.instance_index()), 0.5, 1.0)
 
     def fragment(self) -> None:
-        self.marks[0] = uint(1)
+        self.marks[0] = sl.uint(1)
 
 
 @pytest.fixture(params=[None, Simulation()], ids=["plain", "simulated"])
@@ -124,7 +109,7 @@ def test_an_indirect_dispatch_runs_as_many_groups_as_memory_says(device: rhi.Dev
     device.backend_as(NullBackend).run_shaders()
     weights = device.storage(float, np.zeros(12, np.float32))
     items = device.storage(Item, np.ones(12, Item.dtype))
-    groups = device.storage(uint, np.array([2, 1, 1, 0], np.uint32))
+    groups = device.storage(sl.uint, np.array([2, 1, 1, 0], np.uint32))
     device.dispatch_indirect(
         device.program(Weigh), groups, scale=device.uniform(Scale(factor=1.0)), items=items, weights=weights
     )
@@ -151,7 +136,7 @@ def test_a_fault_of_a_checked_shader_is_raised(device: rhi.Device) -> None:
     assert error.value.rule.id == "shading-index"
 
 
-def draw_thrice(device: rhi.Device, marks: rhi.StorageBuffer[uint]) -> None:
+def draw_thrice(device: rhi.Device, marks: rhi.StorageBuffer[sl.uint]) -> None:
     """Draw three instances directly, then 1 and 2 instances indirectly."""
     mark, image = device.program(Mark), device.texture((8, 8), Format.RGBA8)
     mesh = device.mesh({"position": np.zeros((3, 2), np.float32)})
@@ -168,7 +153,7 @@ def test_a_stand_in_does_what_fragments_would_do(device: rhi.Device) -> None:
         seen.append((draw.base_instance, draw.instances))
         bound["marks"][draw.base_instance :][: draw.instances] = 1
 
-    marks = device.storage(uint, 12)
+    marks = device.storage(sl.uint, 12)
     device.backend_as(NullBackend).run_shaders({device.program(Mark).id: mark})
     draw_thrice(device, marks)
     assert np.flatnonzero(marks.read()).tolist() == [0, 1, 2, 5, 9, 10]
@@ -177,7 +162,7 @@ def test_a_stand_in_does_what_fragments_would_do(device: rhi.Device) -> None:
 
 
 def test_a_draw_that_a_condition_drops_does_nothing(device: rhi.Device) -> None:
-    null, marks, query = device.backend_as(NullBackend), device.storage(uint, 12), device.occlusion_query()
+    null, marks, query = device.backend_as(NullBackend), device.storage(sl.uint, 12), device.occlusion_query()
     null.run_shaders({device.program(Mark).id: lambda bound, draw: bound["marks"].fill(1)})
     null.count_samples(lambda draw: 0)
     with device.render_pass(device.texture((8, 8), Format.RGBA8)), query:
@@ -189,7 +174,7 @@ def test_a_draw_that_a_condition_drops_does_nothing(device: rhi.Device) -> None:
 
 
 def test_samples_are_counted_whoever_stands_in(device: rhi.Device) -> None:
-    null, marks, query = device.backend_as(NullBackend), device.storage(uint, 12), device.occlusion_query()
+    null, marks, query = device.backend_as(NullBackend), device.storage(sl.uint, 12), device.occlusion_query()
     null.run_shaders({device.program(Mark).id: lambda bound, draw: None})
     null.count_samples(lambda draw: 10 * draw.instances)
     mark, mesh = device.program(Mark), device.mesh({"position": np.zeros((3, 2), np.float32)})

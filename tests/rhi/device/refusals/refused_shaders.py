@@ -2,54 +2,42 @@
 
 from __future__ import annotations
 
+import rhi.shading as sl
 from rhi import (
     Format,
 )
 from rhi.conformance.shaders import Bare, Corner, Tint
-from rhi.shading import (
-    DepthTexture2D,
-    Image2D,
-    Shader,
-    Storage,
-    Struct,
-    Texture2D,
-    Uniform,
-    image,
-    ivec2,
-    vec2,
-    vec4,
-)
 
 
-class Shift(Struct):
+class Shift(sl.Struct):
     """Another struct of the same size."""
 
-    by: vec4
+    by: sl.vec4
 
 
-class Everything(Shader):
+class Everything(sl.Shader):
     """A binding of each kind."""
 
-    tint: Uniform[Tint]
-    weights: Storage[float]
-    albedo: Texture2D
-    shadow: DepthTexture2D
-    target: Image2D = image(Format.RGBA8)
+    tint: sl.Uniform[Tint]
+    weights: sl.Storage[float]
+    albedo: sl.Texture2D
+    shadow: sl.DepthTexture2D
+    target: sl.Image2D = sl.image(Format.RGBA8)
 
     def vertex(self, v: Corner) -> Bare:
         return Bare(clip=v.position)
 
-    def fragment(self) -> vec4:
-        self.target.store(ivec2(0, 0), vec4(self.weights[0]))
-        lit = self.shadow.sample_compare(vec2(0.5, 0.5), 0.5)
-        return self.tint.color * self.albedo.sample(vec2(0.5, 0.5)) * lit
+    def fragment(self) -> sl.vec4:
+        self.target.store(sl.ivec2(0, 0), sl.vec4(self.weights[0]))
+        lit = self.shadow.sample_compare(sl.vec2(0.5, 0.5), 0.5)
+        return self.tint.color * self.albedo.sample(sl.vec2(0.5, 0.5)) * lit
 
 
-class Passing(Shader):
+class Passing(sl.Shader):
     """A program of its own, to be destroyed."""
 
     def vertex(self, v: Corner) -> Bare:
         return Bare(clip=v.position)
 
-    def fragment(self) -> vec4:
-        return vec4(1.0)
+    def fragment(self) -> sl.vec4:
+        return sl.vec4(1.0)

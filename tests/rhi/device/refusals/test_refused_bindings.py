@@ -8,16 +8,12 @@ from typing import Any
 import pytest
 from refused_shaders import Everything, Shift
 
+import rhi.shading as sl
 from rhi import Access, Comparison, Device, Format, SamplerDescriptor, TextureKind
 from rhi.conformance.shaders import Bare, Corner, Tint
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
 from rhi.errors import rules
-from rhi.shading import (
-    Shader,
-    Uniform,
-    uint,
-)
 
 SIZE = (4, 4)
 
@@ -105,7 +101,7 @@ def test_a_uniform_must_be_of_the_shader_s_struct(kit: Kit) -> None:
 
 
 def test_storage_must_be_of_the_shader_s_element(kit: Kit) -> None:
-    with kit.device.storage(uint, 4) as numbers, kit.device.render_pass(kit.image):
+    with kit.device.storage(sl.uint, 4) as numbers, kit.device.render_pass(kit.image):
         with refuses(rules.BINDING_TYPE, kit.device):
             kit.draw(weights=numbers)
         kit.draw()
@@ -205,10 +201,10 @@ def test_a_refused_draw_leaves_the_bindings_of_the_one_before(kit: Kit) -> None:
         assert [command.op.name for command in kit.device.stream[since:]][-1] == "DRAW"
 
 
-class Self(Shader):
+class Self(sl.Shader):
     """A binding that a call with keywords can't give."""
 
-    self: Uniform[Tint]
+    self: sl.Uniform[Tint]
 
     def vertex(this, v: Corner) -> Bare:  # noqa: N805
         return Bare(clip=v.position * this.self.color)

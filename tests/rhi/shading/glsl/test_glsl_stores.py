@@ -1,65 +1,53 @@
 """Stores as GLSL writes them."""
 
+import rhi.shading as sl
 from rhi.contract.descriptors import Stage
 from rhi.contract.formats import Format
-from rhi.shading import (
-    Image2D,
-    Shader,
-    Storage,
-    StorageRW,
-    Texture2D,
-    atomic_add,
-    compile_shader,
-    global_id,
-    image,
-    ivec2,
-    mat4,
-)
 
 
-class StoreAnywhere(Shader):
-    columns: Storage[int]
-    matrices: StorageRW[mat4]
+class StoreAnywhere(sl.Shader):
+    columns: sl.Storage[int]
+    matrices: sl.StorageRW[sl.mat4]
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         self.matrices[i][2][self.columns[i]] = 1.0
 
 
-class StoreKnown(Shader):
-    matrices: StorageRW[mat4]
+class StoreKnown(sl.Shader):
+    matrices: sl.StorageRW[sl.mat4]
 
     def compute(self) -> None:
-        self.matrices[global_id().x][2][1] = 1.0
+        self.matrices[sl.global_id().x][2][1] = 1.0
 
 
-class StoreInOrder(Shader):
-    matrices: StorageRW[mat4]
-    count: StorageRW[int]
-
-    def compute(self) -> None:
-        self.matrices[0][2][atomic_add(self.count[0], 1)] = float(atomic_add(self.count[0], 1))
-
-
-class CopyTexels(Shader):
-    source: Texture2D
-    target: Image2D = image(Format.RGBA32F)
+class StoreInOrder(sl.Shader):
+    matrices: sl.StorageRW[sl.mat4]
+    count: sl.StorageRW[int]
 
     def compute(self) -> None:
-        at = ivec2(global_id().xy)
+        self.matrices[0][2][sl.atomic_add(self.count[0], 1)] = float(sl.atomic_add(self.count[0], 1))
+
+
+class CopyTexels(sl.Shader):
+    source: sl.Texture2D
+    target: sl.Image2D = sl.image(Format.RGBA32F)
+
+    def compute(self) -> None:
+        at = sl.ivec2(sl.global_id().xy)
         self.target.store(at, self.source.load(at))
 
 
-class DoubleTexels(Shader):
-    target: Image2D = image(Format.RGBA32F)
+class DoubleTexels(sl.Shader):
+    target: sl.Image2D = sl.image(Format.RGBA32F)
 
     def compute(self) -> None:
-        at = ivec2(global_id().xy)
+        at = sl.ivec2(sl.global_id().xy)
         self.target.store(at, self.target.load(at) * 2.0)
 
 
-def source(shader: type[Shader]) -> str:
-    return compile_shader(shader).emit("glsl", Stage.COMPUTE).text
+def source(shader: type[sl.Shader]) -> str:
+    return sl.compile_shader(shader).emit("glsl", Stage.COMPUTE).text
 
 
 def test_an_unknown_column_of_a_stored_matrix_is_chosen_by_a_switch() -> None:

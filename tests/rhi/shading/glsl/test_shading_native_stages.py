@@ -6,47 +6,35 @@ import numpy as np
 import pytest
 
 import rhi
+import rhi.shading as sl
 from rhi.contract.descriptors import Stage
 from rhi.errors import ShaderError
-from rhi.shading import (
-    Shader,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Uniform,
-    compile_shader,
-    from_source,
-    mat3,
-    native,
-    vec2,
-    vec4,
-)
 
 
-class Corner(Struct):
-    in_position: vec2
-    in_uv: vec2
+class Corner(sl.Struct):
+    in_position: sl.vec2
+    in_uv: sl.vec2
 
 
-class Surface(Struct):
-    clip: vec4
-    v_uv: vec2
+class Surface(sl.Struct):
+    clip: sl.vec4
+    v_uv: sl.vec2
 
 
-class Output(Struct):
-    frag_color: vec4
+class Output(sl.Struct):
+    frag_color: sl.vec4
 
 
-class Settings(Struct):
-    turn: mat3
+class Settings(sl.Struct):
+    turn: sl.mat3
     scale: float
 
 
-class Existing(Shader):
-    settings: Uniform[Settings]
-    albedo: Texture2D
+class Existing(sl.Shader):
+    settings: sl.Uniform[Settings]
+    albedo: sl.Texture2D
 
-    @native(
+    @sl.native(
         "glsl",
         """
         #version 330 core
@@ -62,7 +50,7 @@ class Existing(Shader):
     )
     def vertex(self, v: Corner) -> Surface: ...
 
-    @native(
+    @sl.native(
         "glsl",
         """
         #version 330 core
@@ -81,7 +69,7 @@ class HalfPython(Existing):
     """A native vertex stage with a fragment stage in Python."""
 
     def fragment(self, s: Surface) -> Output:
-        return Output(frag_color=self.albedo.sample(s.v_uv) * self.settings.scale + vec4(s.v_uv, 0, 0))
+        return Output(frag_color=self.albedo.sample(s.v_uv) * self.settings.scale + sl.vec4(s.v_uv, 0, 0))
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +92,7 @@ def test_existing_stages_draw_with_the_bindings_of_the_class(device, shader):
 
 
 def test_lines_of_the_text_keep_their_origins():
-    text = compile_shader(Existing).emit("glsl", Stage.VERTEX)
+    text = sl.compile_shader(Existing).emit("glsl", Stage.VERTEX)
     lines = text.text.splitlines()
     at = next(i for i, line in enumerate(lines) if "twice(in_uv)" in line)
     file, number = text.origins[at]
@@ -117,7 +105,7 @@ def test_lines_of_the_text_keep_their_origins():
 def test_a_backend_without_the_language_refuses_the_stage_by_name():
     for language, stage in (("opencl16", Stage.FRAGMENT), ("opencl16", Stage.VERTEX)):
         with pytest.raises(ShaderError) as error:
-            compile_shader(Existing).emit(language, stage)
+            sl.compile_shader(Existing).emit(language, stage)
         assert error.value.rule.id == "shading-native"
         assert stage.value in error.value.given
         assert error.value.site.line > 0
@@ -158,20 +146,20 @@ WRONG = [
 
 @pytest.mark.parametrize(("right", "wrong", "given", "says"), WRONG, ids=[row[1] for row in WRONG])
 def test_a_declaration_that_differs_from_the_class_is_refused(right, wrong, given, says):
-    assert "void main()" in compile_shader(from_source(TEXT)).emit("glsl", Stage.VERTEX).text
+    assert "void main()" in sl.compile_shader(sl.from_source(TEXT)).emit("glsl", Stage.VERTEX).text
     with pytest.raises(ShaderError) as error:
-        compile_shader(from_source(TEXT.replace(right, wrong, 1))).emit("glsl", Stage.VERTEX)
+        sl.compile_shader(sl.from_source(TEXT.replace(right, wrong, 1))).emit("glsl", Stage.VERTEX)
     assert error.value.rule.id == "shading-native"
     assert error.value.given == given
     assert says in str(error.value)
     assert wrong in str(error.value)  # the line
 
 
-class Doubled(Shader):
+class Doubled(sl.Shader):
     work_group = (4,)
-    values: StorageRW[float]
+    values: sl.StorageRW[float]
 
-    @native(
+    @sl.native(
         "glsl",
         """
         #version 430
@@ -191,4 +179,4 @@ def test_a_compute_stage_may_be_existing_text(device):
     device.dispatch(device.program(Doubled), 1, values=values)
     assert values.read().tolist() == [0, 2, 4, 6]
     with pytest.raises(ShaderError, match=r"work-group of \(4, 1, 1\)"):
-        compile_shader(WrongGroup).emit("glsl", Stage.COMPUTE)
+        sl.compile_shader(WrongGroup).emit("glsl", Stage.COMPUTE)

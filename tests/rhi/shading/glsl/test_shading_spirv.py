@@ -11,34 +11,10 @@ import pytest
 
 import renderer
 import rhi.conformance
+import rhi.shading as sl
 from rhi import Format
 from rhi.contract.descriptors import Stage, StageText
 from rhi.errors import ShaderError, ValidationError
-from rhi.shading import (
-    DepthTexture2D,
-    Image2D,
-    IntTexture2D,
-    Shader,
-    ShaderCode,
-    Storage,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Texture2DArray,
-    Uniform,
-    compile_shader,
-    emitters,
-    function,
-    image,
-    instance_index,
-    mat3,
-    native,
-    register_language,
-    vec2,
-    vec3,
-    vec4,
-    vertex_index,
-)
 from rhi.shading.glsl import spirv
 
 needs_glslang = pytest.mark.skipif(
@@ -49,53 +25,53 @@ MAGIC, DECORATE, MEMBER_DECORATE = 0x07230203, 71, 72
 ROW_MAJOR, BINDING, DESCRIPTOR_SET = 4, 33, 34
 
 
-class Corner(Struct):
-    position: vec2
+class Corner(sl.Struct):
+    position: sl.vec2
 
 
-class Surface(Struct):
-    clip: vec4
-    albedo: vec2  # has the name of a texture
+class Surface(sl.Struct):
+    clip: sl.vec4
+    albedo: sl.vec2  # has the name of a texture
 
 
-class Turn(Struct):
-    turn: mat3
-    tint: vec3
+class Turn(sl.Struct):
+    turn: sl.mat3
+    tint: sl.vec3
 
 
-@function
-def bright(source: Texture2D, at: vec2) -> vec4:
+@sl.function
+def bright(source: sl.Texture2D, at: sl.vec2) -> sl.vec4:
     return source.sample(at) * 2.0
 
 
-@function
-def brighter(source: Texture2D, at: vec2) -> vec4:
+@sl.function
+def brighter(source: sl.Texture2D, at: sl.vec2) -> sl.vec4:
     return bright(source, at) * 2.0
 
 
-class Textured(Shader):
-    turn: Uniform[Turn]
-    scale: Uniform[float]
-    offsets: Storage[vec2]
-    albedo: Texture2D
-    layers: Texture2DArray
-    counts: IntTexture2D
-    shadow: DepthTexture2D
-    target: Image2D = image(Format.RGBA8)
+class Textured(sl.Shader):
+    turn: sl.Uniform[Turn]
+    scale: sl.Uniform[float]
+    offsets: sl.Storage[sl.vec2]
+    albedo: sl.Texture2D
+    layers: sl.Texture2DArray
+    counts: sl.IntTexture2D
+    shadow: sl.DepthTexture2D
+    target: sl.Image2D = sl.image(Format.RGBA8)
 
     def vertex(self, v: Corner) -> Surface:
-        at = v.position + self.offsets[instance_index()] * float(vertex_index())
-        return Surface(clip=vec4(at * self.scale, 0, 1), albedo=at)
+        at = v.position + self.offsets[sl.instance_index()] * float(sl.vertex_index())
+        return Surface(clip=sl.vec4(at * self.scale, 0, 1), albedo=at)
 
-    def fragment(self, s: Surface) -> vec4:
-        color = brighter(self.albedo, s.albedo) + self.layers.sample(vec3(s.albedo, 1.0))
+    def fragment(self, s: Surface) -> sl.vec4:
+        color = brighter(self.albedo, s.albedo) + self.layers.sample(sl.vec3(s.albedo, 1.0))
         color *= self.shadow.sample_compare(s.albedo, 0.5) * float(self.counts.size().x)
         self.target.store(self.albedo.size(), color)
-        return vec4(self.turn.turn @ self.turn.tint, color.a)
+        return sl.vec4(self.turn.turn @ self.turn.tint, color.a)
 
 
 def text_of(stage, shader=Textured, language="vulkan"):
-    return compile_shader(shader).emit(language, stage).text
+    return sl.compile_shader(shader).emit(language, stage).text
 
 
 def test_each_kind_of_binding_has_a_set_and_samplers_are_apart():
@@ -134,21 +110,21 @@ def test_a_texture_is_passed_to_functions_with_its_sampler():
     assert "sampler2DShadow(shadow_texture, shadow_sampler)" in text
 
 
-class NativeText(Shader):
-    albedo: Texture2D
-    out: StorageRW[float]
+class NativeText(sl.Shader):
+    albedo: sl.Texture2D
+    out: sl.StorageRW[float]
 
-    @native("glsl", "return textureLod(albedo, vec2(0.5), 0.0).x;")
+    @sl.native("glsl", "return textureLod(albedo, vec2(0.5), 0.0).x;")
     def pick(self) -> float: ...
 
     def compute(self) -> None:
         self.out[0] = self.pick()
 
 
-class BrokenText(Shader):
-    out: StorageRW[float]
+class BrokenText(sl.Shader):
+    out: sl.StorageRW[float]
 
-    @native("glsl", "float x = 1.0;\n        return missing(x);")
+    @sl.native("glsl", "float x = 1.0;\n        return missing(x);")
     def pick(self) -> float: ...
 
     def compute(self) -> None:
@@ -192,14 +168,14 @@ def check(binary, path):
 @needs_glslang
 @pytest.mark.parametrize("stage", [Stage.VERTEX, Stage.FRAGMENT], ids=str)
 def test_a_stage_is_valid_spirv(stage, tmp_path):
-    text = compile_shader(Textured).emit("spirv", stage)
+    text = sl.compile_shader(Textured).emit("spirv", stage)
     assert text.text == text_of(stage)
     check(text.binary, tmp_path / "stage.spv")
 
 
 @needs_glslang
 def test_sets_bindings_and_rows_first_are_in_the_module():
-    binary = compile_shader(Textured).emit("spirv", Stage.FRAGMENT).binary
+    binary = sl.compile_shader(Textured).emit("spirv", Stage.FRAGMENT).binary
     sets, bindings = {}, {}
     for target, decoration, *values in instructions(binary, DECORATE):
         if decoration in (DESCRIPTOR_SET, BINDING):
@@ -212,9 +188,9 @@ def test_sets_bindings_and_rows_first_are_in_the_module():
 
 @needs_glslang
 def test_native_code_compiles_and_its_errors_name_the_line(tmp_path):
-    check(compile_shader(NativeText).emit("spirv", Stage.COMPUTE).binary, tmp_path / "stage.spv")
+    check(sl.compile_shader(NativeText).emit("spirv", Stage.COMPUTE).binary, tmp_path / "stage.spv")
     with pytest.raises(ShaderError) as error:
-        compile_shader(BrokenText).emit("spirv", Stage.COMPUTE)
+        sl.compile_shader(BrokenText).emit("spirv", Stage.COMPUTE)
     assert error.value.rule.id == "shading-spirv"
     assert "missing" in error.value.given
     assert "return missing(x);" in error.value.given
@@ -228,10 +204,10 @@ def test_without_glslang_spirv_is_refused_and_the_text_is_not(monkeypatch):
         pass
 
     with pytest.raises(ShaderError) as error:
-        compile_shader(Fresh).emit("spirv", Stage.VERTEX)
+        sl.compile_shader(Fresh).emit("spirv", Stage.VERTEX)
     assert error.value.rule.id == "shading-spirv"
     assert "rhi[spirv]" in error.value.tip
-    assert compile_shader(Fresh).emit("vulkan", Stage.VERTEX).binary == b""
+    assert sl.compile_shader(Fresh).emit("vulkan", Stage.VERTEX).binary == b""
 
 
 def all_shaders():
@@ -239,7 +215,7 @@ def all_shaders():
         for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
             if not module.name.endswith(("__main__", "conftest")):
                 importlib.import_module(module.name)
-    found, queue = [], [Shader]
+    found, queue = [], [sl.Shader]
     while queue:
         for shader in queue.pop().__subclasses__():
             queue.append(shader)
@@ -251,7 +227,7 @@ def all_shaders():
 def stages_of_all():
     for shader in all_shaders():
         try:
-            descriptor = compile_shader(shader)
+            descriptor = sl.compile_shader(shader)
         except ShaderError:
             continue  # a base without stages, or a shader that a test has refused
         for stage in descriptor.stages:
@@ -278,20 +254,20 @@ def test_every_stage_of_the_renderer_and_the_kit_is_valid_spirv(tmp_path):
 def listing():
     """A language that lists a stage's bindings, and fragment stages can't be written in."""
 
-    def write(code: ShaderCode, stage: Stage) -> StageText:
+    def write(code: sl.ShaderCode, stage: Stage) -> StageText:
         names = [declaration.name for declaration in code.stages[stage].bindings]
         return StageText(f"{code.interface.name}: {', '.join(names)}")
 
-    register_language("listing", write, [Stage.VERTEX, Stage.COMPUTE])
+    sl.register_language("listing", write, [Stage.VERTEX, Stage.COMPUTE])
     yield "listing"
-    del emitters._LANGUAGES["listing"]
+    del sl.emitters._LANGUAGES["listing"]
 
 
 def test_a_port_adds_a_language_by_one_function(listing):
     class Fresh(Textured):
         pass
 
-    descriptor = compile_shader(Fresh)
+    descriptor = sl.compile_shader(Fresh)
     assert descriptor.emit(listing, Stage.VERTEX).text.endswith("Fresh: scale, offsets")
     assert descriptor.emit(listing, Stage.VERTEX) is descriptor.emit(listing, Stage.VERTEX)
     with pytest.raises(ShaderError) as error:
@@ -300,9 +276,9 @@ def test_a_port_adds_a_language_by_one_function(listing):
 
 
 def test_a_language_is_registered_once(monkeypatch):
-    monkeypatch.setattr(emitters, "_LANGUAGES", {**emitters._LANGUAGES})
-    register_language("listing", lambda code, stage: StageText(""))
+    monkeypatch.setattr(sl.emitters, "_LANGUAGES", {**sl.emitters._LANGUAGES})
+    sl.register_language("listing", lambda code, stage: StageText(""))
     for name in ("glsl", "listing"):
         with pytest.raises(ValidationError) as error:
-            register_language(name, lambda code, stage: StageText(""))
+            sl.register_language(name, lambda code, stage: StageText(""))
         assert error.value.rule.id == "shading-language"

@@ -5,59 +5,40 @@ import math
 import numpy as np
 import pytest
 
+import rhi.shading as sl
 from rhi.contract.descriptors import Stage
 from rhi.contract.layout import Layout
 from rhi.errors import ShaderError, ValidationError
-from rhi.shading import (
-    Array,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Uniform,
-    array,
-    bvec2,
-    compile_shader,
-    ivec2,
-    mat2,
-    mat3,
-    mat4,
-    uint,
-    uvec3,
-    vec2,
-    vec3,
-    vec4,
-)
 
 
-class Part(Struct):
-    axis: vec3
+class Part(sl.Struct):
+    axis: sl.vec3
     size: float
-    flag: uint
+    flag: sl.uint
 
 
-class Whole(Struct):
+class Whole(sl.Struct):
     a: float
-    b: vec3
+    b: sl.vec3
     c: float
-    d: mat3
-    e: vec2
-    f: mat2
-    g: Array[float] = array(float, 3)
+    d: sl.mat3
+    e: sl.vec2
+    f: sl.mat2
+    g: sl.Array[float] = sl.array(float, 3)
     h: int
-    i: Array[vec3] = array(vec3, 2)
+    i: sl.Array[sl.vec3] = sl.array(sl.vec3, 2)
     j: Part
-    k: Array[Part] = array(Part, 2)
-    m: uvec3
-    n: mat4
-    o: ivec2
-    p: Array[mat3] = array(mat3, 2)
+    k: sl.Array[Part] = sl.array(Part, 2)
+    m: sl.uvec3
+    n: sl.mat4
+    o: sl.ivec2
+    p: sl.Array[sl.mat3] = sl.array(sl.mat3, 2)
 
 
-class Reader(Shader):
-    uniform_whole: Uniform[Whole]
-    wholes: Storage[Whole]
-    out: StorageRW[float]
+class Reader(sl.Shader):
+    uniform_whole: sl.Uniform[Whole]
+    wholes: sl.Storage[Whole]
+    out: sl.StorageRW[float]
 
     def compute(self) -> None:
         count = self.dump(self.uniform_whole, 0)
@@ -71,7 +52,7 @@ class Reader(Shader):
         self.out[start + 4] = float(part.flag)
         return start + 5
 
-    def dump_mat3(self, m: mat3, start: int) -> int:
+    def dump_mat3(self, m: sl.mat3, start: int) -> int:
         for i in range(3):
             for j in range(3):
                 self.out[start + 3 * i + j] = m[i][j]
@@ -148,17 +129,17 @@ def test_the_device_reads_every_field_where_the_dtypes_put_it(run):
     assert Whole.dtype != Whole.uniform_dtype
 
 
-class Plain(Struct):
+class Plain(sl.Struct):
     scale: float
-    view: mat4
-    offset: vec3
+    view: sl.mat4
+    offset: sl.vec3
     count: int
-    bits: uint
-    cell: ivec2
+    bits: sl.uint
+    cell: sl.ivec2
 
 
 class Defaulted(Plain):
-    color: vec4 = vec4(1, 2, 3, 4)
+    color: sl.vec4 = sl.vec4(1, 2, 3, 4)
 
 
 GOOD = {
@@ -168,12 +149,12 @@ GOOD = {
         np.eye(4, dtype="f4").T,
         np.arange(16).reshape(4, 4),
         np.eye(4).tolist(),
-        mat4(2),
+        sl.mat4(2),
     ],
-    "offset": [(1, 2, 3), [0.1, 0.2, 0.3], np.array([1, 2, 3]), vec3(5), np.array([0.1, 2, 3], "f4")],
+    "offset": [(1, 2, 3), [0.1, 0.2, 0.3], np.array([1, 2, 3]), sl.vec3(5), np.array([0.1, 2, 3], "f4")],
     "count": [-5, 3.0, np.int16(7), 2**31 - 1],
-    "bits": [5, 2**32 - 1, uint(3), 4.0],
-    "cell": [(1, -2), np.array([3, 4]), ivec2(7), (1.0, 2.0)],
+    "bits": [5, 2**32 - 1, sl.uint(3), 4.0],
+    "cell": [(1, -2), np.array([3, 4]), sl.ivec2(7), (1.0, 2.0)],
 }
 BAD = {
     "scale": [1e39, "x", None, (1,), [1, 2], 1j, object(), np.zeros(2)],
@@ -218,14 +199,14 @@ def test_a_generated_constructor_refuses_what_checks_field_by_field_would(cls, n
 
 def test_a_constructor_generated_for_a_base_does_not_serve_structs_derived_from_it():
     class Wider(Plain):
-        extra: vec2 = vec2(7, 8)
+        extra: sl.vec2 = sl.vec2(7, 8)
 
         def __init__(self, **values):
             super().__init__(**values, scale=1.0)
 
     values = {name: GOOD[name][0] for name in GOOD if name != "scale"}
     Plain(scale=1.0, **values)
-    assert Wider(**values).extra == vec2(7, 8)
+    assert Wider(**values).extra == sl.vec2(7, 8)
     assert len(Wider(**values).to_bytes()) == Wider.uniform_dtype.itemsize
 
 
@@ -237,9 +218,9 @@ def test_a_value_keeps_what_its_arrays_held():
 
 
 def test_rows_of_a_structs_dtype_take_plain_tuples():
-    class Corner(Struct):
-        position: vec2
-        color: vec3
+    class Corner(sl.Struct):
+        position: sl.vec2
+        color: sl.vec3
 
     corners = np.array([((1, 2), (3, 4, 5)), ((6, 7), (8, 9, 10))], Corner.dtype)
     assert corners["position"].tolist() == [[1, 2], [6, 7]]
@@ -249,44 +230,44 @@ def test_rows_of_a_structs_dtype_take_plain_tuples():
 
 def test_fields_are_converted_and_read_back_as_their_types():
     part = Part(axis=[1, 2, 3], size=np.float32(2), flag=True)
-    assert part.axis == vec3(1, 2, 3)
-    assert isinstance(part.axis, vec3)
-    assert (part.axis.zx, part.size, part.flag) == (vec2(3, 1), 2.0, 1)
-    part.axis = vec3(4.0)
+    assert part.axis == sl.vec3(1, 2, 3)
+    assert isinstance(part.axis, sl.vec3)
+    assert (part.axis.zx, part.size, part.flag) == (sl.vec2(3, 1), 2.0, 1)
+    part.axis = sl.vec3(4.0)
     assert np.asarray(part.axis).tolist() == [4, 4, 4]
     assert repr(part) == "Part(axis=vec3(4.0, 4.0, 4.0), size=2.0, flag=1)"
 
 
 def test_a_struct_inherits_fields_in_front_of_its_own_and_may_have_defaults():
-    class Base(Struct):
-        clip: vec4 = (0, 0, 0, 1)
+    class Base(sl.Struct):
+        clip: sl.vec4 = (0, 0, 0, 1)
 
     class More(Base):
-        uv: vec2
+        uv: sl.vec2
 
     assert [field.name for field in More.shading_type.fields] == ["clip", "uv"]
-    assert More(uv=(1, 2)).clip == vec4(0, 0, 0, 1)
+    assert More(uv=(1, 2)).clip == sl.vec4(0, 0, 0, 1)
 
-    class Uses(Shader):
-        out: StorageRW[More]
+    class Uses(sl.Shader):
+        out: sl.StorageRW[More]
 
         def compute(self) -> None:
             self.out[0] = More(uv=(1, 2))
 
-    text = compile_shader(Uses).emit("glsl", Stage.COMPUTE).text
+    text = sl.compile_shader(Uses).emit("glsl", Stage.COMPUTE).text
     assert "More(vec4(0.0, 0.0, 0.0, 1.0), vec2(1.0, 2.0))" in text
 
 
 def test_a_struct_with_bools_has_no_dtype_but_can_be_used_in_shaders(run):
-    class Flags(Struct):
-        both: bvec2
+    class Flags(sl.Struct):
+        both: sl.bvec2
         on: bool
 
-    class Uses(Shader):
-        out: StorageRW[int]
+    class Uses(sl.Shader):
+        out: sl.StorageRW[int]
 
         def flags(self) -> Flags:
-            return Flags(both=bvec2(True, False), on=True)
+            return Flags(both=sl.bvec2(True, False), on=True)
 
         def compute(self) -> None:
             flags = self.flags()
@@ -302,13 +283,13 @@ def test_a_struct_with_bools_has_no_dtype_but_can_be_used_in_shaders(run):
 
 def test_structs_of_one_name_do_not_collide(run):
     def first():
-        class Same(Struct):
+        class Same(sl.Struct):
             x: float
 
         return Same
 
     def second():
-        class Same(Struct):
+        class Same(sl.Struct):
             y: float
             z: float
 
@@ -316,10 +297,10 @@ def test_structs_of_one_name_do_not_collide(run):
 
     a, b = first(), second()
 
-    class Uses(Shader):
-        left: Storage[a]
-        right: Storage[b]
-        out: StorageRW[float]
+    class Uses(sl.Shader):
+        left: sl.Storage[a]
+        right: sl.Storage[b]
+        out: sl.StorageRW[float]
 
         def compute(self) -> None:
             self.out[0] = self.left[0].x + self.right[0].z
@@ -329,10 +310,10 @@ def test_structs_of_one_name_do_not_collide(run):
 
 
 def test_a_struct_without_fields_is_no_element() -> None:
-    class Empty(Struct):
+    class Empty(sl.Struct):
         pass
 
     with pytest.raises(ShaderError, match="shading-binding"):
 
-        class Stores(Shader):
-            out: StorageRW[Empty]
+        class Stores(sl.Shader):
+            out: sl.StorageRW[Empty]

@@ -11,104 +11,87 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from opencl_runner import buffer, build_text, queue
 
+import rhi.shading as sl
 from rhi.contract.descriptors import Stage
-from rhi.shading import (
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Uniform,
-    compile_shader,
-    cos,
-    dot,
-    instance_index,
-    mat3,
-    mat4,
-    vec2,
-    vec3,
-    vec4,
-    vertex_index,
-)
 
 
-class Vertex(Struct):
-    position: vec3
-    uv: vec2
+class Vertex(sl.Struct):
+    position: sl.vec3
+    uv: sl.vec2
     bone: int
 
 
-class View(Struct):
-    matrix: mat4
-    offset: vec3
+class View(sl.Struct):
+    matrix: sl.mat4
+    offset: sl.vec3
     time: float
     turned: int
 
 
-class Place(Struct):
-    linear: mat3
-    offset: vec3
+class Place(sl.Struct):
+    linear: sl.mat3
+    offset: sl.vec3
 
 
-class Base(Shader):
-    view: Uniform[View]
-    places: Storage[Place]
+class Base(sl.Shader):
+    view: sl.Uniform[View]
+    places: sl.Storage[Place]
 
-    def vertex(self, v: Vertex) -> vec4:
-        return self.view.matrix @ vec4(self.place(v), self.places[instance_index()].offset.x)
+    def vertex(self, v: Vertex) -> sl.vec4:
+        return self.view.matrix @ sl.vec4(self.place(v), self.places[sl.instance_index()].offset.x)
 
-    def place(self, v: Vertex) -> vec3:
+    def place(self, v: Vertex) -> sl.vec3:
         return v.position
 
 
 class Placed(Base):
-    def place(self, v: Vertex) -> vec3:
-        thing = self.places[instance_index()]
+    def place(self, v: Vertex) -> sl.vec3:
+        thing = self.places[sl.instance_index()]
         return thing.linear @ v.position + (thing.offset - self.view.offset)
 
 
 class Swayed(Base):
     """What is not affine is the same for all vertices."""
 
-    def place(self, v: Vertex) -> vec3:
-        place = -v.position * cos(self.view.time)
+    def place(self, v: Vertex) -> sl.vec3:
+        place = -v.position * sl.cos(self.view.time)
         place.y -= self.view.offset.x / self.view.time
-        place = place + vec3(0.0, dot(v.position, self.view.offset), 2.0)
+        place = place + sl.vec3(0.0, sl.dot(v.position, self.view.offset), 2.0)
         return place.xyz
 
 
 class Flat(Base):
-    def place(self, v: Vertex) -> vec3:
-        return vec3(v.uv, 1.0)
+    def place(self, v: Vertex) -> sl.vec3:
+        return sl.vec3(v.uv, 1.0)
 
 
 class Squared(Base):
-    def place(self, v: Vertex) -> vec3:
+    def place(self, v: Vertex) -> sl.vec3:
         return v.position * v.uv.x
 
 
 class Divided(Base):
-    def place(self, v: Vertex) -> vec3:
+    def place(self, v: Vertex) -> sl.vec3:
         return self.view.offset / v.position.x
 
 
 class Rounded(Base):
-    def place(self, v: Vertex) -> vec3:
-        return vec3(float(int(v.position.x)), v.uv)
+    def place(self, v: Vertex) -> sl.vec3:
+        return sl.vec3(float(int(v.position.x)), v.uv)
 
 
 class Pulled(Base):
-    def place(self, v: Vertex) -> vec3:
-        return self.places[vertex_index()].offset
+    def place(self, v: Vertex) -> sl.vec3:
+        return self.places[sl.vertex_index()].offset
 
 
 class Skinned(Base):
-    def place(self, v: Vertex) -> vec3:
+    def place(self, v: Vertex) -> sl.vec3:
         return self.places[v.bone].linear @ v.position
 
 
 class Folded(Base):
-    def place(self, v: Vertex) -> vec3:
+    def place(self, v: Vertex) -> sl.vec3:
         place = v.position
         if place.x < 0.0:
             place.x = 0.0
@@ -118,7 +101,7 @@ class Folded(Base):
 class Chosen(Base):
     """Affine in either case, but not plain assignments."""
 
-    def place(self, v: Vertex) -> vec3:
+    def place(self, v: Vertex) -> sl.vec3:
         place = v.position
         if self.view.turned != 0:
             place = place.zyx
@@ -126,22 +109,22 @@ class Chosen(Base):
 
 
 class Heights(Base):
-    heights: Texture2D
+    heights: sl.Texture2D
 
-    def place(self, v: Vertex) -> vec3:
+    def place(self, v: Vertex) -> sl.vec3:
         return v.position + self.heights.sample_lod(v.uv, 0.0).xyz
 
 
 class Marking(Base):
-    marks: StorageRW[int]
+    marks: sl.StorageRW[int]
 
-    def place(self, v: Vertex) -> vec3:
-        self.marks[vertex_index()] = 1
+    def place(self, v: Vertex) -> sl.vec3:
+        self.marks[sl.vertex_index()] = 1
         return v.position
 
 
 class Constant(Base):
-    def place(self, v: Vertex) -> vec3:
+    def place(self, v: Vertex) -> sl.vec3:
         return self.view.offset
 
 
@@ -149,10 +132,10 @@ class Checked(Base):
     checked = True
 
 
-class Shaded(Struct):
-    clip: vec4
+class Shaded(sl.Struct):
+    clip: sl.vec4
     light: float
-    bent: vec3
+    bent: sl.vec3
 
 
 class ShadedVarying(Base):
@@ -160,25 +143,25 @@ class ShadedVarying(Base):
 
     def vertex(self, v: Vertex) -> Shaded:
         return Shaded(
-            clip=self.view.matrix @ vec4(v.position, 1.0),
-            light=cos(v.uv.x) / v.uv.y,
+            clip=self.view.matrix @ sl.vec4(v.position, 1.0),
+            light=sl.cos(v.uv.x) / v.uv.y,
             bent=self.places[v.bone].offset,
         )
 
-    def fragment(self, v: Shaded) -> vec4:
-        return vec4(v.bent, v.light)
+    def fragment(self, v: Shaded) -> sl.vec4:
+        return sl.vec4(v.bent, v.light)
 
 
-def boxed(shader: type[Shader]) -> list[int] | None:
+def boxed(shader: type[sl.Shader]) -> list[int] | None:
     """Return the input words that the bounds depend on, None without bounds."""
-    text = compile_shader(shader).emit("opencl16", Stage.VERTEX).text
+    text = sl.compile_shader(shader).emit("opencl16", Stage.VERTEX).text
     lines = [line for line in text.splitlines() if line.startswith("#define RHI_BOXED")]
     assert ("rhi_bounds(" in text) == bool(lines)
     return [int(word[5:-1]) for line in lines for word in line.split()[2:]] if lines else None
 
 
 @pytest.mark.parametrize("shader", [Base, Placed, Swayed, ShadedVarying])
-def test_affine_positions_are_bounded_by_what_they_depend_on(shader: type[Shader]) -> None:
+def test_affine_positions_are_bounded_by_what_they_depend_on(shader: type[sl.Shader]) -> None:
     assert boxed(shader) == [0, 1, 2]
 
 
@@ -192,13 +175,13 @@ def test_only_words_that_positions_depend_on_count() -> None:
         Squared, Divided, Rounded, Pulled, Skinned, Folded, Chosen, Heights, Marking, Constant, Checked,
     ],
 )  # fmt: skip
-def test_other_positions_are_not_bounded(shader: type[Shader]) -> None:
+def test_other_positions_are_not_bounded(shader: type[sl.Shader]) -> None:
     assert boxed(shader) is None
 
 
 def test_bounds_read_nothing_by_a_vertex() -> None:
     """A corner's other inputs are unknown: an index among them would read anywhere."""
-    text = compile_shader(ShadedVarying).emit("opencl16", Stage.VERTEX).text
+    text = sl.compile_shader(ShadedVarying).emit("opencl16", Stage.VERTEX).text
     whole, bounds = text.split("#define RHI_BOXED")
     assert "places_" in whole.split("void rhi_vertex")[1].split("{", 1)[1]
     assert "places_" not in bounds.split("{", 1)[1]
@@ -234,7 +217,7 @@ ROUNDS = 512
 
 @pytest.fixture(scope="module", params=[Placed, Swayed])
 def kernel(request: pytest.FixtureRequest) -> cl.Kernel:
-    text = compile_shader(request.param).emit("opencl16", Stage.VERTEX).text + KERNEL
+    text = sl.compile_shader(request.param).emit("opencl16", Stage.VERTEX).text + KERNEL
     return cl.Kernel(build_text(text), "run")
 
 

@@ -12,20 +12,8 @@ import pytest
 from opencl_runner import build_text, queue
 
 import rhi
+import rhi.shading as sl
 from rhi.errors import ShaderError
-from rhi.shading import (
-    Shader,
-    Storage,
-    StorageRW,
-    array,
-    broadcast_first,
-    compile_shader,
-    global_id,
-    opencl_kernel,
-    run_compute,
-    uniform,
-    vec3,
-)
 from rhi.shading.evaluation.compute import storage_words
 from rhi.shading.ir.faults import FAULT_WORDS, find_fault
 from rhi.shading.language import rules
@@ -33,11 +21,11 @@ from rhi.shading.language import rules
 
 def run_checked(shader, width, groups=1, **bindings):
     """Run a kernel on OpenCL and raise the fault that it reports."""
-    kernel_text = opencl_kernel(shader, width)
+    kernel_text = sl.opencl_kernel(shader, width)
     kernel = cl.Kernel(build_text(kernel_text.text), "compute")
     arguments, results = [], {}
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-    for binding in compile_shader(shader).bindings:
+    for binding in sl.compile_shader(shader).bindings:
         whole, words = storage_words(shader._declared[binding.name].type.element, bindings[binding.name], binding.name)
         padded = np.zeros(max(64, words.size), np.uint32)
         padded[: words.size] = words
@@ -61,7 +49,7 @@ def run_checked(shader, width, groups=1, **bindings):
 WAYS = {
     "one lane": lambda shader, **values: run_checked(shader, 1, **values),
     "16 lanes": lambda shader, **values: run_checked(shader, 16, **values),
-    "numpy": run_compute,
+    "numpy": sl.run_compute,
 }
 
 
@@ -70,17 +58,17 @@ def run(request):
     return WAYS[request.param]
 
 
-class Plain(Shader):
+class Plain(sl.Shader):
     work_group = (32,)
-    which: Storage[int]
-    a: Storage[float]
-    out: StorageRW[float]
+    which: sl.Storage[int]
+    a: sl.Storage[float]
+    out: sl.StorageRW[float]
 
     def compute(self) -> None:
-        i = global_id().x
-        table = array(float, 4)
+        i = sl.global_id().x
+        table = sl.array(float, 4)
         table[i & 3] = 1.0
-        v = vec3(float(i), 2.0, 3.0)
+        v = sl.vec3(float(i), 2.0, 3.0)
         if i != 5:
             x = self.a[self.which[i]]
             y = table[self.which[i] & 3] + v[self.which[i] % 3]
@@ -93,16 +81,16 @@ class Checked(Plain):
 
 class TooFarInArray(Checked):
     def compute(self) -> None:
-        i = global_id().x
-        table = array(float, 4)
+        i = sl.global_id().x
+        table = sl.array(float, 4)
         table[self.which[i]] = 1.0
         self.out[i] = table[3] + self.a[0]
 
 
 class TooFarInVector(Checked):
     def compute(self) -> None:
-        i = global_id().x
-        v = vec3(float(i), 2.0, 3.0)
+        i = sl.global_id().x
+        v = sl.vec3(float(i), 2.0, 3.0)
         self.out[i] = v[self.which[i]] + self.a[0]
 
 
@@ -131,7 +119,7 @@ def test_an_index_outside_a_buffer_is_an_error_with_its_line(run, index):
 
 def test_indices_up_to_the_last_one_are_not_errors(run):
     out = run(Checked, **values(i9=31))["out"]
-    np.testing.assert_array_equal(out, run_compute(Plain, **values(i9=31))["out"])
+    np.testing.assert_array_equal(out, sl.run_compute(Plain, **values(i9=31))["out"])
 
 
 def test_an_index_of_an_invocation_that_does_not_take_part_is_not_one(run):
@@ -154,7 +142,7 @@ def test_an_index_outside_an_array_or_a_vector_is_an_error(run, shader, text, fi
 
 class StoresTooFar(Checked):
     def compute(self) -> None:
-        self.out[global_id().x + self.which[0]] = self.a[0]
+        self.out[sl.global_id().x + self.which[0]] = self.a[0]
 
 
 def test_a_store_outside_is_found_and_touches_nothing_behind_the_buffer(run):
@@ -166,8 +154,8 @@ def test_a_store_outside_is_found_and_touches_nothing_behind_the_buffer(run):
 
 class Same(Checked):
     def compute(self) -> None:
-        i = global_id().x
-        self.out[i] = self.a[uniform(self.which[i])]
+        i = sl.global_id().x
+        self.out[i] = self.a[sl.uniform(self.which[i])]
 
 
 @pytest.mark.parametrize("width", [4, 16])
@@ -183,8 +171,8 @@ def test_uniform_of_values_that_differ_is_an_error(width):
 
 class First(Checked):
     def compute(self) -> None:
-        i = global_id().x
-        self.out[i] = self.a[broadcast_first(self.which[i])]
+        i = sl.global_id().x
+        self.out[i] = self.a[sl.broadcast_first(self.which[i])]
 
 
 def test_values_that_are_broadcast_may_differ(run):
@@ -194,14 +182,14 @@ def test_values_that_are_broadcast_may_differ(run):
 
 def test_a_shader_that_is_not_checked_is_not_a_word_longer():
     for width in (1, 4, 8, 16):
-        plain, checked = opencl_kernel(Plain, width).text, opencl_kernel(Checked, width).text
+        plain, checked = sl.opencl_kernel(Plain, width).text, sl.opencl_kernel(Checked, width).text
         assert "rhi_check" not in plain
         assert "rhi_faults" not in plain
         assert checked.count("rhi_check(") > 5
         without = type("Plain", (Checked,), {"checked": False, "__module__": __name__})
-        assert opencl_kernel(without, width).text.splitlines()[1:] == plain.splitlines()[1:]
-    assert not compile_shader(Plain).checked
-    assert compile_shader(Checked).checked
+        assert sl.opencl_kernel(without, width).text.splitlines()[1:] == plain.splitlines()[1:]
+    assert not sl.compile_shader(Plain).checked
+    assert sl.compile_shader(Checked).checked
 
 
 def test_the_environment_turns_it_on():
@@ -221,4 +209,4 @@ def test_a_device_raises_what_a_dispatch_found_and_goes_on():
         with pytest.raises(ShaderError, match="index 77"):
             device.dispatch(program, 1, which=wrong, a=a, out=out)
         device.dispatch(program, 1, which=right, a=a, out=out)
-        np.testing.assert_array_equal(out.read(), run_compute(Plain, **values(i9=3))["out"])
+        np.testing.assert_array_equal(out.read(), sl.run_compute(Plain, **values(i9=3))["out"])

@@ -15,39 +15,7 @@ from stage_runner import (
     run_vertex_numpy,
 )
 
-from rhi.shading import (
-    Flat,
-    FragmentDepth,
-    NoPerspective,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Uniform,
-    array,
-    atomic_add,
-    atomic_max,
-    cross,
-    ddx,
-    ddy,
-    discard,
-    fragment_coordinate,
-    front_facing,
-    fwidth,
-    instance_index,
-    ivec2,
-    length,
-    mat3,
-    mat4,
-    normalize,
-    sin,
-    uint,
-    uvec3,
-    vec2,
-    vec3,
-    vec4,
-    vertex_index,
-)
+import rhi.shading as sl
 
 SHAPE = (12, 16)
 ROWS, COLUMNS = np.mgrid[: SHAPE[0], : SHAPE[1]]
@@ -77,61 +45,61 @@ def fragment_stage(request, context):
 # -- vertices ----------------------------------------------------------------------------------------------
 
 
-class Corner(Struct):
-    position: vec3
-    normal: vec3
-    joint: ivec2
-    color: uint
+class Corner(sl.Struct):
+    position: sl.vec3
+    normal: sl.vec3
+    joint: sl.ivec2
+    color: sl.uint
 
 
-class Instance(Struct):
+class Instance(sl.Struct):
     scale: float
 
 
-class Bone(Struct):
-    turn: mat3
-    offset: vec3
+class Bone(sl.Struct):
+    turn: sl.mat3
+    offset: sl.vec3
 
 
-class Skinned(Struct):
-    clip: vec4
-    normal: vec3
-    color: Flat[vec3]
-    bones: ivec2
-    unread: vec4
+class Skinned(sl.Struct):
+    clip: sl.vec4
+    normal: sl.vec3
+    color: sl.Flat[sl.vec3]
+    bones: sl.ivec2
+    unread: sl.vec4
 
 
-class Skinning(Shader):
-    camera: Uniform[mat4]
-    bones: Storage[Bone]
-    uses: StorageRW[int]
+class Skinning(sl.Shader):
+    camera: sl.Uniform[sl.mat4]
+    bones: sl.Storage[Bone]
+    uses: sl.StorageRW[int]
 
-    def skin(self, p: vec3, joint: int) -> vec3:
+    def skin(self, p: sl.vec3, joint: int) -> sl.vec3:
         if joint < 0:
             return p
         return self.bones[joint].turn @ p + self.bones[joint].offset
 
     def vertex(self, v: Corner, n: Instance) -> Skinned:
-        place = vec3(0.0)
+        place = sl.vec3(0.0)
         for k in range(2):
             joint = v.joint[k]
             if joint >= 0:
-                atomic_add(self.uses[joint], 1)
+                sl.atomic_add(self.uses[joint], 1)
             if joint == 3:
                 break
             place += self.skin(v.position, joint) * 0.5
-        number = float(vertex_index() % 7 + 100 * instance_index())
-        color = uvec3(v.color & uint(255), (v.color >> uint(8)) & uint(255), v.color >> uint(16))
+        number = float(sl.vertex_index() % 7 + 100 * sl.instance_index())
+        color = sl.uvec3(v.color & sl.uint(255), (v.color >> sl.uint(8)) & sl.uint(255), v.color >> sl.uint(16))
         return Skinned(
-            clip=self.camera @ vec4(place * n.scale, 1.0),
-            normal=normalize(cross(v.normal, vec3(1.0, 2.0, 3.0))) + number,
-            color=vec3(color) / 255.0,
+            clip=self.camera @ sl.vec4(place * n.scale, 1.0),
+            normal=sl.normalize(sl.cross(v.normal, sl.vec3(1.0, 2.0, 3.0))) + number,
+            color=sl.vec3(color) / 255.0,
             bones=v.joint,
-            unread=vec4(number),
+            unread=sl.vec4(number),
         )
 
-    def fragment(self, s: Skinned) -> vec4:
-        return vec4(s.normal + s.color, float(s.bones.x + s.bones.y))
+    def fragment(self, s: Skinned) -> sl.vec4:
+        return sl.vec4(s.normal + s.color, float(s.bones.x + s.bones.y))
 
 
 def test_vertex_stages_agree(vertex_stage):
@@ -169,13 +137,13 @@ def test_vertex_stages_agree(vertex_stage):
     np.testing.assert_array_equal(out["uses"], uses)
 
 
-class Pulled(Shader):
-    places: Storage[vec3]
-    words: Storage[int]
+class Pulled(sl.Shader):
+    places: sl.Storage[sl.vec3]
+    words: sl.Storage[int]
 
-    def vertex(self) -> vec4:
-        i = vertex_index()
-        return vec4(self.places[i].xy, float(self.words[i * 2 + 1] + i), float(instance_index()))
+    def vertex(self) -> sl.vec4:
+        i = sl.vertex_index()
+        return sl.vec4(self.places[i].xy, float(self.words[i * 2 + 1] + i), float(sl.instance_index()))
 
 
 @pytest.mark.parametrize("consecutive", [True, False])
@@ -192,33 +160,33 @@ def test_vertices_read_from_buffers_agree(vertex_stage, consecutive):
 # -- fragments ---------------------------------------------------------------------------------------------
 
 
-class Surface(Struct):
-    clip: vec4
-    uv: vec2
-    screen: NoPerspective[vec2]
-    tint: Flat[vec3]
+class Surface(sl.Struct):
+    clip: sl.vec4
+    uv: sl.vec2
+    screen: sl.NoPerspective[sl.vec2]
+    tint: sl.Flat[sl.vec3]
     id: int
 
 
-class Targets(Struct):
-    color: vec4
+class Targets(sl.Struct):
+    color: sl.vec4
     id: int
-    ids: uvec3
-    depth: FragmentDepth
+    ids: sl.uvec3
+    depth: sl.FragmentDepth
 
 
-class Lit(Shader):
+class Lit(sl.Shader):
     """Every kind of output and input; early returns; a local array; stores and atomics under masks."""
 
-    scale: Uniform[vec3]
-    table: Storage[vec4]
-    hits: StorageRW[int]
+    scale: sl.Uniform[sl.vec3]
+    table: sl.Storage[sl.vec4]
+    hits: sl.StorageRW[int]
 
     def vertex(self) -> Surface:
-        return Surface(clip=vec4(0.0), uv=vec2(0.0), screen=vec2(0.0), tint=vec3(0.0), id=0)
+        return Surface(clip=sl.vec4(0.0), uv=sl.vec2(0.0), screen=sl.vec2(0.0), tint=sl.vec3(0.0), id=0)
 
-    def pick(self, x: float, y: float) -> vec4:
-        found = vec4(0.0)
+    def pick(self, x: float, y: float) -> sl.vec4:
+        found = sl.vec4(0.0)
         for i in range(len(self.table)):
             if self.table[i].x > x:
                 return self.table[i]
@@ -226,16 +194,16 @@ class Lit(Shader):
         return -found
 
     def fragment(self, s: Surface) -> Targets:
-        at = fragment_coordinate()
+        at = sl.fragment_coordinate()
         row = int(at.y)
         column = int(at.x)
-        counts = array(int, 4)
+        counts = sl.array(int, 4)
         counts[column % 4] = row
         counts[s.id % 4] += 10
         if (row + column) % 5 == 0:
-            return Targets(color=vec4(1.0), id=-1, ids=uvec3(7), depth=0.25)
+            return Targets(color=sl.vec4(1.0), id=-1, ids=sl.uvec3(7), depth=0.25)
         color = self.pick(s.uv.x, s.screen.y)
-        if front_facing():
+        if sl.front_facing():
             color.rgb = color.bgr * self.scale + s.tint
         n = 0
         while n < 6:
@@ -245,11 +213,13 @@ class Lit(Shader):
             if n % 2 == column % 2:
                 continue
             color.w += 1.0
-            atomic_add(self.hits[0], 1)
+            sl.atomic_add(self.hits[0], 1)
         if row < 6:
             self.hits[1 + column] = 1
-        atomic_max(self.hits[20 + row], column * 2)
-        return Targets(color=color, id=counts[1] + s.id, ids=uvec3(uint(row), uint(column), uint(n)), depth=at.x / 64.0)
+        sl.atomic_max(self.hits[20 + row], column * 2)
+        return Targets(
+            color=color, id=counts[1] + s.id, ids=sl.uvec3(sl.uint(row), sl.uint(column), sl.uint(n)), depth=at.x / 64.0
+        )
 
 
 def lit(front, mask):
@@ -319,27 +289,27 @@ def test_fragment_stages_agree(fragment_stage, front, covered):
     np.testing.assert_array_equal(out["hits"], hits)
 
 
-class Plain(Struct):
-    clip: vec4
-    at: vec2
+class Plain(sl.Struct):
+    clip: sl.vec4
+    at: sl.vec2
 
 
-class Sloped(Shader):
+class Sloped(sl.Shader):
     """Differences of inputs, of what is computed from them, of what is read from memory, within a called function."""
 
-    table: Storage[float]
+    table: sl.Storage[float]
 
     def vertex(self) -> Plain:
-        return Plain(clip=vec4(0.0), at=vec2(0.0))
+        return Plain(clip=sl.vec4(0.0), at=sl.vec2(0.0))
 
     def edge(self, x: float) -> float:
-        return fwidth(x) + ddx(x * x)
+        return sl.fwidth(x) + sl.ddx(x * x)
 
-    def fragment(self, v: Plain) -> vec4:
-        column = int(fragment_coordinate().x)
+    def fragment(self, v: Plain) -> sl.vec4:
+        column = int(sl.fragment_coordinate().x)
         read = self.table[column]
-        wave = sin(v.at.x * 3.0) * v.at.y
-        return vec4(ddx(v.at.x), ddy(wave), self.edge(read), length(ddx(v.at)) + ddy(2.0))
+        wave = sl.sin(v.at.x * 3.0) * v.at.y
+        return sl.vec4(sl.ddx(v.at.x), sl.ddy(wave), self.edge(read), sl.length(sl.ddx(v.at)) + sl.ddy(2.0))
 
 
 @pytest.mark.parametrize("covered", ["all", "part"])
@@ -357,40 +327,40 @@ def test_differences_agree(fragment_stage, covered, request):
     np.testing.assert_allclose(out["color"][mask], expected[mask], rtol=1e-4, atol=1e-5)
 
 
-class Cut(Shader):
+class Cut(sl.Shader):
     """Discards: at once, in a loop, in a function called from a loop, after a return of others."""
 
-    limit: Uniform[float]
-    counts: StorageRW[int]
+    limit: sl.Uniform[float]
+    counts: sl.StorageRW[int]
 
     def vertex(self) -> Plain:
-        return Plain(clip=vec4(0.0), at=vec2(0.0))
+        return Plain(clip=sl.vec4(0.0), at=sl.vec2(0.0))
 
     def check(self, value: int, i: int) -> int:
         if value % 7 == i and i > 1:
-            discard()
+            sl.discard()
         if value % 2 == 0:
             return value
         return value + i
 
-    def fragment(self, v: Plain) -> vec4:
-        at = fragment_coordinate()
+    def fragment(self, v: Plain) -> sl.vec4:
+        at = sl.fragment_coordinate()
         value = int(at.x) + 16 * int(at.y)
         if self.limit > 10.0:
-            discard()
+            sl.discard()
         if value % 11 == 3:
-            discard()
+            sl.discard()
         if value % 13 == 4:
-            return vec4(-1.0)
+            return sl.vec4(-1.0)
         total = 0
         for i in range(4):
             total += self.check(value, i)
             if value % 5 == 2 and i == 2:
                 if value % 3 == 1:
-                    discard()
+                    sl.discard()
                 break
-            atomic_add(self.counts[i], 1)
-        return vec4(float(total), float(value), 0.0, 1.0)
+            sl.atomic_add(self.counts[i], 1)
+        return sl.vec4(float(total), float(value), 0.0, 1.0)
 
 
 def cut(limit):

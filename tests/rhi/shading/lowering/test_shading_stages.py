@@ -9,47 +9,10 @@ import pytest
 from opencl_runner import run_opencl
 from stage_runner import run_fragment_lanes, run_fragment_numpy, run_vertex_lanes, run_vertex_numpy, view
 
+import rhi.shading as sl
 from rhi.contract.descriptors import Interpolation, Stage, StageVarying
 from rhi.contract.formats import Format
 from rhi.errors import ShaderError, ValidationError
-from rhi.shading import (
-    Flat,
-    FragmentDepth,
-    HostTexture,
-    NoPerspective,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Uniform,
-    array,
-    atomic_add,
-    compile_shader,
-    ddx,
-    ddy,
-    discard,
-    draw_index,
-    fragment_coordinate,
-    front_facing,
-    fwidth,
-    instance_index,
-    ivec2,
-    mat2,
-    mat4,
-    native,
-    primitive_index,
-    run_fragment,
-    run_vertex,
-    stage_trees,
-    uint,
-    uniform,
-    uvec2,
-    vec2,
-    vec3,
-    vec4,
-    vertex_index,
-)
 from rhi.shading import compile as compiler
 from rhi.shading.language import rules
 
@@ -57,58 +20,58 @@ SHAPE = (8, 12)
 ROWS, COLUMNS = np.mgrid[: SHAPE[0], : SHAPE[1]]
 
 
-class Corner(Struct):
-    position: vec2
+class Corner(sl.Struct):
+    position: sl.vec2
     id: int
 
 
-class PerInstance(Struct):
-    weight: uint
+class PerInstance(sl.Struct):
+    weight: sl.uint
 
 
-class Surface(Struct):
-    clip: vec4
-    uv: vec2
-    unread: vec3
-    turn: mat2
-    tint: Flat[vec3]
+class Surface(sl.Struct):
+    clip: sl.vec4
+    uv: sl.vec2
+    unread: sl.vec3
+    turn: sl.mat2
+    tint: sl.Flat[sl.vec3]
     id: int
-    screen: NoPerspective[vec2]
+    screen: sl.NoPerspective[sl.vec2]
 
 
-class Targets(Struct):
-    color: vec4
-    ids: uvec2
+class Targets(sl.Struct):
+    color: sl.vec4
+    ids: sl.uvec2
     level: float
-    depth: FragmentDepth
+    depth: sl.FragmentDepth
 
 
-class Draws(Shader):
-    camera: Uniform[mat4]
-    offsets: Storage[vec2]
+class Draws(sl.Shader):
+    camera: sl.Uniform[sl.mat4]
+    offsets: sl.Storage[sl.vec2]
 
     def vertex(self, v: Corner, n: PerInstance) -> Surface:
-        place = v.position + self.offsets[vertex_index() % len(self.offsets)]
+        place = v.position + self.offsets[sl.vertex_index() % len(self.offsets)]
         if v.id % 3 == 0:
             place = -place
         return Surface(
-            clip=self.camera @ vec4(place, 0.5, 1.0),
+            clip=self.camera @ sl.vec4(place, 0.5, 1.0),
             uv=place,
-            unread=vec3(1.0),
-            turn=mat2(1.0, 2.0, 3.0, float(v.id)),
-            tint=vec3(float(instance_index()), float(draw_index()), float(vertex_index())),
+            unread=sl.vec3(1.0),
+            turn=sl.mat2(1.0, 2.0, 3.0, float(v.id)),
+            tint=sl.vec3(float(sl.instance_index()), float(sl.draw_index()), float(sl.vertex_index())),
             id=v.id + int(n.weight),
             screen=v.position * 2.0,
         )
 
     def fragment(self, s: Surface) -> Targets:
-        at = fragment_coordinate()
-        color = vec4(s.uv, s.turn[1][0], s.screen.y)
-        if front_facing():
+        at = sl.fragment_coordinate()
+        color = sl.vec4(s.uv, s.turn[1][0], s.screen.y)
+        if sl.front_facing():
             color.x += 1000.0
         return Targets(
-            color=color + vec4(s.tint, 0.0),
-            ids=uvec2(uint(s.id), uint(primitive_index())),
+            color=color + sl.vec4(s.tint, 0.0),
+            ids=sl.uvec2(sl.uint(s.id), sl.uint(sl.primitive_index())),
             level=at.x + 100.0 * at.y + 10000.0 * at.w,
             depth=at.z * 0.5,
         )
@@ -116,7 +79,7 @@ class Draws(Shader):
 
 def test_varyings_are_those_that_the_fragment_stage_reads():
     flat, linear = Interpolation.FLAT, Interpolation.NO_PERSPECTIVE
-    assert compile_shader(Draws).varyings == (
+    assert sl.compile_shader(Draws).varyings == (
         StageVarying("uv", 0, 2, "float"),
         StageVarying("turn", 2, 4, "float"),
         StageVarying("tint", 6, 3, "float", flat),
@@ -178,11 +141,11 @@ def test_a_fragment_stage_gives_all_its_outputs(front):
     assert out["kept"].all()
 
 
-class Depths(Shader):
+class Depths(sl.Shader):
     """No fragment stage, as in a depth pass."""
 
-    def vertex(self, v: Corner) -> vec4:
-        return vec4(v.position, float(v.id), 1.0)
+    def vertex(self, v: Corner) -> sl.vec4:
+        return sl.vec4(v.position, float(v.id), 1.0)
 
 
 def test_a_vertex_stage_alone_gives_positions():
@@ -190,45 +153,45 @@ def test_a_vertex_stage_alone_gives_positions():
     position = np.arange(10, dtype="f4").reshape(5, 2)
     out = run_vertex_lanes(Depths, {"position": position, "id": ids}, 5)
     np.testing.assert_array_equal(out["position"], np.c_[position, ids, ids * 0 + 1])
-    assert compile_shader(Depths).varyings == ()
+    assert sl.compile_shader(Depths).varyings == ()
 
 
-class Values(Struct):
-    clip: vec4
-    value: vec2
+class Values(sl.Struct):
+    clip: sl.vec4
+    value: sl.vec2
 
 
-class Placed(Struct):
-    clip: vec4
+class Placed(sl.Struct):
+    clip: sl.vec4
     value: float
 
 
-class Holes(Shader):
+class Holes(sl.Shader):
     """Discards in a helper's loop, under conditions that vary and that don't."""
 
-    limits: Uniform[vec2]
-    hits: StorageRW[int]
+    limits: sl.Uniform[sl.vec2]
+    hits: sl.StorageRW[int]
 
     def vertex(self, v: Corner) -> Values:
-        return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)
+        return Values(clip=sl.vec4(v.position, 0.0, 1.0), value=v.position)
 
     def search(self, x: float) -> float:
         for i in range(8):
             if x < float(i) and i > 2:
                 if x < 3.5:
-                    discard()
+                    sl.discard()
                 return float(i)
         return 9.0
 
-    def fragment(self, v: Values) -> vec4:
+    def fragment(self, v: Values) -> sl.vec4:
         if self.limits.x > 1.0:
-            discard()
+            sl.discard()
         found = self.search(v.value.x)
         if v.value.y > self.limits.y:
-            return vec4(1.0)
-        atomic_add(self.hits[0], 1)
+            return sl.vec4(1.0)
+        sl.atomic_add(self.hits[0], 1)
         self.hits[1 + int(v.value.x)] = 1
-        return vec4(found)
+        return sl.vec4(found)
 
 
 def holes(x):
@@ -258,27 +221,27 @@ def test_a_discard_that_all_lanes_reach_ends_the_stage():
     out = run_fragment_lanes(Holes, {"value": value}, SHAPE, limits=np.array([2, 4], "f4"), hits=20)
     assert not out["kept"].any()
     assert not out["hits"].any()
-    text = compile_shader(Holes).emit("opencl16", Stage.FRAGMENT).text
+    text = sl.compile_shader(Holes).emit("opencl16", Stage.FRAGMENT).text
     assert re.search(r"^ *goto end_fragment", text, re.MULTILINE)  # and not with a mask's end
 
 
-class Endless(Shader):
+class Endless(sl.Shader):
     """A loop that ends only by a discard in a called function."""
 
     def vertex(self, v: Corner) -> Values:
-        return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)
+        return Values(clip=sl.vec4(v.position, 0.0, 1.0), value=v.position)
 
     def check(self, value: float, n: float) -> None:
         if n > value:
-            discard()
+            sl.discard()
 
-    def fragment(self, v: Values) -> vec4:
+    def fragment(self, v: Values) -> sl.vec4:
         n = 0.0
         while True:
             self.check(v.value.x, n)
             n += 1.0
             if n > 9.0:
-                return vec4(n)
+                return sl.vec4(n)
 
 
 @pytest.mark.parametrize("run", [run_fragment_lanes, run_fragment_numpy])
@@ -290,22 +253,22 @@ def test_a_loop_ends_when_its_last_lane_is_discarded(run):
     assert (out["color"][out["kept"]] == 10).all()
 
 
-class Slopes(Shader):
-    table: Storage[float]
-    hits: StorageRW[int]
+class Slopes(sl.Shader):
+    table: sl.Storage[float]
+    hits: sl.StorageRW[int]
 
     def vertex(self, v: Corner) -> Values:
-        return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)
+        return Values(clip=sl.vec4(v.position, 0.0, 1.0), value=v.position)
 
-    def fragment(self, v: Values) -> vec4:
+    def fragment(self, v: Values) -> sl.vec4:
         squared = v.value.x * v.value.y
         wide = 0.0
         if v.value.x > 100.0:
             wide = 1.0
         read = self.table[int(v.value.x) * 4]
         self.hits[int(v.value.x)] = 1
-        atomic_add(self.hits[19], 1)
-        return vec4(ddx(squared), ddy(squared), fwidth(wide + 3.0), ddx(read))
+        sl.atomic_add(self.hits[19], 1)
+        return sl.vec4(sl.ddx(squared), sl.ddy(squared), sl.fwidth(wide + 3.0), sl.ddx(read))
 
 
 def test_differences_are_those_of_each_row_and_column_of_a_quad():
@@ -319,20 +282,20 @@ def test_differences_are_those_of_each_row_and_column_of_a_quad():
     np.testing.assert_array_equal(out["color"][..., 3], table[(even + 1) * 4] - table[even * 4])
 
 
-class CutSlopes(Shader):
+class CutSlopes(sl.Shader):
     """A discard, followed by work that helpers of discarded fragments must not do."""
 
     def vertex(self, v: Corner) -> Values:
-        return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)
+        return Values(clip=sl.vec4(v.position, 0.0, 1.0), value=v.position)
 
-    def fragment(self, v: Values) -> vec4:
-        slope = ddx(v.value.y)
+    def fragment(self, v: Values) -> sl.vec4:
+        slope = sl.ddx(v.value.y)
         if v.value.x < 4.0:
-            discard()
+            sl.discard()
         n = 0.0
         while n < v.value.y and n < 100.0:
             n += 1.0
-        return vec4(n, slope, 0.0, 0.0)
+        return sl.vec4(n, slope, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("run", [run_fragment_lanes, run_fragment_numpy])
@@ -345,7 +308,7 @@ def test_helpers_leave_with_the_last_fragment_of_their_quad(run):
     kept = mask & (COLUMNS >= 4)
     np.testing.assert_array_equal(out["kept"], kept)
     np.testing.assert_array_equal(out["color"][kept][:, :2], np.broadcast_to([3.0, 0.0], (kept.sum(), 2)))
-    text = compile_shader(CutSlopes).emit("opencl16", Stage.FRAGMENT).text
+    text = sl.compile_shader(CutSlopes).emit("opencl16", Stage.FRAGMENT).text
     assert re.search(r"= rhi_quads\(kept_\d+\);", text)
 
 
@@ -363,34 +326,34 @@ def test_helper_lanes_are_read_and_never_write():
     np.testing.assert_array_equal(out["kept"], mask)
 
 
-class NativeOnly(Shader):
-    def vertex(self, v: Corner) -> vec4:
-        return vec4(v.position, 0.0, 1.0)
+class NativeOnly(sl.Shader):
+    def vertex(self, v: Corner) -> sl.vec4:
+        return sl.vec4(v.position, 0.0, 1.0)
 
-    @native("glsl", "return vec4(1.0);")
-    def fragment(self) -> vec4: ...
+    @sl.native("glsl", "return vec4(1.0);")
+    def fragment(self) -> sl.vec4: ...
 
 
 def test_a_stage_that_is_native_in_another_language_has_no_lanes():
-    assert compile_shader(NativeOnly).emit("opencl16", Stage.VERTEX).text
+    assert sl.compile_shader(NativeOnly).emit("opencl16", Stage.VERTEX).text
     with pytest.raises(ShaderError):
-        compile_shader(NativeOnly).emit("opencl16", Stage.FRAGMENT)
+        sl.compile_shader(NativeOnly).emit("opencl16", Stage.FRAGMENT)
 
 
-class Pulled(Shader):
+class Pulled(sl.Shader):
     """Reads its vertices from buffers, as mesh shaders' predecessors do."""
 
-    places: Storage[vec3]
-    words: Storage[int]
-    marks: StorageRW[int]
+    places: sl.Storage[sl.vec3]
+    words: sl.Storage[int]
+    marks: sl.StorageRW[int]
 
     def vertex(self) -> Placed:
-        i = vertex_index()
+        i = sl.vertex_index()
         self.marks[i] = i + 1
-        return Placed(clip=vec4(self.places[i], 1.0), value=float(self.words[i * 2 + 1]))
+        return Placed(clip=sl.vec4(self.places[i], 1.0), value=float(self.words[i * 2 + 1]))
 
-    def fragment(self, v: Placed) -> vec4:
-        return vec4(v.value)
+    def fragment(self, v: Placed) -> sl.vec4:
+        return sl.vec4(v.value)
 
 
 @pytest.mark.parametrize("indices", ["consecutive", "scattered", "backwards"])
@@ -412,21 +375,21 @@ def test_a_vertex_stage_reads_buffers_whatever_the_order_of_its_vertices(indices
 
 
 def test_consecutive_vertices_are_read_with_vector_loads():
-    assert "rhi_load_global_4_0_of_4(places_," in compile_shader(Pulled).emit("opencl16", Stage.VERTEX).text
+    assert "rhi_load_global_4_0_of_4(places_," in sl.compile_shader(Pulled).emit("opencl16", Stage.VERTEX).text
 
 
-class Value(Struct):
+class Value(sl.Struct):
     value: float
 
 
-class NativeLanes(Shader):
-    scale: Uniform[vec2]
+class NativeLanes(sl.Shader):
+    scale: sl.Uniform[sl.vec2]
 
-    @native("opencl16", "for (int i = 0; i < 4; i++) outputs[i] = inputs[i % 2];\noutputs[4] = inputs[2];")
+    @sl.native("opencl16", "for (int i = 0; i < 4; i++) outputs[i] = inputs[i % 2];\noutputs[4] = inputs[2];")
     def vertex(self, v: Corner) -> Placed:
-        return Placed(clip=vec4(v.position, v.position), value=float(v.id))
+        return Placed(clip=sl.vec4(v.position, v.position), value=float(v.id))
 
-    @native("opencl16", "outputs[0] = as_uint16(twice(as_float16(inputs[0])) * as_float(scale_[1]));\nreturn mask;",
+    @sl.native("opencl16", "outputs[0] = as_uint16(twice(as_float16(inputs[0])) * as_float(scale_[1]));\nreturn mask;",
             declarations="float16 twice(float16 x) { return x + x; }")  # fmt: skip
     def fragment(self, v: Value) -> float: ...
 
@@ -445,11 +408,11 @@ def test_a_stage_may_be_opencl_c_in_the_same_form():
     np.testing.assert_array_equal(out["kept"], mask)
 
 
-class NativeKernel(Shader):
-    out: StorageRW[int]
+class NativeKernel(sl.Shader):
+    out: sl.StorageRW[int]
     work_group = (32,)
 
-    @native("opencl16", "vstore16(RHI_LANES + rhi_item, rhi_item, (global int *)out_);")
+    @sl.native("opencl16", "vstore16(RHI_LANES + rhi_item, rhi_item, (global int *)out_);")
     def compute(self) -> None:
         self.out[0] = 1
 
@@ -460,24 +423,24 @@ def test_a_kernel_may_be_opencl_c_for_one_number_of_lanes():
     assert run_opencl(NativeKernel, 4, out=32)["out"][0] == 1  # its Python body
 
 
-class Camera(Struct):
-    turn: mat4
-    eye: vec3
+class Camera(sl.Struct):
+    turn: sl.mat4
+    eye: sl.vec3
 
 
-class Surface2(Struct):
-    clip: vec4
-    near: vec4
+class Surface2(sl.Struct):
+    clip: sl.vec4
+    near: sl.vec4
 
 
-class DepthPass(Shader):
-    camera: Uniform[Camera]
+class DepthPass(sl.Shader):
+    camera: sl.Uniform[Camera]
 
-    def place(self, v: Corner) -> vec4:
-        position = vec3(v.position, float(v.id)) * 1.7 - self.camera.eye
-        return self.camera.turn @ vec4(position, 1.0)
+    def place(self, v: Corner) -> sl.vec4:
+        position = sl.vec3(v.position, float(v.id)) * 1.7 - self.camera.eye
+        return self.camera.turn @ sl.vec4(position, 1.0)
 
-    def vertex(self, v: Corner) -> vec4:
+    def vertex(self, v: Corner) -> sl.vec4:
         return self.place(v)
 
 
@@ -485,12 +448,12 @@ class ColorPass(DepthPass):
     """Needs parts of the same sums and products for something else."""
 
     def vertex(self, v: Corner) -> Surface2:  # type: ignore[override]
-        position = vec3(v.position, float(v.id)) * 1.7
+        position = sl.vec3(v.position, float(v.id)) * 1.7
         turn = self.camera.turn
-        near = turn[0] * position.x + vec4(position - self.camera.eye, turn[0].x * (position.x - self.camera.eye.x))
+        near = turn[0] * position.x + sl.vec4(position - self.camera.eye, turn[0].x * (position.x - self.camera.eye.x))
         return Surface2(clip=self.place(v), near=near)
 
-    def fragment(self, s: Surface2) -> vec4:
+    def fragment(self, s: Surface2) -> sl.vec4:
         return s.near
 
 
@@ -506,7 +469,7 @@ def test_the_same_position_in_two_programs_is_the_same_bits():
 
 
 def test_lines_of_a_stage_lead_back_to_python():
-    descriptor = compile_shader(Slopes)
+    descriptor = sl.compile_shader(Slopes)
     emitted = descriptor.emit("opencl16", Stage.FRAGMENT)
     lines, origins = emitted.text.splitlines(), emitted.origins
     assert len(lines) == len(origins)
@@ -517,16 +480,16 @@ def test_lines_of_a_stage_lead_back_to_python():
         assert "ddy(squared)" in text.read().splitlines()[number - 1]
 
 
-class OwnArray(Shader):
+class OwnArray(sl.Shader):
     """A local array, read and written at an index from the inputs."""
 
     def vertex(self, v: Corner) -> Values:
-        return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)
+        return Values(clip=sl.vec4(v.position, 0.0, 1.0), value=v.position)
 
-    def fragment(self, v: Values) -> vec4:
-        table = array(int, 4)
+    def fragment(self, v: Values) -> sl.vec4:
+        table = sl.array(int, 4)
         table[int(v.value.x)] = int(v.value.y)
-        return vec4(float(table[0]), float(table[1]), float(table[int(v.value.x)]), self.slope(v.value.y))
+        return sl.vec4(float(table[0]), float(table[1]), float(table[int(v.value.x)]), self.slope(v.value.y))
 
     def slope(self, y: float) -> float:
         return 0.0
@@ -534,7 +497,7 @@ class OwnArray(Shader):
 
 class OwnArrayWithHelpers(OwnArray):
     def slope(self, y: float) -> float:
-        return ddy(y)
+        return sl.ddy(y)
 
 
 @pytest.mark.parametrize("shader", [OwnArray, OwnArrayWithHelpers])
@@ -548,17 +511,17 @@ def test_lanes_outside_the_mask_leave_memory_alone(shader):
     np.testing.assert_array_equal(out["color"][mask], expected)
 
 
-class Lookup(Shader):
+class Lookup(sl.Shader):
     """A row by a varying that is the same for all covered pixels."""
 
-    rows: Storage[float]
+    rows: sl.Storage[float]
 
     def vertex(self, v: Corner) -> Values:
-        return Values(clip=vec4(v.position, self.rows[v.id], 1.0), value=v.position)
+        return Values(clip=sl.vec4(v.position, self.rows[v.id], 1.0), value=v.position)
 
-    def fragment(self, v: Values) -> vec4:
-        row = uniform(int(v.value.x + 0.5))
-        return vec4(self.rows[row], self.rows[int(v.value.y)], ddx(v.value.y), 1.0)
+    def fragment(self, v: Values) -> sl.vec4:
+        row = sl.uniform(int(v.value.x + 0.5))
+        return sl.vec4(self.rows[row], self.rows[int(v.value.y)], sl.ddx(v.value.y), 1.0)
 
 
 class CheckedLookup(Lookup):
@@ -595,29 +558,29 @@ def test_a_checked_vertex_stage_reports_its_indices():
     assert __file__ in str(caught.value)
 
 
-class PassesTextures(Shader):
-    first: Texture2D
-    second: Texture2D
+class PassesTextures(sl.Shader):
+    first: sl.Texture2D
+    second: sl.Texture2D
 
     def vertex(self, v: Corner) -> Values:
-        return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)
+        return Values(clip=sl.vec4(v.position, 0.0, 1.0), value=v.position)
 
-    def red(self, source: Texture2D, at: vec2) -> float:
-        return source.load(ivec2(at)).x
+    def red(self, source: sl.Texture2D, at: sl.vec2) -> float:
+        return source.load(sl.ivec2(at)).x
 
-    def sum(self, a: Texture2D, b: Texture2D, at: vec2) -> float:
+    def sum(self, a: sl.Texture2D, b: sl.Texture2D, at: sl.vec2) -> float:
         return self.red(a, at) + 10.0 * self.red(b, at)
 
-    def fragment(self, v: Values) -> vec4:
+    def fragment(self, v: Values) -> sl.vec4:
         first = self.sum(self.first, self.second, v.value)
-        return vec4(first, self.sum(self.second, self.first, v.value), 0.0, 0.0)
+        return sl.vec4(first, self.sum(self.second, self.first, v.value), 0.0, 0.0)
 
 
 @pytest.mark.parametrize("run", [run_fragment_lanes, run_fragment_numpy])
 def test_textures_are_passed_to_functions(run):
     first, second = (np.random.default_rng(n).random((*SHAPE, 4), "f4") for n in range(2))
     value = np.stack([COLUMNS, ROWS], axis=-1).astype("f4")
-    textures = {"first": HostTexture(first, Format.RGBA32F), "second": HostTexture(second, Format.RGBA32F)}
+    textures = {"first": sl.HostTexture(first, Format.RGBA32F), "second": sl.HostTexture(second, Format.RGBA32F)}
     out = run(PassesTextures, {"value": value}, SHAPE, **textures)["color"]
     a, b = first[..., 0], second[..., 0]
     np.testing.assert_allclose(out[..., :2], np.stack([a + 10 * b, b + 10 * a], axis=-1), rtol=1e-6)
@@ -639,22 +602,22 @@ GOOD = {"position": np.zeros((4, 2)), "id": np.arange(4)}
     ids=["missing", "unknown", "another length", "another size"],
 )
 def test_attributes_that_a_stage_hasnt_got_are_refused(attributes):
-    assert run_vertex(Depths, GOOD).position.shape == (4, 4)
+    assert sl.run_vertex(Depths, GOOD).position.shape == (4, 4)
     with pytest.raises(ValidationError) as caught:
-        run_vertex(Depths, attributes)
+        sl.run_vertex(Depths, attributes)
     assert caught.value.rule is rules.WRONG_ARGUMENTS
 
 
 def test_a_structured_array_gives_attributes_and_varyings():
     corners = np.zeros(3, Corner.dtype)
     corners["position"] = [(1, 2), (3, 4), (5, 6)]
-    assert run_vertex(Depths, corners).position[:, :2].tolist() == corners["position"].tolist()
+    assert sl.run_vertex(Depths, corners).position[:, :2].tolist() == corners["position"].tolist()
 
 
 def test_quads_have_even_rows_and_columns():
     def run(rows, columns, shader=Slopes):
         values = {"value": np.zeros((rows, columns, 2))}
-        return run_fragment(shader, values, table=64, hits=20).kept.shape
+        return sl.run_fragment(shader, values, table=64, hits=20).kept.shape
 
     assert run(2, 4) == (2, 4)
     for size in ((3, 4), (2, 5)):
@@ -662,31 +625,31 @@ def test_quads_have_even_rows_and_columns():
             run(*size)
         assert caught.value.rule is rules.WRONG_ARGUMENTS
     values = {"value": np.zeros((3, 5, 2))}  # no differences, no quads
-    assert run_fragment(Endless, values).kept.shape == (3, 5)
+    assert sl.run_fragment(Endless, values).kept.shape == (3, 5)
 
 
 def test_a_stage_that_a_shader_hasnt_got_doesnt_run():
     with pytest.raises(ValidationError) as caught:
-        run_fragment(Depths, {})
+        sl.run_fragment(Depths, {})
     assert caught.value.rule is rules.STAGES
     with pytest.raises(ValidationError) as caught:
-        run_fragment(Endless, {"value": np.zeros((2, 2, 2))}, dtype=np.float16)
+        sl.run_fragment(Endless, {"value": np.zeros((2, 2, 2))}, dtype=np.float16)
     assert caught.value.rule is rules.WRONG_ARGUMENTS
 
 
 def test_a_shader_of_which_both_stages_run_is_parsed_once(monkeypatch):
-    class Both(Shader):
-        def vertex(self) -> vec4:
-            return vec4(0.5)
+    class Both(sl.Shader):
+        def vertex(self) -> sl.vec4:
+            return sl.vec4(0.5)
 
-        def fragment(self) -> vec4:
-            return vec4(0.25)
+        def fragment(self) -> sl.vec4:
+            return sl.vec4(0.25)
 
     parsed, parse = [], compiler.parse_stage
     monkeypatch.setattr(compiler, "parse_stage", lambda *given: parsed.append(given[1]) or parse(*given))
     for _ in range(2):
-        assert run_vertex(Both).position.tolist() == [0.5] * 4
-        (color,) = run_fragment(Both, fragment_coordinate=np.zeros((2, 2, 4))).outputs.values()
+        assert sl.run_vertex(Both).position.tolist() == [0.5] * 4
+        (color,) = sl.run_fragment(Both, fragment_coordinate=np.zeros((2, 2, 4))).outputs.values()
         assert color[0, 0].tolist() == [0.25] * 4
-        assert set(stage_trees(Both)) == {Stage.VERTEX, Stage.FRAGMENT}
+        assert set(sl.stage_trees(Both)) == {Stage.VERTEX, Stage.FRAGMENT}
     assert sorted(stage.value for stage in parsed) == ["fragment", "vertex"]

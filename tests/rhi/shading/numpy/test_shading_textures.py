@@ -23,42 +23,11 @@ from stage_runner import run_fragment_lanes, run_vertex_lanes
 from texture_kit import assert_agree, nearest, random_levels, read_everywhere
 
 import rhi
+import rhi.shading as sl
 from rhi import Comparison, Device, Filter, Format, SamplerDescriptor, TextureKind, Wrap
 from rhi.conformance.shaders import Corner
 from rhi.contract.formats import COLOR_FORMATS, ChannelKind
 from rhi.errors import DeviceError, ShaderError, ValidationError
-from rhi.shading import (
-    DepthTexture2D,
-    DepthTexture2DArray,
-    DepthTextureCube,
-    HostTexture,
-    Image2D,
-    Image3D,
-    IntImage2D,
-    IntTexture2D,
-    Precision,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Texture2DArray,
-    Texture3D,
-    TextureCube,
-    UintImage2D,
-    UintTexture2D,
-    global_id,
-    image,
-    ivec2,
-    ivec3,
-    run_compute,
-    run_fragment,
-    run_vertex,
-    uvec4,
-    vec2,
-    vec3,
-    vec4,
-)
 
 NEAREST, LINEAR = Filter.NEAREST, Filter.LINEAR
 D2, ARRAY, D3, CUBE = TextureKind.D2, TextureKind.D2_ARRAY, TextureKind.D3, TextureKind.CUBE
@@ -80,45 +49,45 @@ def name(value: Any) -> str:
     return value.name if hasattr(value, "name") else str(value)
 
 
-class At(Shader):
+class At(sl.Shader):
     work_group = (64,)
-    places: Storage[vec4]
-    results: StorageRW[vec4]
+    places: sl.Storage[sl.vec4]
+    results: sl.StorageRW[sl.vec4]
 
 
 class Sample2D(At):
-    source: Texture2D
+    source: sl.Texture2D
 
     def compute(self) -> None:
-        at = self.places[global_id().x]
-        self.results[global_id().x] = self.source.sample_lod(at.xy, at.w)
+        at = self.places[sl.global_id().x]
+        self.results[sl.global_id().x] = self.source.sample_lod(at.xy, at.w)
 
 
 class SampleArray(At):
-    source: Texture2DArray
+    source: sl.Texture2DArray
 
     def compute(self) -> None:
-        at = self.places[global_id().x]
-        self.results[global_id().x] = self.source.sample_lod(at.xyz, at.w)
+        at = self.places[sl.global_id().x]
+        self.results[sl.global_id().x] = self.source.sample_lod(at.xyz, at.w)
 
 
 class Sample3D(At):
-    source: Texture3D
+    source: sl.Texture3D
 
     def compute(self) -> None:
-        at = self.places[global_id().x]
-        self.results[global_id().x] = self.source.sample_lod(at.xyz, at.w)
+        at = self.places[sl.global_id().x]
+        self.results[sl.global_id().x] = self.source.sample_lod(at.xyz, at.w)
 
 
 class SampleCube(At):
-    source: TextureCube
+    source: sl.TextureCube
 
     def compute(self) -> None:
-        at = self.places[global_id().x]
-        self.results[global_id().x] = self.source.sample_lod(at.xyz, at.w)
+        at = self.places[sl.global_id().x]
+        self.results[sl.global_id().x] = self.source.sample_lod(at.xyz, at.w)
 
 
-SHAPES: dict[TextureKind, tuple[type[Shader], int]] = {
+SHAPES: dict[TextureKind, tuple[type[sl.Shader], int]] = {
     D2: (Sample2D, 1),
     ARRAY: (SampleArray, 5),
     D3: (Sample3D, 6),
@@ -140,7 +109,7 @@ def places_by_block(seed: int = 0) -> NDArray[Any]:
     return at
 
 
-def sample(device: Device, texture: HostTexture, at: NDArray[Any]) -> dict[str, NDArray[Any]]:
+def sample(device: Device, texture: sl.HostTexture, at: NDArray[Any]) -> dict[str, NDArray[Any]]:
     shader, _ = SHAPES[texture.kind]
     return read_everywhere(device, shader, {"source": texture}, len(at) // 64, places=at, results=len(at))
 
@@ -152,7 +121,7 @@ def sample(device: Device, texture: HostTexture, at: NDArray[Any]) -> dict[str, 
 @pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)
 def test_every_format_is_decoded_and_filtered(device: Device, format: Format, filter: Filter) -> None:
     """A block that lies inside uses different loads for each size of a texel."""
-    texture = HostTexture(random_levels(format, 13, 7), format, D2, SamplerDescriptor(filter, filter, None))
+    texture = sl.HostTexture(random_levels(format, 13, 7), format, D2, SamplerDescriptor(filter, filter, None))
     slack = EIGHT_BITS if format.dtype.itemsize == 1 and filter is LINEAR else 2e-6
     slack = max(slack, 1.3e-3) if format.kind is ChannelKind.SRGB else slack
     assert_agree(sample(device, texture, places_by_block()), slack)
@@ -169,7 +138,7 @@ def test_levels_and_filters_are_chosen_by_the_level_of_detail(
     at = places(1)
     at[:8, 3] = (-1, 0, 0.25, 0.5, 1, 1.5, 2.5, 99)
     sampler = SamplerDescriptor(minify, magnify, mip)
-    assert_agree(sample(device, HostTexture(texels, Format.RG32F, kind, sampler), at), 3e-6, 3e-6)
+    assert_agree(sample(device, sl.HostTexture(texels, Format.RG32F, kind, sampler), at), 3e-6, 3e-6)
 
 
 @pytest.mark.parametrize("wrap", list(Wrap), ids=name)
@@ -181,7 +150,7 @@ def test_edges_wrap(device: Device, kind: TextureKind, wrap: Wrap, filter: Filte
     texels = random_levels(format, 5, 6, SHAPES[kind][1], kind, levels=1)
     sampler = SamplerDescriptor(filter, filter, None, wrap, wrap, wrap, border=(0.25, -0.5, 2.0, 0.5))
     slack = EIGHT_BITS if format is Format.RGBA8 and filter is LINEAR else 3e-6
-    assert_agree(sample(device, HostTexture(texels, format, kind, sampler), places_by_block(2)), slack, 3e-6)
+    assert_agree(sample(device, sl.HostTexture(texels, format, kind, sampler), places_by_block(2)), slack, 3e-6)
 
 
 @pytest.mark.parametrize("wrap", list(Wrap), ids=name)
@@ -195,7 +164,7 @@ def test_hard_coordinates_read_the_same_texels_everywhere(
     hard += [1e4 + 0.375, -1e4 - 0.375]
     at = np.zeros((256, 4), "f4")
     at[:, :2] = np.stack(np.meshgrid(hard, hard), -1).reshape(-1, 2)
-    texture = HostTexture(
+    texture = sl.HostTexture(
         random_levels(Format.RG32F, *size, levels=1),
         Format.RG32F,
         D2,
@@ -218,9 +187,9 @@ def test_coordinates_that_are_no_places_give_some_texel(wrap: Wrap, filter: Filt
     texels = random_levels(Format.R8, 7, 3)
     sampler = SamplerDescriptor(filter, filter, LINEAR, wrap, wrap, border=(0.5, 0, 0, 0))
     given: dict[str, Any] = {
-        "source": HostTexture(texels, Format.R8, D2, sampler), "places": at, "results": 64
+        "source": sl.HostTexture(texels, Format.R8, D2, sampler), "places": at, "results": 64
     }  # fmt: skip
-    expected = run_compute(Sample2D, 1, **given)["results"]
+    expected = sl.run_compute(Sample2D, 1, **given)["results"]
     assert np.isfinite(expected).all()
     assert expected.max() <= 1
     for width in (1, 16):
@@ -232,13 +201,13 @@ def test_coordinates_that_are_no_places_give_some_texel(wrap: Wrap, filter: Filt
 def test_other_widths_give_the_same(width: int) -> None:
     for kind, (shader, layers) in SHAPES.items():
         texels = random_levels(Format.RGBA8, 8, 8, layers, kind)
-        given = {"source": HostTexture(texels, Format.RGBA8, kind), "places": places(3), "results": COUNT}
+        given = {"source": sl.HostTexture(texels, Format.RGBA8, kind), "places": places(3), "results": COUNT}
         one = run_opencl(shader, 1, COUNT // 64, **given)["results"]
         np.testing.assert_array_equal(run_opencl(shader, width, COUNT // 64, **given)["results"], one)
 
 
 @st.composite
-def textures(draw: st.DrawFn) -> HostTexture:
+def textures(draw: st.DrawFn) -> sl.HostTexture:
     """Any format, shape, size and sampler that can be read as floats."""
     kind = draw(st.sampled_from(list(SHAPES)))
     format = draw(st.sampled_from([f for f in Format if not f.is_integer and not (f.is_depth and kind is D3)]))
@@ -251,12 +220,12 @@ def textures(draw: st.DrawFn) -> HostTexture:
     border = tuple(draw(st.sampled_from([-0.5, 0.0, 0.25, 1.0])) for _ in range(4))
     mip = draw(st.one_of(st.none(), filters))
     sampler = SamplerDescriptor(draw(filters), draw(filters), mip, *wraps, border=border)  # type: ignore[arg-type]
-    return HostTexture(texels[: draw(st.integers(1, len(texels)))], format, kind, sampler)
+    return sl.HostTexture(texels[: draw(st.integers(1, len(texels)))], format, kind, sampler)
 
 
 @given(textures(), st.integers(0, 1000))
 @settings(max_examples=50)
-def test_any_texture_is_the_same_everywhere(device: Device, texture: HostTexture, seed: int) -> None:
+def test_any_texture_is_the_same_everywhere(device: Device, texture: sl.HostTexture, seed: int) -> None:
     """Within 8-bit weights for each of three directions, as llvmpipe may filter, and where that rounds coordinates
     to 8 bits between texels, too; lanes within float32."""
     at = places(seed)
@@ -277,7 +246,7 @@ def test_cubes_are_seamless_at_edges_and_corners(device: Device, size: int, filt
     directions[np.all(directions == 0, axis=1)] = (0, 0, 1)
     at = np.c_[directions, np.zeros(COUNT)].astype("f4")
     texels = random_levels(Format.RG32F, size, size, 6, CUBE, levels=1)
-    texture = HostTexture(texels, Format.RG32F, CUBE, SamplerDescriptor(filter, filter, None))
+    texture = sl.HostTexture(texels, Format.RG32F, CUBE, SamplerDescriptor(filter, filter, None))
     assert_agree(sample(device, texture, at), 3e-6, 3e-6)
 
 
@@ -285,34 +254,36 @@ def test_cubes_are_seamless_at_edges_and_corners(device: Device, size: int, filt
 
 
 class Graded2D(At):
-    source: Texture2D
+    source: sl.Texture2D
 
     def compute(self) -> None:
-        step = self.places[global_id().x]
-        self.results[global_id().x] = self.source.sample_grad(vec2(0.3, 0.3), step.xy, step.zw)
+        step = self.places[sl.global_id().x]
+        self.results[sl.global_id().x] = self.source.sample_grad(sl.vec2(0.3, 0.3), step.xy, step.zw)
 
 
 class Graded3D(At):
-    source: Texture3D
+    source: sl.Texture3D
 
     def compute(self) -> None:
-        step = self.places[global_id().x]
-        self.results[global_id().x] = self.source.sample_grad(vec3(0.3, 0.3, 0.3), vec3(step.xy, 0.0), step.zwx)
+        step = self.places[sl.global_id().x]
+        self.results[sl.global_id().x] = self.source.sample_grad(
+            sl.vec3(0.3, 0.3, 0.3), sl.vec3(step.xy, 0.0), step.zwx
+        )
 
 
 class GradedCube(At):
-    source: TextureCube
+    source: sl.TextureCube
 
     def compute(self) -> None:
-        step = self.places[global_id().x]
-        at = vec3(0.3, -1.0, 0.5)
-        self.results[global_id().x] = self.source.sample_grad(at, vec3(0.0, step.xy), step.zwx)
+        step = self.places[sl.global_id().x]
+        at = sl.vec3(0.3, -1.0, 0.5)
+        self.results[sl.global_id().x] = self.source.sample_grad(at, sl.vec3(0.0, step.xy), step.zwx)
 
 
 @pytest.mark.parametrize(
     ("shader", "kind", "layers"), [(Graded2D, D2, 1), (Graded3D, D3, 16), (GradedCube, CUBE, 6)], ids=name
 )
-def test_derivatives_choose_the_level(device: Device, shader: type[Shader], kind: TextureKind, layers: int) -> None:
+def test_derivatives_choose_the_level(device: Device, shader: type[sl.Shader], kind: TextureKind, layers: int) -> None:
     """Every level contains its own number, so that the result is the level. The logarithm of lanes is within 1.2e-4;
     llvmpipe's is linear between powers of 2, up to 0.043 less."""
     rng = np.random.default_rng(5)
@@ -320,7 +291,7 @@ def test_derivatives_choose_the_level(device: Device, shader: type[Shader], kind
     texels = random_levels(Format.R32F, 16, 16, layers, kind)
     for level, each in enumerate(texels):
         each[:] = level
-    texture = HostTexture(texels, Format.R32F, kind, SamplerDescriptor(LINEAR, LINEAR, LINEAR))
+    texture = sl.HostTexture(texels, Format.R32F, kind, SamplerDescriptor(LINEAR, LINEAR, LINEAR))
     results = read_everywhere(device, shader, {"source": texture}, 1, places=steps, results=64)
     assert_agree(results, 0.045, 2e-4)
     assert len(np.unique(np.round(results["float64"][:, 0]))) > 1
@@ -329,13 +300,13 @@ def test_derivatives_choose_the_level(device: Device, shader: type[Shader], kind
 # -- anisotropy ----------------------------------------------------------------------------------------------
 
 
-def grade(texture: HostTexture, at: Any, right: Any, down: Any) -> NDArray[Any]:
+def grade(texture: sl.HostTexture, at: Any, right: Any, down: Any) -> NDArray[Any]:
     """Sample a 2D texture in float64 at places (n, 2), with steps (n, 2) to the next pixels."""
     (u, v), (ux, vx), (uy, vy) = (np.moveaxis(np.asarray(each, float), -1, 0) for each in (at, right, down))
     return np.stack(texture.sample_across(np.float64, u, v, 0.0, ux, vx, 0.0, uy, vy, 0.0, 0.0), -1)
 
 
-def checkers(most: float, size: int = 64) -> HostTexture:
+def checkers(most: float, size: int = 64) -> sl.HostTexture:
     """Return squares of 4 by 4 texels and, in green, random texels; with levels that are means."""
     y, x = np.mgrid[:size, :size] // 4
     noise = np.random.default_rng(8).uniform(0, 1, (size, size))
@@ -343,7 +314,7 @@ def checkers(most: float, size: int = 64) -> HostTexture:
     while len(levels[-1]) > 1:
         half = len(levels[-1]) // 2
         levels.append(levels[-1].reshape(half, 2, half, 2, 4).mean((1, 3)))
-    return HostTexture(levels, Format.RGBA32F, sampler=SamplerDescriptor(max_anisotropy=most))
+    return sl.HostTexture(levels, Format.RGBA32F, sampler=SamplerDescriptor(max_anisotropy=most))
 
 
 def footprints(ratio: float, count: int, seed: int) -> tuple[NDArray[Any], ...]:
@@ -362,7 +333,7 @@ def footprints(ratio: float, count: int, seed: int) -> tuple[NDArray[Any], ...]:
     ("shader", "kind", "layers"), [(Graded2D, D2, 1), (Graded3D, D3, 16), (GradedCube, CUBE, 6)], ids=name
 )
 def test_anisotropic_averages_are_the_same_in_lanes_and_in_numpy(
-    shader: type[Shader], kind: TextureKind, layers: int, most: float
+    shader: type[sl.Shader], kind: TextureKind, layers: int, most: float
 ) -> None:
     """Levels differ by up to 1.2e-4, neighbouring levels by up to 1. Some derivatives are 0, some parallel, some too
     large or too small for their squares."""
@@ -372,13 +343,13 @@ def test_anisotropic_averages_are_the_same_in_lanes_and_in_numpy(
     steps[6:8], steps[8:10, :2], steps[10:12, 2:] = (0.1, 0, 0, 0.1), 0, 0
     steps[12:20, 2:] = 3 * steps[12:20, :2]
     sampler = SamplerDescriptor(max_anisotropy=most)
-    texture = HostTexture(random_levels(Format.RGBA8, 16, 16, layers, kind), Format.RGBA8, kind, sampler)
+    texture = sl.HostTexture(random_levels(Format.RGBA8, 16, 16, layers, kind), Format.RGBA8, kind, sampler)
     given: dict[str, Any] = {"source": texture, "places": steps, "results": 128}
-    exact = run_compute(shader, 2, dtype=np.float64, **given)["results"]
+    exact = sl.run_compute(shader, 2, dtype=np.float64, **given)["results"]
     for width in (1, 16):
         np.testing.assert_allclose(run_opencl(shader, width, 2, **given)["results"], exact, rtol=0, atol=2e-4)
-    plain = HostTexture(texture.levels, Format.RGBA8, kind)
-    level = run_compute(shader, 2, dtype=np.float64, **{**given, "source": plain})["results"]
+    plain = sl.HostTexture(texture.levels, Format.RGBA8, kind)
+    level = sl.run_compute(shader, 2, dtype=np.float64, **{**given, "source": plain})["results"]
     assert np.abs(exact - level).max() > 0.05
 
 
@@ -390,7 +361,7 @@ def test_an_anisotropic_average_is_nearer_to_the_mean_of_what_a_pixel_covers(
     at, right, down = footprints(ratio, 64, seed=2)
     part = ((np.arange(24) + 0.5) / 24 - 0.5)[:, None, None, None]
     inside = at + part * right + np.moveaxis(part, 0, 1) * down
-    flat = HostTexture(checkers(1).levels[:1], Format.RGBA32F)
+    flat = sl.HostTexture(checkers(1).levels[:1], Format.RGBA32F)
     exact = grade(flat, inside, right, down).mean((0, 1))[:, :2]
     errors = [np.sqrt(((grade(checkers(most), at, right, down)[:, :2] - exact) ** 2).mean()) for most in (1, 4, 16)]
     assert errors[2] <= part_of_error * errors[0]
@@ -424,9 +395,9 @@ def test_derivatives_that_are_no_numbers_give_some_texel(width: int) -> None:
     steps = np.zeros((256, 4), "f4")
     steps[:] = np.stack(np.meshgrid(*[hard] * 4), -1).reshape(-1, 4)
     sampler = SamplerDescriptor(max_anisotropy=16)
-    texture = HostTexture(random_levels(Format.RGBA8, 16, 16), Format.RGBA8, sampler=sampler)
+    texture = sl.HostTexture(random_levels(Format.RGBA8, 16, 16), Format.RGBA8, sampler=sampler)
     given: dict[str, Any] = {"source": texture, "places": steps, "results": 256}
-    for results in (run_compute(Graded2D, 4, **given), run_opencl(Graded2D, width, 4, **given)):
+    for results in (sl.run_compute(Graded2D, 4, **given), run_opencl(Graded2D, width, 4, **given)):
         found = results["results"]
         assert np.isfinite(found).all()
         assert 0 <= found.min() <= found.max() <= 1
@@ -436,11 +407,11 @@ def test_derivatives_that_are_no_numbers_give_some_texel(width: int) -> None:
 
 
 class FastSample2D(Sample2D):
-    precision = Precision.FAST
+    precision = sl.Precision.FAST
 
 
 class FastGraded2D(Graded2D):
-    precision = Precision.FAST
+    precision = sl.Precision.FAST
 
 
 @pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)  # each decodes in a place of its own
@@ -449,10 +420,10 @@ def test_srgb_is_decoded_as_exactly_as_is_asked_for(width: int, filter: Filter) 
     """All 256 stored values: within 2e-6, or within 1.3e-3 and 0.35 of the step to the next one. White is white."""
     texels = np.repeat(np.arange(256, dtype="u1"), 4).reshape(1, 256, 4)
     sampler = SamplerDescriptor(filter, filter, None)
-    given: dict[str, Any] = {"source": HostTexture(texels, Format.RGBA8_SRGB, sampler=sampler)}
+    given: dict[str, Any] = {"source": sl.HostTexture(texels, Format.RGBA8_SRGB, sampler=sampler)}
     given["places"] = np.zeros((256, 4), "f4")
     given["places"][:, 0] = (np.arange(256) + 0.5) / 256
-    truth = run_compute(Sample2D, 4, dtype=np.float64, results=256, **given)["results"]
+    truth = sl.run_compute(Sample2D, 4, dtype=np.float64, results=256, **given)["results"]
     exact, fast = (run_opencl(shader, width, 4, results=256, **given)["results"] for shader in (Sample2D, FastSample2D))
     step = np.diff(truth[:, :3], axis=0, append=truth[-1:, :3] + 1.0)
     np.testing.assert_allclose(exact, truth, rtol=0, atol=2e-6)
@@ -472,8 +443,8 @@ def test_fast_levels_are_up_to_a_23rd_less(width: int) -> None:
     texels = random_levels(Format.R32F, 16, 16)
     for level, each in enumerate(texels):
         each[:] = level
-    given: dict[str, Any] = {"source": HostTexture(texels, Format.R32F), "places": steps}
-    truth = run_compute(Graded2D, 4, dtype=np.float64, results=256, **given)["results"][:, 0]
+    given: dict[str, Any] = {"source": sl.HostTexture(texels, Format.R32F), "places": steps}
+    truth = sl.run_compute(Graded2D, 4, dtype=np.float64, results=256, **given)["results"][:, 0]
     exact, fast = (
         run_opencl(shader, width, 4, results=256, **given)["results"][:, 0] for shader in (Graded2D, FastGraded2D)
     )
@@ -485,28 +456,28 @@ def test_fast_levels_are_up_to_a_23rd_less(width: int) -> None:
     np.testing.assert_allclose(fast[powers], truth[powers], rtol=0, atol=1e-6)
 
 
-class Surface(Struct):
-    clip: vec4
-    uv: vec2
+class Surface(sl.Struct):
+    clip: sl.vec4
+    uv: sl.vec2
     material: int
 
 
-class Textured(Shader):
+class Textured(sl.Shader):
     """Implicit levels, with and without a bias; a comparison; and a level for the whole block."""
 
-    source: Texture2D
-    around: TextureCube
-    shadow: DepthTexture2D
+    source: sl.Texture2D
+    around: sl.TextureCube
+    shadow: sl.DepthTexture2D
 
     def vertex(self, v: Corner) -> Surface:
         return Surface(clip=v.position, uv=v.position.xy, material=0)
 
-    def fragment(self, s: Surface) -> vec4:
+    def fragment(self, s: Surface) -> sl.vec4:
         if s.material == 1:
-            return vec4(self.source.sample(vec2(0.5, 0.5)).x, 0.0, 0.0, 0.0)
+            return sl.vec4(self.source.sample(sl.vec2(0.5, 0.5)).x, 0.0, 0.0, 0.0)
         biased = self.source.sample_bias(s.uv, 1.5).x
-        cube = self.around.sample(vec3(s.uv, -0.75)).x
-        return vec4(self.source.sample(s.uv).x, biased, cube, self.shadow.sample_compare(s.uv, 0.5))
+        cube = self.around.sample(sl.vec3(s.uv, -0.75)).x
+        return sl.vec4(self.source.sample(s.uv).x, biased, cube, self.shadow.sample_compare(s.uv, 0.5))
 
 
 def test_a_fragment_finds_its_level_from_its_quad() -> None:
@@ -522,12 +493,12 @@ def test_a_fragment_finds_its_level_from_its_quad() -> None:
 
     shadow = SamplerDescriptor(NEAREST, NEAREST, NEAREST, compare=Comparison.LESS)
     given: dict[str, Any] = {
-        "source": HostTexture(ladder(Format.R32F, D2, 1), Format.R32F),
-        "around": HostTexture(ladder(Format.R32F, CUBE, 6), Format.R32F, CUBE),
-        "shadow": HostTexture(ladder(Format.D32F, D2, 1), Format.D32F, D2, shadow),
+        "source": sl.HostTexture(ladder(Format.R32F, D2, 1), Format.R32F),
+        "around": sl.HostTexture(ladder(Format.R32F, CUBE, 6), Format.R32F, CUBE),
+        "shadow": sl.HostTexture(ladder(Format.D32F, D2, 1), Format.D32F, D2, shadow),
     }
     varyings: dict[str, Any] = {"uv": uv, "material": np.int32(0)}
-    exact = run_fragment(Textured, varyings, dtype=np.float64, **given).outputs
+    exact = sl.run_fragment(Textured, varyings, dtype=np.float64, **given).outputs
     (output,) = exact
     expected = exact[output]
     np.testing.assert_allclose(expected[..., 0], 1, atol=1e-6)
@@ -540,7 +511,7 @@ def test_a_fragment_finds_its_level_from_its_quad() -> None:
     assert (flat[..., 0] == 0).all()
     for binding in given.values():
         binding.sampler = replace(binding.sampler, max_anisotropy=3.0)
-    narrow = run_fragment(Textured, varyings, dtype=np.float64, **given).outputs[output]
+    narrow = sl.run_fragment(Textured, varyings, dtype=np.float64, **given).outputs[output]
     np.testing.assert_allclose(narrow[..., 0], 0, atol=1e-6)  # 2 texels long, and half a texel wide
     np.testing.assert_allclose(narrow[..., 1], 1.5, atol=1e-6)
     assert (narrow[..., 3] == 0).all()  # the comparison is with level 0 as well
@@ -548,21 +519,21 @@ def test_a_fragment_finds_its_level_from_its_quad() -> None:
     np.testing.assert_allclose(lanes, narrow, rtol=0, atol=3e-4)
 
 
-class Heights(Shader):
+class Heights(sl.Shader):
     """A vertex stage has no quads, so it samples level 0."""
 
-    source: Texture2D
+    source: sl.Texture2D
 
-    def vertex(self, v: Corner) -> vec4:
-        return self.source.sample(v.position.xy) + self.source.load(ivec2(v.position.xy * 8.0))
+    def vertex(self, v: Corner) -> sl.vec4:
+        return self.source.sample(v.position.xy) + self.source.load(sl.ivec2(v.position.xy * 8.0))
 
 
 def test_a_vertex_stage_reads_textures() -> None:
-    texture = HostTexture(random_levels(Format.RGBA16F, 8, 8), Format.RGBA16F)
+    texture = sl.HostTexture(random_levels(Format.RGBA16F, 8, 8), Format.RGBA16F)
     at = np.zeros((20, 4), "f4")
     at[:, :2] = np.random.default_rng(15).random((20, 2))
     attributes = {"position": at, "color": at}
-    expected = run_vertex(Heights, attributes, dtype=np.float64, source=texture).position
+    expected = sl.run_vertex(Heights, attributes, dtype=np.float64, source=texture).position
     found = run_vertex_lanes(Heights, attributes, 20, source=texture)["position"]
     np.testing.assert_allclose(found, expected, rtol=0, atol=3e-6)
 
@@ -571,39 +542,39 @@ def test_a_vertex_stage_reads_textures() -> None:
 
 
 class Gather2D(At):
-    source: Texture2D
+    source: sl.Texture2D
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         at = self.places[i].xy
         self.results[i] = self.source.gather(at) + 2.0 * self.source.gather(at, 2)
 
 
 class GatherCube(At):
-    source: TextureCube
+    source: sl.TextureCube
 
     def compute(self) -> None:
-        self.results[global_id().x] = self.source.gather(self.places[global_id().x].xyz, 1)
+        self.results[sl.global_id().x] = self.source.gather(self.places[sl.global_id().x].xyz, 1)
 
 
 @pytest.mark.parametrize(("shader", "kind"), [(Gather2D, D2), (GatherCube, CUBE)], ids=name)
-def test_gather_gives_a_component_of_four_texels(device: Device, shader: type[Shader], kind: TextureKind) -> None:
+def test_gather_gives_a_component_of_four_texels(device: Device, shader: type[sl.Shader], kind: TextureKind) -> None:
     texels = random_levels(Format.RGBA32F, 5, 5, SHAPES[kind][1], kind, levels=1)
-    texture = HostTexture(texels, Format.RGBA32F, kind, SamplerDescriptor(LINEAR, LINEAR, None))
+    texture = sl.HostTexture(texels, Format.RGBA32F, kind, SamplerDescriptor(LINEAR, LINEAR, None))
     results = read_everywhere(device, shader, {"source": texture}, 8, places=places(6), results=COUNT)
     assert_agree(results, 1e-6, 1e-6)
 
 
 class Load2D(At):
-    source: Texture2D
-    volume: Texture3D
+    source: sl.Texture2D
+    volume: sl.Texture3D
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         at = self.places[i]
-        texel = ivec2(int(at.x), int(at.y))
+        texel = sl.ivec2(int(at.x), int(at.y))
         flat = self.source.load(texel, int(at.w))
-        solid = self.volume.load(ivec3(texel, int(at.z)))
+        solid = self.volume.load(sl.ivec3(texel, int(at.z)))
         self.results[i] = flat + 2.0 * solid
 
 
@@ -611,8 +582,8 @@ def test_loads_name_texel_and_level_and_give_zeros_outside(device: Device) -> No
     at = places(7)
     at[:, :3] *= 3
     textures = {
-        "source": HostTexture(random_levels(Format.RGBA32F, 6, 9), Format.RGBA32F),
-        "volume": HostTexture(random_levels(Format.RGBA32F, 5, 5, 5, D3), Format.RGBA32F, D3),
+        "source": sl.HostTexture(random_levels(Format.RGBA32F, 6, 9), Format.RGBA32F),
+        "volume": sl.HostTexture(random_levels(Format.RGBA32F, 5, 5, 5, D3), Format.RGBA32F, D3),
     }
     results = read_everywhere(device, Load2D, textures, 8, places=at, results=COUNT)
     assert (results["float64"] == 0).all(axis=1).any()
@@ -620,30 +591,30 @@ def test_loads_name_texel_and_level_and_give_zeros_outside(device: Device) -> No
 
 
 class LoadUint(At):
-    source: UintTexture2D
+    source: sl.UintTexture2D
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         at = self.places[i]
         texel = self.source.sample_lod(at.xy, at.w)
-        self.results[i] = vec4(vec2(texel.xy % uvec4(10007).xy), vec2(texel.zw // uvec4(65536).zw))
+        self.results[i] = sl.vec4(sl.vec2(texel.xy % sl.uvec4(10007).xy), sl.vec2(texel.zw // sl.uvec4(65536).zw))
 
 
 class LoadInt(At):
-    source: IntTexture2D
+    source: sl.IntTexture2D
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         at = self.places[i]
         texel = self.source.sample_lod(at.xy, at.w)
-        self.results[i] = vec4(float(texel.x // 65536), float(texel.y % 9973), float(texel.z), float(texel.w))
+        self.results[i] = sl.vec4(float(texel.x // 65536), float(texel.y % 9973), float(texel.z), float(texel.w))
 
 
 @pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.is_integer], ids=name)
 def test_integers_are_read_whole(device: Device, format: Format) -> None:
     shader = LoadUint if format.kind is ChannelKind.UINT else LoadInt
     sampler = SamplerDescriptor(NEAREST, NEAREST, NEAREST)
-    texture = HostTexture(random_levels(format, 7, 5), format, D2, sampler)
+    texture = sl.HostTexture(random_levels(format, 7, 5), format, D2, sampler)
     results = read_everywhere(device, shader, {"source": texture}, 8, places=places(8), results=COUNT)
     if format is Format.RGBA32I:  # whose last components are beyond what a float holds
         results = {way: found.astype("f4") for way, found in results.items()}
@@ -651,17 +622,17 @@ def test_integers_are_read_whole(device: Device, format: Format) -> None:
 
 
 class Sizes(At):
-    flat: Texture2D
-    layers: Texture2DArray
-    volume: Texture3D
-    around: TextureCube
+    flat: sl.Texture2D
+    layers: sl.Texture2DArray
+    volume: sl.Texture3D
+    around: sl.TextureCube
 
     def compute(self) -> None:
-        i = global_id().x
-        total = vec4(0.0)
+        i = sl.global_id().x
+        total = sl.vec4(0.0)
         for level in range(3):
             flat = self.flat.size(level)
-            total = total * 100.0 + vec4(
+            total = total * 100.0 + sl.vec4(
                 float(flat.x + 1000 * self.flat.levels()),
                 float(flat.y + self.layers.size().z * 1000),
                 float(self.around.size(level).x),
@@ -671,20 +642,20 @@ class Sizes(At):
 
 
 class SizesOfLanes(At):
-    source: Texture3D
+    source: sl.Texture3D
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         size = self.source.size(i % 4)
-        self.results[i] = vec4(vec3(size), float(i % 4))
+        self.results[i] = sl.vec4(sl.vec3(size), float(i % 4))
 
 
 def test_sizes_are_those_of_each_level(device: Device) -> None:
     textures = {
-        "flat": HostTexture(random_levels(Format.R8, 13, 7), Format.R8),
-        "layers": HostTexture(random_levels(Format.R8, 4, 4, 5, ARRAY), Format.R8, ARRAY),
-        "volume": HostTexture(random_levels(Format.R8, 9, 8, 7, D3), Format.R8, D3),
-        "around": HostTexture(random_levels(Format.R8, 4, 4, 6, CUBE), Format.R8, CUBE),
+        "flat": sl.HostTexture(random_levels(Format.R8, 13, 7), Format.R8),
+        "layers": sl.HostTexture(random_levels(Format.R8, 4, 4, 5, ARRAY), Format.R8, ARRAY),
+        "volume": sl.HostTexture(random_levels(Format.R8, 9, 8, 7, D3), Format.R8, D3),
+        "around": sl.HostTexture(random_levels(Format.R8, 4, 4, 6, CUBE), Format.R8, CUBE),
     }
     at = np.zeros((64, 4), "f4")
     assert_agree(read_everywhere(device, Sizes, textures, 1, places=at, results=64), 0.0, 0.0)
@@ -692,13 +663,13 @@ def test_sizes_are_those_of_each_level(device: Device) -> None:
 
 def test_each_lane_may_ask_for_another_level_s_size() -> None:
     """llvmpipe returns the first lane's size in all lanes, so it isn't compared."""
-    given = {"source": HostTexture(random_levels(Format.R8, 9, 8, 7, D3), Format.R8, D3)}
+    given = {"source": sl.HostTexture(random_levels(Format.R8, 9, 8, 7, D3), Format.R8, D3)}
     at = np.zeros((64, 4), "f4")
     expected = np.resize([(9, 8, 7, 0), (4, 4, 3, 1), (2, 2, 1, 2), (1, 1, 1, 3)], (64, 4))
     for width in (1, 16):
         found = run_opencl(SizesOfLanes, width, 1, places=at, results=64, **given)["results"]
         np.testing.assert_array_equal(found, expected)
-    found = run_compute(SizesOfLanes, 1, places=at, results=64, **given)["results"]
+    found = sl.run_compute(SizesOfLanes, 1, places=at, results=64, **given)["results"]
     np.testing.assert_array_equal(found, expected)
 
 
@@ -706,31 +677,31 @@ def test_each_lane_may_ask_for_another_level_s_size() -> None:
 
 
 class Compare2D(At):
-    source: DepthTexture2D
+    source: sl.DepthTexture2D
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         at = self.places[i]
         four = self.source.gather_compare(at.xy, at.z)
         implicit = self.source.sample_compare(at.xy, at.z)
         level = self.source.sample_compare_lod(at.xy, at.z, at.w)
-        self.results[i] = vec4(implicit, level, four.x + 2.0 * four.y, four.z + 2.0 * four.w)
+        self.results[i] = sl.vec4(implicit, level, four.x + 2.0 * four.y, four.z + 2.0 * four.w)
 
 
 class CompareArray(At):
-    source: DepthTexture2DArray
+    source: sl.DepthTexture2DArray
 
     def compute(self) -> None:
-        at = self.places[global_id().x]
-        self.results[global_id().x] = vec4(self.source.sample_compare(at.xyz, abs_half(at.w)))
+        at = self.places[sl.global_id().x]
+        self.results[sl.global_id().x] = sl.vec4(self.source.sample_compare(at.xyz, abs_half(at.w)))
 
 
 class CompareCube(At):
-    source: DepthTextureCube
+    source: sl.DepthTextureCube
 
     def compute(self) -> None:
-        at = self.places[global_id().x]
-        self.results[global_id().x] = vec4(self.source.sample_compare(at.xyz, abs_half(at.w)))
+        at = self.places[sl.global_id().x]
+        self.results[sl.global_id().x] = sl.vec4(self.source.sample_compare(at.xyz, abs_half(at.w)))
 
 
 @rhi.shading.function
@@ -748,7 +719,7 @@ def test_depths_are_compared_before_they_are_filtered(device: Device, comparison
     )
     at = places(10)
     at[:, 2] = np.random.default_rng(11).integers(0, 5, COUNT) / 4
-    texture = HostTexture(depths, Format.D32F, D2, sampler)
+    texture = sl.HostTexture(depths, Format.D32F, D2, sampler)
     results = read_everywhere(device, Compare2D, {"source": texture}, 8, places=at, results=COUNT)
     assert_agree(results, 2e-6)
 
@@ -761,15 +732,15 @@ def test_references_of_fixed_point_depths_are_clamped(device: Device, format: Fo
         np.resize([0.25, 0.75], 64), np.full(64, 0.5), np.repeat([-1, 0, 0.5, 1, 1.5, np.inf, -np.inf, 2], 8)
     ]
     sampler = nearest(Wrap.CLAMP, compare=comparison)
-    texture = HostTexture(np.float32([[0, 1]]), format, D2, sampler)
+    texture = sl.HostTexture(np.float32([[0, 1]]), format, D2, sampler)
     assert_agree(read_everywhere(device, Compare2D, {"source": texture}, 1, places=at, results=64), 0.0, 0.0)
 
 
 @pytest.mark.parametrize(("shader", "kind"), [(CompareArray, ARRAY), (CompareCube, CUBE)], ids=name)
-def test_layers_and_cubes_are_compared(device: Device, shader: type[Shader], kind: TextureKind) -> None:
+def test_layers_and_cubes_are_compared(device: Device, shader: type[sl.Shader], kind: TextureKind) -> None:
     texels = random_levels(Format.D32F, 4, 4, SHAPES[kind][1], kind, levels=1)
     sampler = SamplerDescriptor(LINEAR, LINEAR, None, compare=Comparison.LESS)
-    texture = HostTexture(texels, Format.D32F, kind, sampler)
+    texture = sl.HostTexture(texels, Format.D32F, kind, sampler)
     results = read_everywhere(device, shader, {"source": texture}, 8, places=places(12), results=COUNT)
     assert_agree(results, 3e-6, 3e-6)
 
@@ -778,30 +749,30 @@ def test_layers_and_cubes_are_compared(device: Device, shader: type[Shader], kin
 
 
 class Branches(At):
-    source: Texture2D
+    source: sl.Texture2D
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         at = self.places[i]
-        total = self.source.sample(vec2(0.25, 0.75))
+        total = self.source.sample(sl.vec2(0.25, 0.75))
         if at.x > 0.0:
             total += self.source.sample_lod(at.xy, at.w)
             for k in range(i % 4):
-                total += self.source.load(ivec2(k, i % 5))
+                total += self.source.load(sl.ivec2(k, i % 5))
         elif at.y > 0.5:
-            total = self.source.sample_lod(self.source.load(ivec2(0, 0)).xy, 1.0)
+            total = self.source.sample_lod(self.source.load(sl.ivec2(0, 0)).xy, 1.0)
         self.results[i] = total
 
 
 def test_textures_are_read_in_branches_and_loops_and_by_all_lanes_at_once(device: Device) -> None:
-    texture = HostTexture(random_levels(Format.RGBA16F, 7, 5), Format.RGBA16F)
+    texture = sl.HostTexture(random_levels(Format.RGBA16F, 7, 5), Format.RGBA16F)
     results = read_everywhere(device, Branches, {"source": texture}, 8, places=places(13), results=COUNT)
     assert_agree(results, 5e-6, 5e-6)
 
 
 def test_a_kernel_holds_each_function_of_textures_once() -> None:
     at = places(14, 64)
-    texture = HostTexture(random_levels(Format.R8, 4, 4), Format.R8)
+    texture = sl.HostTexture(random_levels(Format.R8, 4, 4), Format.R8)
     text = Kernel(Branches, 16, source=texture, places=at, results=64).text
     assert text.count("void rhi_walk(") == 1
     assert "rhi_walk(" not in Kernel(NoTexture, 16, places=at, results=64).text
@@ -809,27 +780,27 @@ def test_a_kernel_holds_each_function_of_textures_once() -> None:
 
 class NoTexture(At):
     def compute(self) -> None:
-        self.results[global_id().x] = self.places[global_id().x]
+        self.results[sl.global_id().x] = self.places[sl.global_id().x]
 
 
 # -- images ------------------------------------------------------------------------------------------------
 
 
 def copying(format: Format, annotation: Any) -> Any:
-    class Copy(Shader):
+    class Copy(sl.Shader):
         work_group = (8, 8)
-        source: annotation = image(format)
-        target: annotation = image(format)
+        source: annotation = sl.image(format)
+        target: annotation = sl.image(format)
 
         def compute(self) -> None:
-            at = global_id().xy
+            at = sl.global_id().xy
             if (at.x + at.y) % 3 != 0:
-                self.target.store(at + ivec2(1, -1), self.source.load(at))
+                self.target.store(at + sl.ivec2(1, -1), self.source.load(at))
 
     return Copy
 
 
-_IMAGES: dict[ChannelKind, Any] = {ChannelKind.UINT: UintImage2D, ChannelKind.INT: IntImage2D}
+_IMAGES: dict[ChannelKind, Any] = {ChannelKind.UINT: sl.UintImage2D, ChannelKind.INT: sl.IntImage2D}
 
 
 @pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.kind is not ChannelKind.SRGB], ids=name)
@@ -841,25 +812,25 @@ def test_images_keep_every_bit_and_nothing_is_written_outside(format: Format) ->
             if (x + y) % 3 != 0 and x + 1 < 11 and y >= 1:
                 expected[0, y - 1, x + 1] = source[0, y, x]
     # Beyond the source zeros are loaded, and beyond the target nothing is stored.
-    shader = copying(format, _IMAGES.get(format.kind, Image2D))
-    given = {"source": HostTexture(source, format), "target": HostTexture(np.zeros_like(source), format)}
+    shader = copying(format, _IMAGES.get(format.kind, sl.Image2D))
+    given = {"source": sl.HostTexture(source, format), "target": sl.HostTexture(np.zeros_like(source), format)}
     for width in (1, 16):
         np.testing.assert_array_equal(run_opencl(shader, width, (2, 1), **given)["target"], expected)
-    np.testing.assert_array_equal(run_compute(shader, (2, 1), **given)["target"], expected)
+    np.testing.assert_array_equal(sl.run_compute(shader, (2, 1), **given)["target"], expected)
 
 
-class Rounded(Shader):
+class Rounded(sl.Shader):
     work_group = (16,)
-    values: Storage[vec4]
-    target: Image2D = image(Format.RGBA8)
-    signed: Image2D = image(Format.RGBA8_SNORM)
-    halves: Image2D = image(Format.RGBA16F)
+    values: sl.Storage[sl.vec4]
+    target: sl.Image2D = sl.image(Format.RGBA8)
+    signed: sl.Image2D = sl.image(Format.RGBA8_SNORM)
+    halves: sl.Image2D = sl.image(Format.RGBA16F)
 
     def compute(self) -> None:
-        i = global_id().x
-        self.target.store(ivec2(i, 0), self.values[i])
-        self.signed.store(ivec2(i, 0), self.values[i])
-        self.halves.store(ivec2(i, 0), self.values[i])
+        i = sl.global_id().x
+        self.target.store(sl.ivec2(i, 0), self.values[i])
+        self.signed.store(sl.ivec2(i, 0), self.values[i])
+        self.halves.store(sl.ivec2(i, 0), self.values[i])
 
 
 def test_stored_values_are_clamped_and_rounded_to_nearest() -> None:
@@ -889,44 +860,44 @@ def test_stored_values_are_clamped_and_rounded_to_nearest() -> None:
         ("signed", Format.RGBA8_SNORM),
         ("halves", Format.RGBA16F),
     ):
-        given[field] = HostTexture(np.zeros((1, 16, 4), format.dtype), format)
-    expected = run_compute(Rounded, 1, **given)
+        given[field] = sl.HostTexture(np.zeros((1, 16, 4), format.dtype), format)
+    expected = sl.run_compute(Rounded, 1, **given)
     for width in (1, 16):
         found = run_opencl(Rounded, width, 1, **given)
         for field, texels in expected.items():
             np.testing.assert_array_equal(found[field], texels)
 
 
-class Layered(Shader):
+class Layered(sl.Shader):
     work_group = (4, 4)
-    target: Image3D = image(Format.R32F)
+    target: sl.Image3D = sl.image(Format.R32F)
 
     def compute(self) -> None:
-        at = global_id()
-        self.target.store(at, vec4(float(at.x + 10 * at.y + 100 * at.z)))
+        at = sl.global_id()
+        self.target.store(at, sl.vec4(float(at.x + 10 * at.y + 100 * at.z)))
 
 
 def test_all_layers_of_an_image_are_written() -> None:
-    given = {"target": HostTexture(np.zeros((3, 4, 4, 1), "f4"), Format.R32F, D3)}
+    given = {"target": sl.HostTexture(np.zeros((3, 4, 4, 1), "f4"), Format.R32F, D3)}
     z, y, x = np.indices((3, 4, 4))
     for width in (1, 16):
         found = run_opencl(Layered, width, (1, 1, 4), **given)["target"]
         np.testing.assert_array_equal(found[..., 0], x + 10 * y + 100 * z)
 
 
-class Beyond(Shader):
+class Beyond(sl.Shader):
     """`Layered` with a texel and a level of a texture."""
 
     work_group = (4, 4)
     checked = True
-    target: Image3D = image(Format.R32F)
-    source: Texture2D
-    which: Storage[int]
+    target: sl.Image3D = sl.image(Format.R32F)
+    source: sl.Texture2D
+    which: sl.Storage[int]
 
     def compute(self) -> None:
-        at = global_id()
-        texel = self.source.load(ivec2(at.x, self.which[0]), self.which[1])
-        self.target.store(ivec3(at.xy, self.which[2]), texel)
+        at = sl.global_id()
+        texel = self.source.load(sl.ivec2(at.x, self.which[0]), self.which[1])
+        self.target.store(sl.ivec3(at.xy, self.which[2]), texel)
 
 
 @pytest.mark.parametrize(
@@ -936,13 +907,13 @@ class Beyond(Shader):
 )  # fmt: skip
 def test_a_checked_shader_reports_texels_outside(which: tuple[int, int, int], given: str, line: str) -> None:
     bound: dict[str, Any] = {
-        "target": HostTexture(np.zeros((3, 4, 4, 1), "f4"), Format.R32F, D3),
-        "source": HostTexture(random_levels(Format.R8, 8, 7, levels=2), Format.R8),
+        "target": sl.HostTexture(np.zeros((3, 4, 4, 1), "f4"), Format.R32F, D3),
+        "source": sl.HostTexture(random_levels(Format.R8, 8, 7, levels=2), Format.R8),
     }
     ways = [
         partial(run_opencl, Beyond, 1),
         partial(run_opencl, Beyond, 16),
-        partial(run_compute, Beyond),
+        partial(sl.run_compute, Beyond),
     ]
     for run in ways:
         run(1, which=np.int32([2, 1, 2]), **bound)
@@ -956,25 +927,25 @@ def test_a_checked_shader_reports_texels_outside(which: tuple[int, int, int], gi
 
 def test_a_host_texture_of_another_shape_or_format_is_refused() -> None:
     given: dict[str, Any] = {"places": places(0, 64), "results": 64}
-    fitting = HostTexture(np.zeros((4, 4), "u1"), Format.R8)
-    run_compute(Sample2D, 1, source=fitting, **given)
+    fitting = sl.HostTexture(np.zeros((4, 4), "u1"), Format.R8)
+    sl.run_compute(Sample2D, 1, source=fitting, **given)
     with pytest.raises(ValidationError, match="shading-arguments"):
-        run_compute(Sample3D, 1, source=fitting, **given)
+        sl.run_compute(Sample3D, 1, source=fitting, **given)
     with pytest.raises(ValidationError, match="shading-arguments"):
-        HostTexture(np.zeros((4, 4), "f4"), Format.R8)
+        sl.HostTexture(np.zeros((4, 4), "f4"), Format.R8)
     with pytest.raises(ValidationError, match="shading-arguments"):
-        run_compute(Layered, 1, target=HostTexture(np.zeros((1, 1, 1, 1), "f2"), Format.R16F, D3))
+        sl.run_compute(Layered, 1, target=sl.HostTexture(np.zeros((1, 1, 1, 1), "f2"), Format.R16F, D3))
 
 
 def test_images_given_stay_as_they_are() -> None:
     given = np.zeros((3, 4, 4, 1), "f4")
-    texture = HostTexture(given, Format.R32F, D3)
-    after = run_compute(Layered, (1, 1, 3), target=texture)["target"]
+    texture = sl.HostTexture(given, Format.R32F, D3)
+    after = sl.run_compute(Layered, (1, 1, 3), target=texture)["target"]
     assert after[2, 3, 3, 0] == 233
     assert not texture.levels[0].any()
 
 
 def test_nearest_is_what_integers_get_without_a_sampler() -> None:
-    assert HostTexture(np.zeros((1, 1), "u4"), Format.R32UI).sampler.minify is NEAREST
-    assert HostTexture(np.zeros((1, 1), "u1"), Format.R8, sampler=nearest()).sampler == nearest()
-    assert HostTexture(np.zeros((1, 1), "u1"), Format.R8).sampler == SamplerDescriptor()
+    assert sl.HostTexture(np.zeros((1, 1), "u4"), Format.R32UI).sampler.minify is NEAREST
+    assert sl.HostTexture(np.zeros((1, 1), "u1"), Format.R8, sampler=nearest()).sampler == nearest()
+    assert sl.HostTexture(np.zeros((1, 1), "u1"), Format.R8).sampler == SamplerDescriptor()

@@ -10,56 +10,44 @@ import numpy as np
 from numpy.typing import NDArray
 from opencl_runner import run_opencl
 
+import rhi.shading as sl
 from rhi import Device, Format, SamplerDescriptor, TextureKind
 from rhi.conformance.shaders import Corner
 from rhi.conformance.shapes import rectangle
 from rhi.contract.descriptors import BindingKind
 from rhi.contract.states import DepthTest
 from rhi.contract.texels import encode
-from rhi.shading import (
-    FragmentDepth,
-    HostTexture,
-    Shader,
-    Struct,
-    Texture2DArray,
-    Uniform,
-    compile_shader,
-    fragment_coordinate,
-    ivec3,
-    run_compute,
-    vec4,
-)
 
 LANES = ("1 lane", "16 lanes")
 Results = dict[str, NDArray[Any]]
 
 
-class Slice(Struct):
+class Slice(sl.Struct):
     """The index of a layer in the array of depths."""
 
     layer: int
 
 
-class Bare(Struct):
-    clip: vec4
+class Bare(sl.Struct):
+    clip: sl.vec4
 
 
-class Depth(Struct):
-    depth: FragmentDepth
+class Depth(sl.Struct):
+    depth: sl.FragmentDepth
 
 
-class WriteDepth(Shader):
+class WriteDepth(sl.Shader):
     """A shader that writes depths texel by texel."""
 
-    depths: Texture2DArray
-    which: Uniform[Slice]
+    depths: sl.Texture2DArray
+    which: sl.Uniform[Slice]
 
     def vertex(self, v: Corner) -> Bare:
         return Bare(clip=v.position)
 
     def fragment(self) -> Depth:
-        at = fragment_coordinate()
-        return Depth(depth=self.depths.load(ivec3(int(at.x), int(at.y), self.which.layer)).x)
+        at = sl.fragment_coordinate()
+        return Depth(depth=self.depths.load(sl.ivec3(int(at.x), int(at.y), self.which.layer)).x)
 
 
 def random_levels(
@@ -85,7 +73,7 @@ def random_levels(
 
 
 def read_everywhere(
-    device: Device, shader: type[Shader], textures: Mapping[str, HostTexture], count: int, **bindings: Any
+    device: Device, shader: type[sl.Shader], textures: Mapping[str, sl.HostTexture], count: int, **bindings: Any
 ) -> Results:
     """Run `count` work-groups and return the contents of `results` for "opengl", "1 lane", "16 lanes", "float32" and
     "float64"."""
@@ -94,15 +82,15 @@ def read_everywhere(
         given = {**textures, **bindings}
         results[f"{width} lane{'s' * (width > 1)}"] = run_opencl(shader, width, count, **given)["results"]
     for dtype in (np.float32, np.float64):
-        run = run_compute(shader, count, dtype=dtype, **textures, **bindings)
+        run = sl.run_compute(shader, count, dtype=dtype, **textures, **bindings)
         results[np.dtype(dtype).name] = run["results"]
     return results
 
 
 def read_opengl(
     device: Device,
-    shader: type[Shader],
-    textures: Mapping[str, HostTexture],
+    shader: type[sl.Shader],
+    textures: Mapping[str, sl.HostTexture],
     count: int,
     bindings: dict[str, Any],
 ) -> NDArray[Any]:
@@ -110,7 +98,7 @@ def read_opengl(
     program = device.program(shader)
     given: dict[str, Any] = {}
     made: list[Any] = []
-    for binding in compile_shader(shader).bindings:
+    for binding in sl.compile_shader(shader).bindings:
         name = binding.name
         if binding.kind is BindingKind.TEXTURE:
             made.append(upload(device, textures[name]))
@@ -119,7 +107,7 @@ def read_opengl(
             made.append(upload(device, textures[name]))
             given[name] = made[-1].image()
         else:
-            made.append(device.storage(vec4, bindings[name]))
+            made.append(device.storage(sl.vec4, bindings[name]))
             given[name] = made[-1]
     device.dispatch(program, count, **given)
     result: NDArray[Any] = given["results"].read()
@@ -128,7 +116,7 @@ def read_opengl(
     return result
 
 
-def upload(device: Device, texture: HostTexture) -> Any:
+def upload(device: Device, texture: sl.HostTexture) -> Any:
     """Create a device texture with the same texels; depths are drawn."""
     layers, height, width, _ = texture.levels[0].shape
     made = device.texture((width, height), texture.format, kind=texture.kind, layers=layers, levels=len(texture.levels))

@@ -4,128 +4,82 @@ import moderngl
 import numpy as np
 import pytest
 
+import rhi.shading as sl
 from rhi import Format
 from rhi.contract.descriptors import Attribute, BindingKind, FragmentOutput, Stage
 from rhi.contract.layout import FLOAT, INT, UINT, VectorType
 from rhi.errors import ShaderError
-from rhi.shading import (
-    DepthTexture2D,
-    DepthTexture2DArray,
-    DepthTextureCube,
-    Flat,
-    FragmentDepth,
-    Image2D,
-    IntTexture2D,
-    NoPerspective,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Texture2DArray,
-    Texture3D,
-    TextureCube,
-    UintImage2D,
-    UintTexture2D,
-    Uniform,
-    atomic_add,
-    compile_shader,
-    ddx,
-    ddy,
-    discard,
-    draw_index,
-    fragment_coordinate,
-    front_facing,
-    function,
-    fwidth,
-    global_id,
-    image,
-    instance_index,
-    ivec2,
-    ivec3,
-    mat4,
-    native,
-    primitive_index,
-    stage_trees,
-    uint,
-    uvec2,
-    uvec4,
-    vec2,
-    vec3,
-    vec4,
-    vertex_index,
-)
 from rhi.shading.language import rules
 from rhi.shading.language.types import TextureType
 
 
-class Placed(Struct):
-    clip: vec4
+class Placed(sl.Struct):
+    clip: sl.vec4
 
 
-class Plane(Struct):
-    position: vec2
-    id: uint
+class Plane(sl.Struct):
+    position: sl.vec2
+    id: sl.uint
 
 
-class Offset(Struct):
-    offset: ivec2
+class Offset(sl.Struct):
+    offset: sl.ivec2
 
 
 class Surface(Placed):
-    uv: vec2
-    screen: NoPerspective[vec2]
-    tint: Flat[vec3]
-    id: uint
-    turn: mat4
+    uv: sl.vec2
+    screen: sl.NoPerspective[sl.vec2]
+    tint: sl.Flat[sl.vec3]
+    id: sl.uint
+    turn: sl.mat4
 
 
-class Targets(Struct):
-    color: vec4
-    ids: uvec2
+class Targets(sl.Struct):
+    color: sl.vec4
+    ids: sl.uvec2
     offset: int
-    depth: FragmentDepth
+    depth: sl.FragmentDepth
 
 
-class Everything(Shader):
+class Everything(sl.Shader):
     early_depth = False
-    camera: Uniform[mat4]
-    albedo: Texture2D
-    layers: Texture2DArray
-    volume: Texture3D
-    sky: TextureCube
-    shadow: DepthTexture2D
-    cascades: DepthTexture2DArray
-    point: DepthTextureCube
-    ids: UintTexture2D
-    counts: IntTexture2D
-    lights: Storage[vec4]
-    hits: StorageRW[uint]
+    camera: sl.Uniform[sl.mat4]
+    albedo: sl.Texture2D
+    layers: sl.Texture2DArray
+    volume: sl.Texture3D
+    sky: sl.TextureCube
+    shadow: sl.DepthTexture2D
+    cascades: sl.DepthTexture2DArray
+    point: sl.DepthTextureCube
+    ids: sl.UintTexture2D
+    counts: sl.IntTexture2D
+    lights: sl.Storage[sl.vec4]
+    hits: sl.StorageRW[sl.uint]
 
     def vertex(self, v: Plane, instance: Offset) -> Surface:
-        n = vertex_index() + instance_index() + draw_index()
-        place = v.position + vec2(instance.offset)
+        n = sl.vertex_index() + sl.instance_index() + sl.draw_index()
+        place = v.position + sl.vec2(instance.offset)
         return Surface(
-            clip=self.camera @ vec4(place, 0, 1),
+            clip=self.camera @ sl.vec4(place, 0, 1),
             uv=v.position,
             screen=v.position * float(n),
-            tint=vec3(1),
+            tint=sl.vec3(1),
             id=v.id,
             turn=self.camera,
         )
 
-    def shaded(self, shadow: DepthTexture2D, uv: vec2) -> float:
+    def shaded(self, shadow: sl.DepthTexture2D, uv: sl.vec2) -> float:
         return shadow.sample_compare(uv, 0.5) + shadow.sample_compare_lod(uv, reference=0.5, lod=0)
 
     def fragment(self, s: Surface) -> Targets:
-        if s.uv.x < 0.0 or not front_facing():
-            discard()
+        if s.uv.x < 0.0 or not sl.front_facing():
+            sl.discard()
         uv = s.uv
-        uvw = vec3(uv, 0.5)
+        uvw = sl.vec3(uv, 0.5)
         color = self.albedo.sample(uv) + self.albedo.sample_bias(uv, 1.0) + self.albedo.sample_lod(uv, lod=2)
-        color += self.albedo.sample_grad(uv, ddx(uv), ddy(uv)) + self.albedo.load(ivec2(1, 2), level=1)
-        color += self.layers.sample(uvw) + self.layers.load(ivec3(1, 2, 3)) + self.volume.sample_lod(uvw, 0)
-        color += self.volume.sample_grad(uvw, ddx(uvw), ddy(uvw)) + self.volume.load(ivec3(0, 0, 0))
+        color += self.albedo.sample_grad(uv, sl.ddx(uv), sl.ddy(uv)) + self.albedo.load(sl.ivec2(1, 2), level=1)
+        color += self.layers.sample(uvw) + self.layers.load(sl.ivec3(1, 2, 3)) + self.volume.sample_lod(uvw, 0)
+        color += self.volume.sample_grad(uvw, sl.ddx(uvw), sl.ddy(uvw)) + self.volume.load(sl.ivec3(0, 0, 0))
         color += self.sky.sample(uvw) + self.sky.sample_lod(uvw, 1.5) + self.sky.gather(uvw)
         color += self.albedo.gather(uv) + self.albedo.gather(uv, component=2)
         color.x += self.shaded(self.shadow, uv) + self.cascades.sample_compare(uvw, 0.5)
@@ -133,11 +87,11 @@ class Everything(Shader):
         color.y += self.point.sample_compare(uvw, 0.5)
         color.z += float(self.albedo.levels()) + float(self.albedo.size().x + self.sky.size(1).y)
         color.w += float(self.volume.size().z + self.layers.size().z + self.shadow.size().y)
-        ids = self.ids.load(ivec2(fragment_coordinate().xy)).xy
-        counts = self.counts.load(ivec2(0)) + self.counts.sample(uv) + self.counts.gather(uv, 1)
-        atomic_add(self.hits[s.id], uint(primitive_index()))
+        ids = self.ids.load(sl.ivec2(sl.fragment_coordinate().xy)).xy
+        counts = self.counts.load(sl.ivec2(0)) + self.counts.sample(uv) + self.counts.gather(uv, 1)
+        sl.atomic_add(self.hits[s.id], sl.uint(sl.primitive_index()))
         for i in range(len(self.lights)):
-            color += self.lights[i] * fwidth(uv.x)
+            color += self.lights[i] * sl.fwidth(uv.x)
         return Targets(color=s.turn @ color, ids=ids, offset=counts.x, depth=s.screen.x + s.tint.y)
 
 
@@ -161,7 +115,7 @@ def test_every_graphics_feature_compiles_on_the_driver(link):
 
 
 def test_slots_count_within_each_kind_in_the_order_of_the_class():
-    bindings = {binding.name: binding for binding in compile_shader(Everything).bindings}
+    bindings = {binding.name: binding for binding in sl.compile_shader(Everything).bindings}
     assert list(bindings) == list(Everything.__annotations__)
     assert (bindings["camera"].kind, bindings["camera"].slot, bindings["camera"].size) == (
         BindingKind.UNIFORM,
@@ -174,15 +128,15 @@ def test_slots_count_within_each_kind_in_the_order_of_the_class():
     assert bindings["shadow"].type == TextureType(bindings["shadow"].type.kind, FLOAT, True)
 
 
-class EarlyOnly(Shader):
+class EarlyOnly(sl.Shader):
     early_depth = True
-    hits: StorageRW[uint]
+    hits: sl.StorageRW[sl.uint]
 
-    def vertex(self) -> vec4:
-        return vec4(0, 0, 0.5, 1)
+    def vertex(self) -> sl.vec4:
+        return sl.vec4(0, 0, 0.5, 1)
 
     def fragment(self) -> None:
-        atomic_add(self.hits[0], 1)
+        sl.atomic_add(self.hits[0], 1)
 
 
 def test_a_fragment_stage_may_only_write_memory(link):
@@ -198,14 +152,14 @@ def test_a_fragment_depth_with_early_depth_is_refused():
     class Late(Everything):
         early_depth = False
 
-    compile_shader(Late)
+    sl.compile_shader(Late)
     with pytest.raises(ShaderError, match="early_depth"):
-        compile_shader(Early)
+        sl.compile_shader(Early)
 
 
-class DepthOnly(Shader):
+class DepthOnly(sl.Shader):
     def vertex(self, v: Plane) -> Placed:
-        return Placed(clip=vec4(v.position, 0, 1))
+        return Placed(clip=sl.vec4(v.position, 0, 1))
 
 
 def test_a_shader_may_have_a_vertex_stage_alone(link):
@@ -214,29 +168,29 @@ def test_a_shader_may_have_a_vertex_stage_alone(link):
     assert [attribute.name for attribute in program.attributes] == ["position", "id"]
 
 
-class Colored(Shader):
-    scale: Uniform[vec4]
+class Colored(sl.Shader):
+    scale: sl.Uniform[sl.vec4]
 
-    def vertex(self) -> vec4:
-        i = vertex_index()
-        return vec4(float(i % 2) * 4 - 1, float(i // 2) * 4 - 1, 0, 1)
+    def vertex(self) -> sl.vec4:
+        i = sl.vertex_index()
+        return sl.vec4(float(i % 2) * 4 - 1, float(i // 2) * 4 - 1, 0, 1)
 
-    def base(self) -> vec4:
-        return vec4(fragment_coordinate().xy, 0, 1)
+    def base(self) -> sl.vec4:
+        return sl.vec4(sl.fragment_coordinate().xy, 0, 1)
 
-    def fragment(self) -> vec4:
+    def fragment(self) -> sl.vec4:
         return self.base() * self.scale
 
 
 class Reversed(Colored):
-    extra: Uniform[vec4]
+    extra: sl.Uniform[sl.vec4]
 
-    def base(self) -> vec4:
+    def base(self) -> sl.vec4:
         return super().base().yxzw + self.extra
 
 
 def draw(context, shader, **uniforms):
-    program = compile_shader(shader)
+    program = sl.compile_shader(shader)
     texts = {f"{stage.value}_shader": program.emit("glsl", stage).text for stage in program.stages}
     gl = context.program(**texts)
     buffers = []
@@ -256,26 +210,26 @@ def test_a_subclass_overrides_what_a_base_stage_calls_and_adds_bindings(context)
     assert pixels[1, 3].tolist() == [7, 1.5, 0, 1]
     pixels = draw(context, Reversed, scale=ones, extra=(10, 0, 0, 0))
     assert pixels[1, 3].tolist() == [11.5, 3.5, 0, 1]
-    names = [binding.name for binding in compile_shader(Reversed).bindings]
+    names = [binding.name for binding in sl.compile_shader(Reversed).bindings]
     assert names == ["scale", "extra"]
 
 
-class Filtered(Shader):
+class Filtered(sl.Shader):
     work_group = (4, 2)
-    source: Texture2D
-    target: Image2D = image(Format.RGBA32F)
-    ids: UintImage2D = image(Format.R32UI)
-    out: StorageRW[vec4]
+    source: sl.Texture2D
+    target: sl.Image2D = sl.image(Format.RGBA32F)
+    ids: sl.UintImage2D = sl.image(Format.R32UI)
+    out: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
-        at = global_id().xy
+        at = sl.global_id().xy
         self.target.store(at, self.source.load(at) * 2.0)
         old = self.ids.load(at).x
-        self.ids.store(at, uvec4(old + 1, 0, 0, 0))
-        if at == ivec2(0):
-            self.out[0] = self.source.sample(vec2(0.5, 0.5))
-            self.out[1] = vec4(vec2(self.target.size()), vec2(self.source.size()))
-            self.out[2] = self.source.gather(vec2(0.25, 0.5), 1)
+        self.ids.store(at, sl.uvec4(old + 1, 0, 0, 0))
+        if at == sl.ivec2(0):
+            self.out[0] = self.source.sample(sl.vec2(0.5, 0.5))
+            self.out[1] = sl.vec4(sl.vec2(self.target.size()), sl.vec2(self.source.size()))
+            self.out[2] = self.source.gather(sl.vec2(0.25, 0.5), 1)
 
 
 def test_textures_are_read_and_images_loaded_and_stored(context, run):
@@ -290,38 +244,38 @@ def test_textures_are_read_and_images_loaded_and_stored(context, run):
     np.testing.assert_allclose(out[0], texels.mean(axis=(0, 1)), rtol=1e-5)
     assert out[1].tolist() == [4, 2, 4, 2]
     assert sorted(out[2].tolist()) == sorted(texels[:, :2, 1].ravel().tolist())
-    program = compile_shader(Filtered)
+    program = sl.compile_shader(Filtered)
     writes = {binding.name: binding.writes for binding in program.bindings}
     assert writes == {"source": False, "target": True, "ids": True, "out": True}
 
 
-class Loading(Shader):
-    source: Image2D = image(Format.RGBA8)
-    out: StorageRW[vec4]
+class Loading(sl.Shader):
+    source: sl.Image2D = sl.image(Format.RGBA8)
+    out: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
-        self.out[0] = self.source.load(ivec2(0))
+        self.out[0] = self.source.load(sl.ivec2(0))
 
 
 def test_an_image_that_is_only_loaded_is_not_written():
-    program = compile_shader(Loading)
+    program = sl.compile_shader(Loading)
     assert not next(binding for binding in program.bindings if binding.name == "source").writes
     assert "layout(rgba8, binding = 0) readonly uniform image2D" in program.emit("glsl", Stage.COMPUTE).text
 
 
-@function
-@native("glsl", "return float(bitfieldReverse(n)) + EXTRA;", declarations="const float EXTRA = 0.5;")
-def reversed_bits(n: uint) -> float: ...
+@sl.function
+@sl.native("glsl", "return float(bitfieldReverse(n)) + EXTRA;", declarations="const float EXTRA = 0.5;")
+def reversed_bits(n: sl.uint) -> float: ...
 
 
-class Native(Shader):
-    out: StorageRW[float]
+class Native(sl.Shader):
+    out: sl.StorageRW[float]
 
     def compute(self) -> None:
-        self.out[0] = reversed_bits(uint(0x80000000))
+        self.out[0] = reversed_bits(sl.uint(0x80000000))
         self.store(2.0)
 
-    @native("glsl", "out_[1] = value * 4.0;\nout_[2] = float(out_.length());")
+    @sl.native("glsl", "out_[1] = value * 4.0;\nout_[2] = float(out_.length());")
     def store(self, value: float) -> None:
         self.out[1] = value * 4.0
 
@@ -330,10 +284,10 @@ def test_a_native_body_replaces_the_python_one_and_keeps_typed_bindings(run):
     assert run(Native, out=4)["out"].tolist() == [1.5, 8, 4, 0]
 
 
-class Broken(Shader):
-    out: StorageRW[float]
+class Broken(sl.Shader):
+    out: sl.StorageRW[float]
 
-    @native("other", "nothing")
+    @sl.native("other", "nothing")
     def store(self) -> None: ...
 
     def compute(self) -> None:
@@ -342,16 +296,16 @@ class Broken(Shader):
 
 def test_a_function_that_is_native_in_another_language_only_is_refused():
     with pytest.raises(ShaderError) as error:
-        compile_shader(Broken).emit("glsl", Stage.COMPUTE)
+        sl.compile_shader(Broken).emit("glsl", Stage.COMPUTE)
     assert error.value.rule is rules.NATIVE
-    compile_shader(Native).emit("glsl", Stage.COMPUTE)
+    sl.compile_shader(Native).emit("glsl", Stage.COMPUTE)
     with pytest.raises(ShaderError) as error:
-        compile_shader(Native).emit("other", Stage.COMPUTE)
+        sl.compile_shader(Native).emit("other", Stage.COMPUTE)
     assert error.value.rule is rules.NATIVE
 
 
 def test_the_line_map_leads_from_glsl_to_python():
-    program = compile_shader(Colored)
+    program = sl.compile_shader(Colored)
     emitted = program.emit("glsl", Stage.FRAGMENT)
     lines = emitted.text.splitlines()
     assert len(lines) == len(emitted.origins)
@@ -363,8 +317,8 @@ def test_the_line_map_leads_from_glsl_to_python():
 
 
 def test_emission_is_deterministic_and_descriptors_are_memoised():
-    first = compile_shader(Everything)
-    assert compile_shader(Everything) is first
+    first = sl.compile_shader(Everything)
+    assert sl.compile_shader(Everything) is first
     from rhi.shading.compile import _compile
 
     for stage in first.stages:
@@ -372,7 +326,7 @@ def test_emission_is_deterministic_and_descriptors_are_memoised():
 
 
 def test_only_what_a_stage_uses_is_declared_in_it():
-    program = compile_shader(Colored)
+    program = sl.compile_shader(Colored)
     assert "scale" not in program.emit("glsl", Stage.VERTEX).text
     assert "scale" in program.emit("glsl", Stage.FRAGMENT).text
-    assert [d.name for d in stage_trees(Colored)[Stage.FRAGMENT].bindings] == ["scale"]
+    assert [d.name for d in sl.stage_trees(Colored)[Stage.FRAGMENT].bindings] == ["scale"]

@@ -6,25 +6,13 @@ import numpy as np
 import pytest
 
 import rhi
+import rhi.shading as sl
 from rhi.contract.descriptors import Stage
 from rhi.errors import ShaderError
-from rhi.shading import (
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    compile_shader,
-    global_id,
-    run_compute,
-    run_vertex,
-    stage_trees,
-    vec2,
-    vec4,
-)
 from tests.renderer.conftest import open_device
 
 
-class Sums(Shader):
+class Sums(sl.Shader):
     """Adds up what its switches say."""
 
     work_group = (4,)
@@ -32,13 +20,13 @@ class Sums(Shader):
     has_more = False
     has_most = False
 
-    found: StorageRW[float]
-    less: Storage[float]
-    more: Storage[float]
-    most: Storage[float]
+    found: sl.StorageRW[float]
+    less: sl.Storage[float]
+    more: sl.Storage[float]
+    most: sl.Storage[float]
 
     def compute(self) -> None:
-        i = int(global_id().x)
+        i = int(sl.global_id().x)
         self.found[i] = self.find(i)
 
     def find(self, i: int) -> float:
@@ -62,8 +50,8 @@ class Whole(Sums):
     lean = False
 
 
-def list_bindings(shader: type[Shader]) -> list[tuple[str, int]]:
-    return [(binding.name, binding.slot) for binding in compile_shader(shader).bindings]
+def list_bindings(shader: type[sl.Shader]) -> list[tuple[str, int]]:
+    return [(binding.name, binding.slot) for binding in sl.compile_shader(shader).bindings]
 
 
 def test_a_lean_program_has_the_bindings_that_its_stages_read_in_slots_without_gaps() -> None:
@@ -73,15 +61,15 @@ def test_a_lean_program_has_the_bindings_that_its_stages_read_in_slots_without_g
     assert [name for name, _ in list_bindings(Whole)] == ["found", "less", "more", "most"]
 
 
-class Decided(Shader):
+class Decided(sl.Shader):
     """Returns by a condition that is constant."""
 
     work_group = (4,)
     doubles = True
-    found: StorageRW[float]
+    found: sl.StorageRW[float]
 
     def compute(self) -> None:
-        self.found[int(global_id().x)] = self.find(3.0)
+        self.found[int(sl.global_id().x)] = self.find(3.0)
 
     def find(self, value: float) -> float:
         if self.doubles:
@@ -94,20 +82,20 @@ class Undecided(Decided):
 
 
 def test_what_follows_a_return_that_is_taken_is_left_out_of_any_program() -> None:
-    texts = [compile_shader(shader).emit("glsl", Stage.COMPUTE).text for shader in (Decided, Undecided)]
+    texts = [sl.compile_shader(shader).emit("glsl", Stage.COMPUTE).text for shader in (Decided, Undecided)]
     assert ["7.0" in text for text in texts] == [False, True]
 
 
-class Skips(Shader):
+class Skips(sl.Shader):
     """Adds up what is `given` in a loop that a constant condition may leave or go on with before `more` is added."""
 
     work_group = (4,)
     ends = False
     skips = False
 
-    found: StorageRW[float]
-    given: Storage[float]
-    more: Storage[float]
+    found: sl.StorageRW[float]
+    given: sl.Storage[float]
+    more: sl.Storage[float]
 
     def compute(self) -> None:
         total = 0.0
@@ -118,7 +106,7 @@ class Skips(Shader):
             if self.skips:
                 continue
             total += self.more[i]
-        self.found[int(global_id().x)] = total
+        self.found[int(sl.global_id().x)] = total
 
 
 class Ends(Skips):
@@ -133,18 +121,18 @@ class Goes(Skips):
     ("shader", "read", "total"), [(Skips, {"given", "more"}, 66.0), (Ends, {"given"}, 1.0), (Goes, {"given"}, 6.0)]
 )
 def test_what_follows_a_break_or_continue_that_is_taken_is_left_out(
-    shader: type[Shader], read: set[str], total: float
+    shader: type[sl.Shader], read: set[str], total: float
 ) -> None:
-    assert {declared.name for declared in stage_trees(shader)[Stage.COMPUTE].bindings} == {"found", *read}
+    assert {declared.name for declared in sl.stage_trees(shader)[Stage.COMPUTE].bindings} == {"found", *read}
     given, more = np.float32([1, 2, 3]), np.float32([10, 20, 30])
-    assert run_compute(shader, given=given, more=more, found=4)["found"].tolist() == [total] * 4
+    assert sl.run_compute(shader, given=given, more=more, found=4)["found"].tolist() == [total] * 4
 
 
 def test_a_lean_program_computes_as_the_whole_one_does() -> None:
     words = {name: np.arange(4, dtype=np.float32) * k for name, k in (("less", 1), ("more", 10), ("most", 100))}
     for shader, expected in ((Sums, "less"), (Whole, "less"), (Most, "most")):
         names = [name for name, _ in list_bindings(shader)][1:]
-        found = run_compute(shader, 1, found=np.zeros(4, np.float32), **{name: words[name] for name in names})
+        found = sl.run_compute(shader, 1, found=np.zeros(4, np.float32), **{name: words[name] for name in names})
         assert found["found"].tolist() == words[expected].tolist()
 
 
@@ -163,7 +151,7 @@ def test_branches_that_a_lean_shader_does_not_take_are_checked_in_the_variant_th
     assert [name for name, _ in list_bindings(Wrong)] == ["found", "less"]
     for variant in ({"has_text": True}, {"lean": False}):
         with pytest.raises(ShaderError):
-            compile_shader(type("Variant", (Wrong,), {"__module__": __name__, **variant}))
+            sl.compile_shader(type("Variant", (Wrong,), {"__module__": __name__, **variant}))
 
 
 def test_a_lean_program_is_bound_by_the_names_that_it_has() -> None:
@@ -172,30 +160,30 @@ def test_a_lean_program_is_bound_by_the_names_that_it_has() -> None:
         assert [binding.name for binding in program.descriptor.bindings] == ["found", "most"]
 
 
-class Place(Struct):
-    place: vec2
+class Place(sl.Struct):
+    place: sl.vec2
 
 
-class Shades(Struct):
+class Shades(sl.Struct):
     dark: float
-    light: vec4
+    light: sl.vec4
 
 
-class Shaded(Struct):
-    clip: vec4
-    color: vec4
+class Shaded(sl.Struct):
+    clip: sl.vec4
+    color: sl.vec4
 
 
-class Painted(Shader):
+class Painted(sl.Shader):
     """Draws vertices in one of their colours."""
 
     lean = True
     is_light = True
 
     def vertex(self, v: Place, shades: Shades) -> Shaded:
-        return Shaded(clip=vec4(v.place, 0.0, 1.0), color=shades.light if self.is_light else vec4(shades.dark))
+        return Shaded(clip=sl.vec4(v.place, 0.0, 1.0), color=shades.light if self.is_light else sl.vec4(shades.dark))
 
-    def fragment(self, v: Shaded) -> vec4:
+    def fragment(self, v: Shaded) -> sl.vec4:
         return v.color
 
 
@@ -209,13 +197,13 @@ class Unsparing(Painted):
 
 def test_a_lean_program_has_the_attributes_that_its_vertex_stage_reads() -> None:
     found = {
-        shader: [(attribute.name, attribute.location) for attribute in compile_shader(shader).attributes]
+        shader: [(attribute.name, attribute.location) for attribute in sl.compile_shader(shader).attributes]
         for shader in (Painted, Dark, Unsparing)
     }
     assert found[Painted] == [("place", 0), ("light", 1)]
     assert found[Dark] == [("place", 0), ("dark", 1)]
     assert found[Unsparing] == [("place", 0), ("dark", 1), ("light", 2)]
-    assert "in_dark" not in compile_shader(Painted).emit("glsl", Stage.VERTEX).text
+    assert "in_dark" not in sl.compile_shader(Painted).emit("glsl", Stage.VERTEX).text
 
 
 @pytest.mark.parametrize("name", ["gl", "cl"])
@@ -235,14 +223,14 @@ def test_a_mesh_may_lack_the_attributes_that_a_lean_program_does_not_read(name: 
 
 def test_on_numpy_too_a_lean_shader_takes_the_attributes_that_it_reads() -> None:
     place, light = np.float32([[0.5, -0.5]]), np.float32([[0.2, 0.4, 0.6, 1.0]])
-    assert (run_vertex(Painted, {"place": place, "light": light}).varyings["color"] == light).all()
-    assert (run_vertex(Dark, {"place": place, "dark": 0.5}).varyings["color"] == 0.5).all()
+    assert (sl.run_vertex(Painted, {"place": place, "light": light}).varyings["color"] == light).all()
+    assert (sl.run_vertex(Dark, {"place": place, "dark": 0.5}).varyings["color"] == 0.5).all()
     more = {"place": place, "dark": 0.5, "light": light}
-    assert (run_vertex(Painted, more).varyings["color"] == light).all()
+    assert (sl.run_vertex(Painted, more).varyings["color"] == light).all()
     for shader, given in (
         (Painted, {"place": place, "dark": 0.5}),
         (Painted, {**more, "faint": 1.0}),
         (Unsparing, {"place": place, "light": light}),
     ):
         with pytest.raises(rhi.ValidationError, match=r"^\[shading-arguments\]"):
-            run_vertex(shader, given)
+            sl.run_vertex(shader, given)

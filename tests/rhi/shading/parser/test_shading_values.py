@@ -6,66 +6,20 @@ import math
 import numpy as np
 import pytest
 
-from rhi.shading import (
-    Array,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Uniform,
-    array,
-    atomic_add,
-    atomic_and,
-    atomic_compare_exchange,
-    atomic_exchange,
-    atomic_max,
-    atomic_min,
-    atomic_or,
-    atomic_xor,
-    barrier,
-    bit_count,
-    clamp,
-    dot,
-    find_msb,
-    float_bits_to_uint,
-    function,
-    global_id,
-    group_count,
-    group_id,
-    ivec2,
-    ivec3,
-    local_id,
-    local_index,
-    mat2,
-    mat3,
-    mat4,
-    max,
-    memory_barrier,
-    pack_half_2x16,
-    round,
-    run_compute,
-    shared,
-    transpose,
-    uint,
-    uint_bits_to_float,
-    unpack_half_2x16,
-    vec2,
-    vec3,
-    vec4,
-)
+import rhi.shading as sl
 
 N = 64
 
 
-class Integers(Shader):
+class Integers(sl.Shader):
     work_group = (64,)
-    a: Storage[int]
-    b: Storage[int]
-    quotient: StorageRW[int]
-    remainder: StorageRW[int]
+    a: sl.Storage[int]
+    b: sl.Storage[int]
+    quotient: sl.StorageRW[int]
+    remainder: sl.StorageRW[int]
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         self.quotient[i] = self.a[i] // self.b[i]
         self.remainder[i] = self.a[i] % self.b[i]
 
@@ -78,13 +32,13 @@ def test_integer_division_and_remainder_floor_as_in_python(run_everywhere):
     assert out["remainder"].tolist() == [x % y for x, y in pairs]
 
 
-class ByPowerOfTwo(Shader):
+class ByPowerOfTwo(sl.Shader):
     work_group = (16,)
-    a: Storage[int]
-    out: StorageRW[int]
+    a: sl.Storage[int]
+    out: sl.StorageRW[int]
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         self.out[i] = self.a[i] // 8 * 100 + self.a[i] % 8
 
 
@@ -93,15 +47,15 @@ def test_division_by_a_power_of_two_floors_too(run_everywhere):
     assert run_everywhere(ByPowerOfTwo, a=a, out=16)["out"].tolist() == [x // 8 * 100 + x % 8 for x in a.tolist()]
 
 
-class VectorDivision(Shader):
-    out: StorageRW[ivec3]
+class VectorDivision(sl.Shader):
+    out: sl.StorageRW[sl.ivec3]
 
     def compute(self) -> None:
-        v = ivec3(-7, 7, -6)
+        v = sl.ivec3(-7, 7, -6)
         self.out[0] = v // 3
         self.out[1] = v % 3
-        self.out[2] = v // ivec3(-2, -2, 2)
-        self.out[3] = 7 % ivec3(-3, 3, -7)
+        self.out[2] = v // sl.ivec3(-2, -2, 2)
+        self.out[3] = 7 % sl.ivec3(-3, 3, -7)
 
 
 def test_vector_division_floors_by_component(run_everywhere):
@@ -111,9 +65,9 @@ def test_vector_division_floors_by_component(run_everywhere):
     assert out.tolist() == np.array(expected).tolist()
 
 
-class Floats(Shader):
-    out: StorageRW[float]
-    a: Storage[float]
+class Floats(sl.Shader):
+    out: sl.StorageRW[float]
+    a: sl.Storage[float]
 
     def compute(self) -> None:
         x = self.a[0]
@@ -127,7 +81,7 @@ class Floats(Shader):
         self.out[6] = 7 / 2
         n = int(x)
         self.out[7] = n / 2
-        self.out[8] = round(y)
+        self.out[8] = sl.round(y)
         self.out[9] = x**0
 
 
@@ -138,8 +92,8 @@ def test_float_operators_have_pythons_meaning(run_everywhere):
     np.testing.assert_allclose(out, expected, rtol=1e-6)
 
 
-class BoundsOnce(Shader):
-    out: StorageRW[int]
+class BoundsOnce(sl.Shader):
+    out: sl.StorageRW[int]
 
     def compute(self) -> None:
         n = 3
@@ -177,9 +131,9 @@ def test_loop_bounds_are_evaluated_once_and_the_body_cannot_change_the_count(run
     assert out[:6].tolist() == [3, 0 + 1 + 2 + 3, 10070401, 531, -1, 1]
 
 
-class Control(Shader):
+class Control(sl.Shader):
     work_group = (16,)
-    out: StorageRW[int]
+    out: sl.StorageRW[int]
 
     def classify(self, n: int) -> int:
         if n < 2:
@@ -212,7 +166,7 @@ class Control(Shader):
         return steps
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         self.out[i] = self.classify(i) * 1000 + self.collatz(i + 1)
 
 
@@ -229,11 +183,11 @@ def test_early_return_break_and_continue_leave_what_they_leave_in_python(run_eve
     assert run_everywhere(Control, out=16)["out"].tolist() == expected
 
 
-class Swizzles(Shader):
-    out: StorageRW[vec4]
+class Swizzles(sl.Shader):
+    out: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
-        v = vec4(1, 2, 3, 4)
+        v = sl.vec4(1, 2, 3, 4)
         v.xy = v.yx
         self.out[0] = v
         v.wzyx = v
@@ -257,12 +211,12 @@ def test_swizzles_are_read_and_written_by_component(run_everywhere):
     ]
 
 
-class ShortCircuit(Shader):
-    calls: StorageRW[int]
-    out: StorageRW[int]
+class ShortCircuit(sl.Shader):
+    calls: sl.StorageRW[int]
+    out: sl.StorageRW[int]
 
     def touch(self, value: int) -> bool:
-        atomic_add(self.calls[0], 1)
+        sl.atomic_add(self.calls[0], 1)
         return value > 0
 
     def compute(self) -> None:
@@ -283,15 +237,15 @@ def test_and_or_and_conditional_expressions_evaluate_only_what_they_need(run_eve
 
 
 WEIGHTS = (0.25, 0.5, 1)
-OFFSETS = (vec2(1, 2), vec2(3, 4))
-SKY = vec3(0.5, 0.25, 0.125)
+OFFSETS = (sl.vec2(1, 2), sl.vec2(3, 4))
+SKY = sl.vec3(0.5, 0.25, 0.125)
 LIMIT = 3
 BIG = 0xFFFFFFFF
 
 
-class Constants(Shader):
+class Constants(sl.Shader):
     scale = 2.0
-    out: StorageRW[float]
+    out: sl.StorageRW[float]
 
     def compute(self) -> None:
         total = 0.0
@@ -300,8 +254,8 @@ class Constants(Shader):
         self.out[0] = total * self.scale
         self.out[1] = OFFSETS[1].y + SKY.z
         self.out[2] = math.pi
-        mask: uint = BIG
-        self.out[3] = float(bit_count(mask & 0xF0))
+        mask: sl.uint = BIG
+        self.out[3] = float(sl.bit_count(mask & 0xF0))
         self.out[4] = WEIGHTS[-1]
 
 
@@ -319,8 +273,8 @@ class Table:
     WEIGHTS = (10.0, 20.0)
 
 
-class SameName(Shader):
-    out: StorageRW[float]
+class SameName(sl.Shader):
+    out: sl.StorageRW[float]
 
     def compute(self) -> None:
         WEIGHTS = 1.0  # noqa: N806
@@ -332,9 +286,9 @@ def test_a_local_may_have_the_name_of_a_constant_or_a_binding(run_everywhere):
     assert run_everywhere(SameName, out=1)["out"].tolist() == [21]
 
 
-class Switched(Shader):
+class Switched(sl.Shader):
     fancy = False
-    out: StorageRW[int]
+    out: sl.StorageRW[int]
 
     def compute(self) -> None:
         if self.fancy:
@@ -354,17 +308,17 @@ def test_a_condition_known_now_keeps_one_branch(run_everywhere, shader, expected
     assert run_everywhere(shader, out=2)["out"].tolist() == expected
 
 
-class Arrays(Shader):
-    out: StorageRW[int]
+class Arrays(sl.Shader):
+    out: sl.StorageRW[int]
 
-    def total(self, values: Array[int]) -> int:
+    def total(self, values: sl.Array[int]) -> int:
         result = 0
         for i in range(len(values)):
             result += values[i]
         return result
 
     def compute(self) -> None:
-        stack = array(int, 8)
+        stack = sl.array(int, 8)
         top = 0
         for i in range(5):
             stack[top] = i * i
@@ -372,7 +326,7 @@ class Arrays(Shader):
         while top > 0:
             top -= 1
             self.out[top] = stack[top]
-        big = array(int, 100)
+        big = sl.array(int, 100)
         big[99] = 7
         self.out[5] = self.total(big)
         self.out[6] = self.total(stack)
@@ -385,19 +339,19 @@ def test_local_arrays_start_as_zeros_and_are_values(run_everywhere):
     assert run_everywhere(Arrays, out=8)["out"].tolist() == [0, 1, 4, 9, 16, 7, 30, 0]
 
 
-class Inner(Struct):
-    direction: vec3
+class Inner(sl.Struct):
+    direction: sl.vec3
     weight: float
 
 
-class Outer(Struct):
+class Outer(sl.Struct):
     inner: Inner
-    turn: mat2
+    turn: sl.mat2
     count: int
 
 
-class Structs(Shader):
-    items: StorageRW[Outer]
+class Structs(sl.Shader):
+    items: sl.StorageRW[Outer]
 
     def moved(self, item: Outer) -> Outer:
         item.count += 1
@@ -423,26 +377,26 @@ def test_structs_are_values_and_their_fields_can_be_written(run_everywhere):
     assert out[2]["turn"].tolist() == [[1, 2], [5, 4]]
 
 
-class Matrices(Shader):
-    m: Uniform[mat3]
-    m4: Storage[mat4]
-    out: StorageRW[vec4]
+class Matrices(sl.Shader):
+    m: sl.Uniform[sl.mat3]
+    m4: sl.Storage[sl.mat4]
+    out: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
-        v = vec3(1, 2, 3)
-        self.out[0] = vec4(self.m @ v, self.m[1][2])
-        self.out[1] = vec4(v @ self.m, self.m[2][0])
-        self.out[2] = vec4(self.m[1], 0)
-        self.out[3] = vec4(transpose(self.m)[1], 0)
-        self.out[4] = self.m4[0] @ vec4(v, 1)
-        rows = mat2(1, 2, 3, 4)
-        self.out[5] = vec4(rows @ vec2(1, 10), rows[0])
-        basis = transpose(mat2(vec2(1, 2), vec2(3, 4)))
-        self.out[6] = vec4(basis @ vec2(1, 10), basis[0])
-        product = mat3(2.0) @ self.m
-        self.out[7] = vec4(product[2], (self.m * self.m)[2][1])
+        v = sl.vec3(1, 2, 3)
+        self.out[0] = sl.vec4(self.m @ v, self.m[1][2])
+        self.out[1] = sl.vec4(v @ self.m, self.m[2][0])
+        self.out[2] = sl.vec4(self.m[1], 0)
+        self.out[3] = sl.vec4(sl.transpose(self.m)[1], 0)
+        self.out[4] = self.m4[0] @ sl.vec4(v, 1)
+        rows = sl.mat2(1, 2, 3, 4)
+        self.out[5] = sl.vec4(rows @ sl.vec2(1, 10), rows[0])
+        basis = sl.transpose(sl.mat2(sl.vec2(1, 2), sl.vec2(3, 4)))
+        self.out[6] = sl.vec4(basis @ sl.vec2(1, 10), basis[0])
+        product = sl.mat3(2.0) @ self.m
+        self.out[7] = sl.vec4(product[2], (self.m * self.m)[2][1])
         i = len(self.out) - 9
-        self.out[8] = vec4(self.m[i], mat3(self.m4[0])[2][1])
+        self.out[8] = sl.vec4(self.m[i], sl.mat3(self.m4[0])[2][1])
 
 
 def test_a_numpy_matrix_means_the_same_in_a_shader(run_everywhere):
@@ -467,25 +421,25 @@ def test_a_numpy_matrix_means_the_same_in_a_shader(run_everywhere):
     np.testing.assert_array_equal(out[:9], expected)
 
 
-class Atomics(Shader):
+class Atomics(sl.Shader):
     work_group = (32,)
-    out: StorageRW[int]
-    bits: StorageRW[uint]
-    order: StorageRW[uint]
+    out: sl.StorageRW[int]
+    bits: sl.StorageRW[sl.uint]
+    order: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        i = global_id().x
-        atomic_add(self.out[0], i)
-        atomic_min(self.out[1], i - 5)
-        atomic_max(self.out[2], i)
-        atomic_or(self.bits[0], uint(1) << i)
-        atomic_and(self.bits[1], ~(uint(1) << i))
-        atomic_xor(self.bits[2], uint(i))
-        slot = atomic_add(self.bits[3], 1)
-        self.order[slot] = uint(i)
-        if atomic_compare_exchange(self.out[3], 0, 7) == 0:
-            atomic_add(self.out[4], 1)
-        atomic_exchange(self.out[5], 3)
+        i = sl.global_id().x
+        sl.atomic_add(self.out[0], i)
+        sl.atomic_min(self.out[1], i - 5)
+        sl.atomic_max(self.out[2], i)
+        sl.atomic_or(self.bits[0], sl.uint(1) << i)
+        sl.atomic_and(self.bits[1], ~(sl.uint(1) << i))
+        sl.atomic_xor(self.bits[2], sl.uint(i))
+        slot = sl.atomic_add(self.bits[3], 1)
+        self.order[slot] = sl.uint(i)
+        if sl.atomic_compare_exchange(self.out[3], 0, 7) == 0:
+            sl.atomic_add(self.out[4], 1)
+        sl.atomic_exchange(self.out[5], 3)
 
 
 def test_atomics_see_every_invocation(run_everywhere):
@@ -500,34 +454,34 @@ def test_atomics_see_every_invocation(run_everywhere):
     assert sorted(out["order"].tolist()) == list(range(64))
 
 
-class Scan(Shader):
+class Scan(sl.Shader):
     work_group = (N,)
-    partial = shared(float, N)
-    total = shared(int)
-    values: Storage[float]
-    sums: StorageRW[float]
-    counts: StorageRW[int]
+    partial = sl.shared(float, N)
+    total = sl.shared(int)
+    values: sl.Storage[float]
+    sums: sl.StorageRW[float]
+    counts: sl.StorageRW[int]
 
     def compute(self) -> None:
-        i = local_index()
+        i = sl.local_index()
         if i == 0:
             self.total = 0
-        self.partial[i] = self.values[global_id().x]
-        barrier()
+        self.partial[i] = self.values[sl.global_id().x]
+        sl.barrier()
         offset = 1
         while offset < N:
             value = self.partial[i]
             if i >= offset:
                 value += self.partial[i - offset]
-            barrier()
+            sl.barrier()
             self.partial[i] = value
-            barrier()
+            sl.barrier()
             offset *= 2
-        atomic_add(self.total, 1)
-        barrier()
-        self.sums[global_id().x] = self.partial[i]
+        sl.atomic_add(self.total, 1)
+        sl.barrier()
+        self.sums[sl.global_id().x] = self.partial[i]
         if i == N - 1:
-            self.counts[group_id().x] = self.total
+            self.counts[sl.group_id().x] = self.total
 
 
 def test_shared_memory_and_barriers_give_a_prefix_sum(run_everywhere):
@@ -537,18 +491,18 @@ def test_shared_memory_and_barriers_give_a_prefix_sum(run_everywhere):
     assert out["counts"].tolist() == [N, N]
 
 
-class Ids(Shader):
+class Ids(sl.Shader):
     work_group = (2, 3, 4)
-    out: StorageRW[ivec3]
+    out: sl.StorageRW[sl.ivec3]
 
     def compute(self) -> None:
-        size = ivec3(2, 3, 4)
-        g = global_id()
-        if g == group_id() * size + local_id():
-            self.out[0] = max(self.out[0], g)
-        if local_index() == local_id().x + local_id().y * 2 + local_id().z * 6:
-            memory_barrier()
-            self.out[1] = group_count()
+        size = sl.ivec3(2, 3, 4)
+        g = sl.global_id()
+        if g == sl.group_id() * size + sl.local_id():
+            self.out[0] = sl.max(self.out[0], g)
+        if sl.local_index() == sl.local_id().x + sl.local_id().y * 2 + sl.local_id().z * 6:
+            sl.memory_barrier()
+            self.out[1] = sl.group_count()
 
 
 def test_ids_count_in_three_dimensions(run_everywhere):
@@ -556,18 +510,18 @@ def test_ids_count_in_three_dimensions(run_everywhere):
     assert out[1, :3].tolist() == [2, 1, 1]
 
 
-@function
+@sl.function
 def halved(x: float, *, by: int = 2) -> float:
     return x / by
 
 
-@function
+@sl.function
 def twice_halved(x: float) -> float:
     return halved(halved(x), by=4)
 
 
-class Calls(Shader):
-    out: StorageRW[float]
+class Calls(sl.Shader):
+    out: sl.StorageRW[float]
 
     @staticmethod
     def plain(x: float) -> float:
@@ -580,7 +534,7 @@ class Calls(Shader):
         self.out[0] = twice_halved(16)
         self.out[1] = self.virtual(3.0)
         self.out[2] = self.plain(x=3)
-        self.out[3] = clamp(dot(vec3(1), vec3(2)), 0.0, 5.0)
+        self.out[3] = sl.clamp(sl.dot(sl.vec3(1), sl.vec3(2)), 0.0, 5.0)
 
 
 class Overridden(Calls):
@@ -593,19 +547,19 @@ def test_functions_helpers_defaults_and_overrides_are_found_as_in_python(run_eve
     assert run_everywhere(Overridden, out=4)["out"].tolist() == [2, 30, 4, 5]
 
 
-class Bits(Shader):
-    out: StorageRW[uint]
+class Bits(sl.Shader):
+    out: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        self.out[0] = float_bits_to_uint(1.0)
-        self.out[1] = pack_half_2x16(vec2(1.0, -2.0))
-        self.out[2] = uint(unpack_half_2x16(self.out[1]).x)
-        self.out[3] = uint(find_msb(uint(1) << 20))
-        self.out[5] = float_bits_to_uint(uint_bits_to_float(self.out[0]))
+        self.out[0] = sl.float_bits_to_uint(1.0)
+        self.out[1] = sl.pack_half_2x16(sl.vec2(1.0, -2.0))
+        self.out[2] = sl.uint(sl.unpack_half_2x16(self.out[1]).x)
+        self.out[3] = sl.uint(sl.find_msb(sl.uint(1) << 20))
+        self.out[5] = sl.float_bits_to_uint(sl.uint_bits_to_float(self.out[0]))
         n = -9
-        self.out[4] = uint(n + 8)
-        self.out[6] = uint(n >> 1)
-        self.out[7] = uint(0xF0) ^ 0xFF & ~uint(1) | 0x100
+        self.out[4] = sl.uint(n + 8)
+        self.out[6] = sl.uint(n >> 1)
+        self.out[7] = sl.uint(0xF0) ^ 0xFF & ~sl.uint(1) | 0x100
 
 
 def test_bit_operations_are_numpy_s(run_everywhere):
@@ -614,14 +568,14 @@ def test_bit_operations_are_numpy_s(run_everywhere):
     assert out.tolist() == expected
 
 
-class Reserved(Struct):
+class Reserved(sl.Struct):
     out: float
-    sample: ivec2
-    flat: uint
+    sample: sl.ivec2
+    flat: sl.uint
 
 
-class Mangled(Shader):
-    buffer: StorageRW[Reserved]
+class Mangled(sl.Shader):
+    buffer: sl.StorageRW[Reserved]
 
     def input(self, half: float) -> float:
         gl_position = half
@@ -631,7 +585,7 @@ class Mangled(Shader):
 
     def compute(self) -> None:
         output = self.input(2.0)
-        filter = ivec2(3, 4)
+        filter = sl.ivec2(3, 4)
         self.buffer[0] = Reserved(out=output, sample=filter, flat=7)
         rhi_power_2 = output**2
         self.buffer[1].out = rhi_power_2
@@ -644,38 +598,38 @@ def test_names_that_glsl_reserves_can_be_used(run_everywhere):
     assert out["flat"][0] == 7
 
 
-class Outside(Shader):
+class Outside(sl.Shader):
     """Atomics and writes at an index that may lie outside."""
 
     work_group = (4,)
-    at: Uniform[int]
-    words: StorageRW[uint]
-    old: StorageRW[uint]
-    kept = shared(uint, 4)
+    at: sl.Uniform[int]
+    words: sl.StorageRW[sl.uint]
+    old: sl.StorageRW[sl.uint]
+    kept = sl.shared(sl.uint, 4)
 
     def compute(self) -> None:
-        i = int(local_index())
-        self.kept[i] = uint(7)
-        barrier()
+        i = int(sl.local_index())
+        self.kept[i] = sl.uint(7)
+        sl.barrier()
         if i == 0:
-            self.kept[self.at] = uint(9)
-            self.old[0] = atomic_add(self.words[self.at], uint(5))
-            self.old[1] = atomic_max(self.kept[self.at], uint(50))
-            atomic_or(self.words[self.at], uint(64))
-        barrier()
-        self.old[2 + i + 4 * int(group_id().x)] = self.kept[i]
+            self.kept[self.at] = sl.uint(9)
+            self.old[0] = sl.atomic_add(self.words[self.at], sl.uint(5))
+            self.old[1] = sl.atomic_max(self.kept[self.at], sl.uint(50))
+            sl.atomic_or(self.words[self.at], sl.uint(64))
+        sl.barrier()
+        self.old[2 + i + 4 * int(sl.group_id().x)] = self.kept[i]
 
 
 @pytest.mark.parametrize("at", [-1, 4, 100_000, -100_000])
 def test_writes_and_atomics_outside_do_nothing_on_numpy(at: int) -> None:
     words, old = np.full(4, 1, np.uint32), np.full(10, 99, np.uint32)
-    after = run_compute(Outside, 2, at=at, words=words, old=old)
+    after = sl.run_compute(Outside, 2, at=at, words=words, old=old)
     assert after["words"].tolist() == [1] * 4
     assert after["old"].tolist() == [0, 0] + [7] * 8
 
 
 def test_writes_and_atomics_inside_are_seen_on_numpy() -> None:
     words, old = np.full(4, 1, np.uint32), np.full(10, 99, np.uint32)
-    after = run_compute(Outside, 1, at=2, words=words, old=old)
+    after = sl.run_compute(Outside, 1, at=2, words=words, old=old)
     assert after["words"].tolist() == [1, 1, 6 | 64, 1]
     assert after["old"].tolist() == [1, 9, 7, 7, 50, 7] + [99] * 4

@@ -10,34 +10,10 @@ from typing import Any
 
 import pytest
 
+import rhi.shading as sl
 from rhi.contract.descriptors import Stage
 from rhi.contract.formats import Format
 from rhi.errors import ShaderError
-from rhi.shading import (
-    Array,
-    Image2D,
-    IntTexture2D,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Uniform,
-    array,
-    atomic_add,
-    atomic_compare_exchange,
-    compile_shader,
-    function,
-    global_id,
-    image,
-    ivec2,
-    mat2,
-    memory_barrier,
-    uint,
-    vec2,
-    vec3,
-    vec4,
-)
 from rhi.shading.wgsl.names import texel_format
 from rhi.shading.wgsl.stages import read_declarations
 
@@ -47,8 +23,8 @@ RECORDED_REFUSALS = 22
 a comparison at another level than 0, and `memory_barrier`."""
 
 
-def text_of(shader: type[Shader], stage: Stage = Stage.COMPUTE) -> str:
-    return compile_shader(shader).emit("wgsl", stage).text
+def text_of(shader: type[sl.Shader], stage: Stage = Stage.COMPUTE) -> str:
+    return sl.compile_shader(shader).emit("wgsl", stage).text
 
 
 @pytest.fixture(scope="module")
@@ -62,31 +38,31 @@ def naga() -> Any:
     return adapters[0].request_device_sync()
 
 
-class Packed(Struct):
-    weights: Array[float] = array(float, 3)
-    turn: mat2
-    pairs: Array[vec2] = array(vec2, 2)
-    end: vec3
+class Packed(sl.Struct):
+    weights: sl.Array[float] = sl.array(float, 3)
+    turn: sl.mat2
+    pairs: sl.Array[sl.vec2] = sl.array(sl.vec2, 2)
+    end: sl.vec3
 
 
-class Plain(Struct):
-    view: vec4
+class Plain(sl.Struct):
+    view: sl.vec4
     scale: float
 
 
-class Counted(Struct):
+class Counted(sl.Struct):
     start: float
-    count: uint
+    count: sl.uint
 
 
-class ReadsLayouts(Shader):
-    packed: Uniform[Packed]
-    plain: Uniform[Plain]
-    copies: Storage[Packed]
-    out: StorageRW[float]
+class ReadsLayouts(sl.Shader):
+    packed: sl.Uniform[Packed]
+    plain: sl.Uniform[Plain]
+    copies: sl.Storage[Packed]
+    out: sl.StorageRW[float]
 
     def compute(self) -> None:
-        i = int(global_id().x)
+        i = int(sl.global_id().x)
         whole = self.packed
         self.out[0] = self.packed.weights[i] + self.packed.pairs[i].y + self.packed.turn[i].x + self.plain.scale
         self.out[1] = whole.weights[i] + self.copies[i].weights[i]
@@ -105,12 +81,12 @@ def test_uniform_memory_has_types_of_its_own_only_where_its_layout_differs(naga:
     naga.create_shader_module(code=text)
 
 
-class CountsTwice(Shader):
-    first: StorageRW[Counted]
-    second: Storage[Counted]
+class CountsTwice(sl.Shader):
+    first: sl.StorageRW[Counted]
+    second: sl.Storage[Counted]
 
     def compute(self) -> None:
-        atomic_add(self.first[0].count, uint(1))
+        sl.atomic_add(self.first[0].count, sl.uint(1))
         whole = self.first[1]
         whole.count += self.second[0].count
         self.first[2] = whole
@@ -128,17 +104,17 @@ def test_words_are_atomic_only_in_the_memory_that_atomics_work_on(naga: Any) -> 
     assert read_declarations(text) == {(1, 0): "read_write", (1, 1): "read"}
 
 
-class ChoosesEffects(Shader):
-    out: StorageRW[int]
+class ChoosesEffects(sl.Shader):
+    out: sl.StorageRW[int]
 
     def compute(self) -> None:
-        i = int(global_id().x)
-        self.out[1] = self.out[2] + (atomic_add(self.out[0], 1) if i > 3 else 7)
-        if i > 5 and atomic_compare_exchange(self.out[0], 1, 2) == 1:
+        i = int(sl.global_id().x)
+        self.out[1] = self.out[2] + (sl.atomic_add(self.out[0], 1) if i > 3 else 7)
+        if i > 5 and sl.atomic_compare_exchange(self.out[0], 1, 2) == 1:
             self.out[3] = 1
-        elif i < 2 or atomic_compare_exchange(self.out[0], 2, 3) == 2:
+        elif i < 2 or sl.atomic_compare_exchange(self.out[0], 2, 3) == 2:
             self.out[3] = 2
-        while atomic_compare_exchange(self.out[0], 4, 5) == 4:
+        while sl.atomic_compare_exchange(self.out[0], 4, 5) == 4:
             self.out[4] += 1
 
 
@@ -154,15 +130,15 @@ def test_choices_with_effects_are_statements_in_the_order_of_python(naga: Any) -
     naga.create_shader_module(code=text)
 
 
-class LoadsAndStores(Shader):
+class LoadsAndStores(sl.Shader):
     """Loads from a level that the device chooses, and from a known one; stores to an image that it doesn't read."""
 
-    source: Texture2D
-    at: Storage[int]
-    target: Image2D = image(Format.RGBA8)
+    source: sl.Texture2D
+    at: sl.Storage[int]
+    target: sl.Image2D = sl.image(Format.RGBA8)
 
     def compute(self) -> None:
-        texel = ivec2(global_id().xy)
+        texel = sl.ivec2(sl.global_id().xy)
         self.target.store(texel, self.source.load(texel, self.at[0]) + self.source.load(texel, 1))
 
 
@@ -177,30 +153,30 @@ def test_a_level_that_may_not_exist_is_compared_with_those_there_are(naga: Any) 
 def test_an_image_that_is_only_stored_to_is_not_read() -> None:
     """All devices of WebGPU can store texels of 8 bits, and few read and store them."""
     assert "texture_storage_2d<rgba8unorm, write>" in text_of(LoadsAndStores)
-    assert [binding.reads for binding in compile_shader(LoadsAndStores).bindings] == [True, True, False]
+    assert [binding.reads for binding in sl.compile_shader(LoadsAndStores).bindings] == [True, True, False]
 
 
-class SamplesIntegers(Shader):
-    given: IntTexture2D
-    out: StorageRW[int]
+class SamplesIntegers(sl.Shader):
+    given: sl.IntTexture2D
+    out: sl.StorageRW[int]
 
     def compute(self) -> None:
-        self.out[0] = self.given.sample_lod(vec2(0.5), 0.0).x
+        self.out[0] = self.given.sample_lod(sl.vec2(0.5), 0.0).x
 
 
-class FencesMemory(Shader):
-    out: StorageRW[int]
+class FencesMemory(sl.Shader):
+    out: sl.StorageRW[int]
 
     def compute(self) -> None:
         self.out[0] = 1
-        memory_barrier()
+        sl.memory_barrier()
 
 
 @pytest.mark.parametrize(
     ("shader", "given"),
     [(SamplesIntegers, "an integer texture that is sampled"), (FencesMemory, "memory_barrier()")],
 )
-def test_what_wgsl_lacks_is_refused_at_its_python_line(shader: type[Shader], given: str) -> None:
+def test_what_wgsl_lacks_is_refused_at_its_python_line(shader: type[sl.Shader], given: str) -> None:
     with pytest.raises(ShaderError) as caught:
         text_of(shader)
     assert caught.value.rule.id == "shading-native"
@@ -210,20 +186,20 @@ def test_what_wgsl_lacks_is_refused_at_its_python_line(shader: type[Shader], giv
     assert given.split()[-1].split("(")[0][:6] in line
 
 
-@function
+@sl.function
 def doubled(value: float) -> float:
     return value * 2.0
 
 
-class Simple(Shader):
-    out: StorageRW[float]
+class Simple(sl.Shader):
+    out: sl.StorageRW[float]
 
     def compute(self) -> None:
         self.out[0] = doubled(1.5)
 
 
 def test_each_line_knows_the_python_line_that_it_comes_from() -> None:
-    written = compile_shader(Simple).emit("wgsl", Stage.COMPUTE)
+    written = sl.compile_shader(Simple).emit("wgsl", Stage.COMPUTE)
     lines = written.text.splitlines()
     number = next(i for i, line in enumerate(lines) if "return (value * 2.0f);" in line)
     file, line = written.origins[number]

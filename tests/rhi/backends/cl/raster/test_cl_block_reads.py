@@ -6,20 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from rhi import CullMode, Device, Format, SamplerDescriptor, TextureKind, Wrap
-from rhi.shading import (
-    Shader,
-    Struct,
-    Texture2DArray,
-    Uniform,
-    fragment_coordinate,
-    ivec2,
-    ivec3,
-    vec2,
-    vec3,
-    vec4,
-    vertex_index,
-)
 
 SIZE = (36, 20)
 """That of the target: blocks of 4 × 4 pixels, all of them whole."""
@@ -27,33 +15,33 @@ SIZE = (36, 20)
 Floats = NDArray[np.float32]
 
 
-class Places(Struct):
+class Places(sl.Struct):
     """Where a pixel reads: `start + x across + y down`, in texels; the layer is the sum of products with `layers`."""
 
-    start: vec2
-    across: vec2
-    down: vec2
-    layers: vec2
+    start: sl.vec2
+    across: sl.vec2
+    down: sl.vec2
+    layers: sl.vec2
     is_filtered: int
 
 
-class Reading(Shader):
+class Reading(sl.Shader):
     """Shows bilinear samples, or texels."""
 
-    places: Uniform[Places]
-    image: Texture2DArray
+    places: sl.Uniform[Places]
+    image: sl.Texture2DArray
 
-    def vertex(self) -> vec4:
-        corner = vertex_index()
-        return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
+    def vertex(self) -> sl.vec4:
+        corner = sl.vertex_index()
+        return sl.vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
 
-    def fragment(self) -> vec4:
-        pixel = vec2(ivec2(fragment_coordinate().xy))
+    def fragment(self) -> sl.vec4:
+        pixel = sl.vec2(sl.ivec2(sl.fragment_coordinate().xy))
         place = self.places.start + self.places.across * pixel.x + self.places.down * pixel.y
         layer = self.places.layers.x * pixel.x + self.places.layers.y * pixel.y
         if self.places.is_filtered == 0:
-            return self.image.load(ivec3(vec3(place, layer)))
-        return self.image.sample_lod(vec3(place / vec2(self.image.size().xy), layer), 0.0)
+            return self.image.load(sl.ivec3(sl.vec3(place, layer)))
+        return self.image.sample_lod(sl.vec3(place / sl.vec2(self.image.size().xy), layer), 0.0)
 
 
 def show(device: Device, image: object, *, is_filtered: int, **places: tuple[float, float]) -> Floats:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import rhi
+import rhi.shading as sl
 from rhi import (
     CullMode,
     DepthBias,
@@ -29,17 +30,6 @@ from rhi import (
 from rhi.backends.cl.backend import ClBackend
 from rhi.backends.cl.raster import boxes, draw_tables
 from rhi.backends.cl.raster.tables import GROUP
-from rhi.shading import (
-    Shader,
-    Storage,
-    Struct,
-    Uniform,
-    instance_index,
-    mat4,
-    vec2,
-    vec3,
-    vec4,
-)
 
 SIZE = (96, 64)
 VERTICES = 6 * GROUP
@@ -47,56 +37,56 @@ DRAWS = 40
 IDENTITY = np.eye(4, dtype=np.float32)
 
 
-class Vertex(Struct):
-    position: vec3
-    color: vec3
+class Vertex(sl.Struct):
+    position: sl.vec3
+    color: sl.vec3
 
 
-class View(Struct):
-    matrix: mat4
+class View(sl.Struct):
+    matrix: sl.mat4
 
 
-class Thing(Struct):
-    matrix: mat4
+class Thing(sl.Struct):
+    matrix: sl.mat4
 
 
-class Surface(Struct):
-    clip: vec4
-    color: vec3
+class Surface(sl.Struct):
+    clip: sl.vec4
+    color: sl.vec3
 
 
-class Placed(Shader):
-    view: Uniform[View]
-    things: Storage[Thing]
+class Placed(sl.Shader):
+    view: sl.Uniform[View]
+    things: sl.Storage[Thing]
 
     def vertex(self, v: Vertex) -> Surface:
-        place = self.things[instance_index()].matrix @ vec4(v.position, 1.0)
+        place = self.things[sl.instance_index()].matrix @ sl.vec4(v.position, 1.0)
         return Surface(clip=self.view.matrix @ place, color=v.color)
 
-    def fragment(self, v: Surface) -> vec4:
-        return vec4(v.color, 1.0)
+    def fragment(self, v: Surface) -> sl.vec4:
+        return sl.vec4(v.color, 1.0)
 
 
 class Bent(Placed):
     """A vertex stage that isn't affine."""
 
     def vertex(self, v: Vertex) -> Surface:
-        place = self.things[instance_index()].matrix @ vec4(v.position, 1.0)
-        return Surface(clip=self.view.matrix @ (place + vec4(v.color.x * v.position.x * 0.0)), color=v.color)
+        place = self.things[sl.instance_index()].matrix @ sl.vec4(v.position, 1.0)
+        return Surface(clip=self.view.matrix @ (place + sl.vec4(v.color.x * v.position.x * 0.0)), color=v.color)
 
 
-class Offset(Struct):
-    offset: vec2
+class Offset(sl.Struct):
+    offset: sl.vec2
 
 
-class Shifted(Shader):
+class Shifted(sl.Shader):
     """A vertex stage that adds an attribute of the instance, which isn't measured."""
 
     def vertex(self, v: Vertex, i: Offset) -> Surface:
-        return Surface(clip=vec4(v.position + vec3(i.offset, 0.0), 1.0), color=v.color)
+        return Surface(clip=sl.vec4(v.position + sl.vec3(i.offset, 0.0), 1.0), color=v.color)
 
-    def fragment(self, v: Surface) -> vec4:
-        return vec4(v.color, 1.0)
+    def fragment(self, v: Surface) -> sl.vec4:
+        return sl.vec4(v.color, 1.0)
 
 
 @pytest.fixture
