@@ -42,7 +42,7 @@ from renderer.shadows import ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, fit_picture
 from renderer.techniques import AutoTechnique, Forward, Technique
 from renderer.techniques.inspection import Inspection
-from renderer.techniques.parts.depth import bind_depth
+from renderer.techniques.parts.depth import bind_depth_programs
 from renderer.tessellation import Tessellator, tessellation_passes
 from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Texture
@@ -426,7 +426,7 @@ class Renderer:
         plan = self._plans.get(needs.key)
         if plan is None:
             is_lit = not isinstance(technique, Inspection) or technique.is_lit
-            before = [*tessellation_passes(needs), *(shadow_passes(needs, bind_depth) if is_lit else ())]
+            before = [*tessellation_passes(needs), *(shadow_passes(needs, bind_depth_programs) if is_lit else ())]
             plan = self._plans[needs.key] = make_plan([*before, *technique.declare(needs)])
         return plan
 

@@ -21,13 +21,14 @@ from renderer.content.models import FORMATS, load_model
 from renderer.content.night import NIGHT
 from renderer.content.specs import Generator
 from renderer.content.terrain import TERRAIN
+from renderer.content.yard import YARD
 from renderer.scene.paths import CameraPath, Shot
 from renderer.scene.scene import Scene
 from rhi.errors import refuse
 from rhi.math import Camera
 
 GENERATORS: Final[dict[str, Generator]] = {
-    generator.name: generator for generator in (CITY, HALL, GRID, NIGHT, BAZAAR, GLASS, TERRAIN)
+    generator.name: generator for generator in (CITY, HALL, GRID, NIGHT, BAZAAR, GLASS, TERRAIN, YARD)
 }
 """All scene generators by name."""
 

@@ -23,11 +23,12 @@ _STEEP: Final = 6.0  # texels of height for a difference of 1
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Surface:
-    """The images (size, size, 4) of a surface: sRGB `color`, `normal`, and `metal_roughness`."""
+    """The images (size, size, 4) of a surface: sRGB `color`, `normal`, `metal_roughness`, and grey `height`."""
 
     color: ImagePixels
     normal: ImagePixels
     metal_roughness: ImagePixels
+    height: ImagePixels
 
 
 def paint_surface(kind: str, size: int, seed: int) -> Surface:
@@ -47,6 +48,7 @@ def paint_surface(kind: str, size: int, seed: int) -> Surface:
         make_opaque(bright[..., None] * warm),
         make_opaque(0.5 + 0.5 * normal),
         make_opaque(np.stack([np.ones_like(rough), rough, metal], axis=-1)),
+        make_opaque(np.stack([height] * 3, axis=-1)),
     )
 
 

@@ -13,8 +13,10 @@ from renderer.frame.needs import Effect as Effect
 from renderer.frame.needs import GlowSettings as GlowSettings
 from renderer.frame.needs import Needs as Needs
 from renderer.frame.needs import find_needs as find_needs
+from renderer.frame.passes import BoundProgram as BoundProgram
 from renderer.frame.passes import Drawn as Drawn
 from renderer.frame.passes import TechniquePass as TechniquePass
+from renderer.frame.passes import choose_program as choose_program
 from renderer.frame.plan import OUTPUTS as OUTPUTS
 from renderer.frame.plan import DroppedPass as DroppedPass
 from renderer.frame.plan import Pass as Pass
@@ -24,6 +26,7 @@ from renderer.frame.plan import Target as Target
 from renderer.frame.plan import find_last as find_last
 from renderer.frame.plan import make_plan as make_plan
 from renderer.frame.resources import SceneResources as SceneResources
+from renderer.frame.resources import find_states as find_states
 from renderer.frame.seen import SeenFeatures as SeenFeatures
 from renderer.frame.targets import DEPTH_FORMAT as DEPTH_FORMAT
 from renderer.frame.targets import IMAGE_FORMAT as IMAGE_FORMAT

@@ -86,9 +86,10 @@ class FrameBatch:
             parts: the rows (k,) of each part that is drawn by a command of its own; `issue` gets their arguments, None
                 for an empty part.
         """
-        if self._buffer is None or draws is not self._draws:
+        room = len(draws) + _STEP * max(len(parts), DRAW_LISTS)
+        if self._buffer is None or draws is not self._draws or room > self._buffer.count:
             self.destroy()
-            self._buffer = self._device.buffer(len(draws) + _STEP * DRAW_LISTS, DRAW, label="batch")
+            self._buffer = self._device.buffer(room, DRAW, label="batch")
             self._draws, self._with_nothing = draws, np.append(draws, np.zeros(1, DRAW))
         counts = [-(-len(part) // _STEP) * _STEP for part in parts]
         starts = np.cumsum([0, *counts]).tolist()

@@ -50,6 +50,7 @@ class Effect(Enum):
     SECOND_UVS = "second uvs"
     TEXTURE_TRANSFORMS = "texture transforms"
     MIXED_COORDINATES = "mixed coordinates"
+    MATERIAL_SHADERS = "material shaders"
     SUN_SHADOWS = "shadows of directional lights"
     POINT_SHADOWS = "shadows of point lights"
     SPOT_SHADOWS = "shadows of spot lights"
@@ -133,6 +134,7 @@ _NOUNS: Final = {
         "material with unlike texture coordinates",
         "materials with unlike texture coordinates",
     ),
+    Effect.MATERIAL_SHADERS: ("material with a shader of its own", "materials with shaders of their own"),
     Effect.TRANSPARENCY: ("transparent object", "transparent objects"),
     Effect.HEIGHT_FIELDS: ("height field", "height fields"),
     Effect.SUN_SHADOWS: ("directional light that casts shadows", "directional lights that cast shadows"),
@@ -153,6 +155,7 @@ class Needs:
             height fields in view, or that cast shadows.
         blending: how transparent objects are put together. glow: how glow is made.
         has_glow: whether the scene has glow, whatever shines in it.
+        shaders: those that the scene's materials have of their own.
     """
 
     effects: frozenset[Effect]
@@ -162,6 +165,7 @@ class Needs:
     blending: Blending
     glow: GlowSettings
     has_glow: bool
+    shaders: tuple[type[Any], ...]
 
     @property
     def image(self) -> Target:
@@ -186,7 +190,8 @@ class Needs:
     @property
     def has_planes(self) -> bool:
         """Whether surfaces are told from their normals: maps bend these, and shadows fall on those."""
-        return Effect.NORMAL_MAPS in self.effects and not self.effects.isdisjoint(SHADOW_EFFECTS)
+        bends = not self.effects.isdisjoint((Effect.NORMAL_MAPS, Effect.MATERIAL_SHADERS))
+        return bends and not self.effects.isdisjoint(SHADOW_EFFECTS)
 
     @property
     def casts_shadows(self) -> bool:
@@ -273,11 +278,12 @@ def find_needs(
     if len(fields):
         casts = scene.objects.casts_shadow[fields] & any(counts[effect] for effect in SHADOW_EFFECTS)
         in_view[Effect.HEIGHT_FIELDS] = np.union1d(fields[casts], find_in_view(scene, camera, fields))
+    shaders = tuple(one.shader for one in scene.shaders)
     seen = SeenFeatures(scene).find(camera) if seen is None else seen
     hidden = {effect for effect, rows in in_view.items() if not len(rows)}
     hidden |= {Effect(name) for name in (*features, "glow") if name not in seen and name != "vertex colors"}
     effects = frozenset(effect for effect, count in counts.items() if count and effect not in hidden)
-    return Needs(effects, counts, len(scene.materials), in_view, blending, glow, scene.glow is not None)
+    return Needs(effects, counts, len(scene.materials), in_view, blending, glow, scene.glow is not None, shaders)
 
 
 def _count_casting(scene: Scene, lights: NDArray[Any]) -> int:

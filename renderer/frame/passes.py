@@ -3,17 +3,17 @@ drawn."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import cached_property
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
-from renderer.frame.resources import DRAW_GROUPS, SceneResources
+from renderer.frame.resources import DRAW_GROUPS, SceneResources, find_states
 from renderer.frame.view import View
 from renderer.scene import Camera, Depth
 from renderer.visibility import DeviceList, SceneArrays
@@ -39,6 +39,18 @@ NEARER: Final = {Depth.REVERSED: DepthFunction.GREATER, Depth.STANDARD: DepthFun
 NOT_BEHIND: Final = {Depth.REVERSED: DepthFunction.GREATER_EQUAL, Depth.STANDARD: DepthFunction.LESS_EQUAL}
 """The depth function of the scene's surfaces. Of those in one place the one that is drawn last is seen: so it is in a
 later pass that draws them again where depth is equal, in the same order."""
+
+
+class BoundProgram(NamedTuple):
+    """A program, and what it is bound to."""
+
+    program: Program[...]
+    bindings: dict[str, Any]
+
+
+def choose_program(programs: Sequence[BoundProgram], group: int) -> BoundProgram:
+    """Return the one of a pass's programs that draws the objects of a group."""
+    return programs[0 if len(programs) == 1 else group // len(DRAW_GROUPS)]
 
 
 class Drawn:
@@ -134,7 +146,8 @@ class Drawn:
 
 
 class TechniquePass:
-    """A `ScenePass`: draws the scene with one program to one set of targets, as a visibility algorithm decides.
+    """A `ScenePass`: draws the scene to one set of targets, as a visibility algorithm decides, with one program, or one
+    for each shader that materials have.
 
     Transparent objects are only recorded when an algorithm draws them (`drawn.transparent`). So what it draws and asks
     about is never hidden by them, and a later pass draws them in an order of their own (`draw_in_order`).
@@ -142,7 +155,7 @@ class TechniquePass:
     The pass may be closed and opened again; its targets are cleared when it is first opened. The rows of a batch are
     drawn in one call, front to back, because near objects hide what is drawn after them. They are sorted by the depth
     of their boxes' farthest corners, so that objects on a wide ground are drawn before the ground. Each group of
-    objects that needs other states (`DRAW_GROUPS`) takes a call.
+    objects that needs another program or other states takes a call.
 
     Attributes:
         depth: the depth target. drawn: the objects drawn. was_opened: whether the pass has ever been open.
@@ -153,8 +166,7 @@ class TechniquePass:
         device: Device,
         resources: SceneResources,
         view: View,
-        program: Program[...],
-        bindings: dict[str, Any],
+        programs: Sequence[BoundProgram],
         *,
         color: Texture | list[Texture] | None,
         depth: Texture,
@@ -165,6 +177,7 @@ class TechniquePass:
         """Describe a pass; nothing is issued yet.
 
         Args:
+            programs: one for all objects, or one for each of the scene's shaders of materials, the renderer's first.
             clear: the colour of pixels on which nothing is drawn; None keeps what the color targets hold.
             states: states of the pass, besides the faces to cull, which each group has, and a depth test that passes
                 and writes what isn't behind (`NOT_BEHIND`) unless they say otherwise.
@@ -175,8 +188,7 @@ class TechniquePass:
         self._device = device
         self._resources = resources
         self._view = view
-        self._program = program
-        self._bindings = bindings
+        self._programs = programs
         self._color = color
         self._clear = clear
         not_behind = NOT_BEHIND[view.camera.projection.depth]
@@ -201,8 +213,7 @@ class TechniquePass:
         """The values that the pass's commands depend on, besides what is drawn."""
         color = self._color
         return (
-            self._program,
-            *self._bindings.values(),
+            *(value for one in self._programs for value in (one.program, *one.bindings.values())),
             *(color if isinstance(color, list) else (color,)),
             self.depth,
             self._clear,
@@ -260,8 +271,9 @@ class TechniquePass:
         self.drawn.add_batch(rows)
         resources = self._resources
         for run in _divide(rows, resources.group[rows]):
-            with self._device.states(*DRAW_GROUPS[resources.group[run[0]]]):
-                resources.draw_rows(self._device, self._program, run, self._bindings)
+            group = int(resources.group[run[0]])
+            with self._device.states(*find_states(group)):
+                resources.draw_rows(self._device, *choose_program(self._programs, group), run)
 
     def draw_alone(self, rows: NDArray[np.int64]) -> None:
         """Draw the objects `rows` (k,) in a pass of their own. The commands are recorded when they come again, and then
@@ -282,17 +294,19 @@ class TechniquePass:
 
         def arrange() -> list[NDArray[np.int64]]:
             ordered = self._sort(others)
-            return [ordered[resources.find_group(ordered, number)] for number, _ in resources.groups]
+            return [ordered[resources.find_group(ordered, group)] for group in resources.groups]
 
         def issue(encoder: Encoder, arguments: list[IndirectDraws | None]) -> None:
             with self._begin(encoder, clears=not self.was_opened):
-                for (_, states), draws in zip(resources.groups, arguments, strict=True):
+                for group, draws in zip(resources.groups, arguments, strict=True):
                     if draws is not None:
-                        with encoder.states(*states):
-                            encoder.draw_indirect(self._program, resources.mesh, draws, **self._bindings)
+                        program, bindings = choose_program(self._programs, group)
+                        with encoder.states(*find_states(group)):
+                            encoder.draw_indirect(program, resources.mesh, draws, **bindings)
                 for row in tessellated.tolist():
-                    with encoder.states(*DRAW_GROUPS[resources.group[row]]):
-                        resources.draw_tessellated(encoder, self._program, row, self._bindings)
+                    group = int(resources.group[row])
+                    with encoder.states(*find_states(group)):
+                        resources.draw_tessellated(encoder, *choose_program(self._programs, group), row)
 
         view, batch = self._view, self._view.batch
         parts = batch.order(rows, view.camera.forward, arrange)
@@ -310,27 +324,23 @@ class TechniquePass:
         self.drawn.add_conditional(rows, queries, answers)
         order = np.lexsort((self._find_farthest(rows), answers))
         rows, answers = rows[order], answers[order]
-        for number, states in resources.groups:
-            chosen = resources.find_group(rows, number)
-            part = rows[chosen]
-            if part.size:
-                with self._device.states(*states):
-                    self._device.draw_conditional(
-                        self._program,
-                        resources.mesh,
-                        resources.draws[part],
-                        queries,
-                        answers[chosen],
-                        **self._bindings,
-                    )
+        for group in resources.groups:
+            chosen = resources.find_group(rows, group)
+            draws = resources.draws[rows[chosen]]
+            if draws.size:
+                program, bindings = choose_program(self._programs, group)
+                with self._device.states(*find_states(group)):
+                    self._device.draw_conditional(program, resources.mesh, draws, queries, answers[chosen], **bindings)
 
     def draw_in_order(self, rows: NDArray[np.int64]) -> None:
         """Draw the objects `rows` (k,) in this order, transparent ones as well. Neighbours of one group are drawn in
         one call."""
         resources = self._begin_batch(rows)
         for run in _divide(rows, resources.group[rows]):
-            with self._device.states(*DRAW_GROUPS[resources.group[run[0]]]):
-                self._device.draw_many(self._program, resources.mesh, resources.draws[run], **self._bindings)
+            group = int(resources.group[run[0]])
+            program, bindings = choose_program(self._programs, group)
+            with self._device.states(*find_states(group)):
+                self._device.draw_many(program, resources.mesh, resources.draws[run], **bindings)
 
     def _set_transparent_aside(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Record the transparent ones of the objects `rows`, and return which are not."""
@@ -370,11 +380,10 @@ class TechniquePass:
     def draw_list(self, encoder: Encoder, draws: DeviceList, *, first: bool) -> None:
         """Draw the objects that the device has listed, in a pass of their own."""
         with self._begin(encoder, clears=first and self._clears_list):
-            for number, states in self._resources.groups:
-                with encoder.states(*states):
-                    encoder.draw_indirect(
-                        self._program, self._resources.mesh, draws.arguments(number), **self._bindings
-                    )
+            for group in self._resources.groups:
+                program, bindings = choose_program(self._programs, group)
+                with encoder.states(*find_states(group)):
+                    encoder.draw_indirect(program, self._resources.mesh, draws.arguments(group), **bindings)
 
     def draw_lists(self, lists: list[DeviceList]) -> None:
         """Draw the objects of lists that the device has made earlier in this frame."""

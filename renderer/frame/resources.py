@@ -61,8 +61,14 @@ DRAW_GROUPS: Final[tuple[tuple[State, ...], ...]] = (
     (FrontFace.COUNTER_CLOCKWISE, CullMode.NONE),
     (FrontFace.CLOCKWISE, CullMode.NONE),
 )
-"""The states by which each group of objects is drawn, beside those of a pass, which culls backs. A transform that
-mirrors objects reverses the winding of their triangles, and of materials with two sides no faces are culled."""
+"""The states by which the groups of objects of one shader are drawn, beside those of a pass, which culls backs. A
+transform that mirrors objects reverses the winding of their triangles, and of materials with two sides no faces are
+culled."""
+
+
+def find_states(group: int) -> tuple[State, ...]:
+    """Return the states by which a group of objects is drawn."""
+    return DRAW_GROUPS[group % len(DRAW_GROUPS)]
 
 
 SIMULATION_EVENT: Final = "simulation"
@@ -75,8 +81,10 @@ class SceneResources:
     Attributes:
         mesh: all meshes in one. draws: (n,) of `rhi.DRAW`, one for each object.
         mirrored: (n,) bool, whether an object's transform mirrors it, which reverses the winding of its triangles.
-        group: (n,) the number of each object's group: objects of one group are drawn with the same states.
-        groups: the groups that have objects: their numbers, and their states, those of `DRAW_GROUPS`.
+        group: (n,) the number of each object's group: objects of one group are drawn with the same program and states.
+            It is the place of the states in `DRAW_GROUPS`, and 4 for each shader before that of the object's material.
+        groups: the numbers of the groups that have objects, ascending.
+        parameters: of each of the scene's shaders of materials, the values that it has for each material.
         is_transparent: (n,) bool, whether an object is transparent. transparent_rows: the rows of those that are.
         tessellated_rows: the rows of the height fields, ascending. The device chooses their triangles; their `draws`
             have as many as there can be, of which those that aren't used are empty.
@@ -127,6 +135,10 @@ class SceneResources:
         self.objects = keep(MirroredArray(device, shaders.Object, "objects"))
         self.places = keep(MirroredArray(device, shaders.ObjectPosition, "places"))
         self.materials = keep(MirroredArray(device, shaders.Material, "materials"))
+        self.parameters = [
+            keep(MirroredArray(device, kind.parameters, f"parameters of {kind.shader.__name__}"))
+            for kind in scene.shaders
+        ]
         self.directional = keep(MirroredArray(device, shaders.DirectionalLight, "directional lights"))
         self._lamps = keep(Lamps(device))
         self.point, self.spot = self._lamps.find(0)
@@ -145,7 +157,8 @@ class SceneResources:
         self._has_two_sides: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self._shown: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self.group: NDArray[np.int32] = np.zeros(len(objects), np.int32)
-        self.groups: tuple[tuple[int, tuple[State, ...]], ...] = ((0, DRAW_GROUPS[0]),)
+        self.groups: tuple[int, ...] = (0,)
+        self._shader: NDArray[np.int32] = np.zeros(len(objects), np.int32)
         self._follow_materials()
         self._transform(np.arange(len(objects)))
 
@@ -189,18 +202,18 @@ class SceneResources:
         return self.scene.count_triangles(rows[~own]) + int(counts.sum()) // 3
 
     def draw_rows(
-        self, device: Device, program: Program[...], rows: NDArray[np.int64], bindings: dict[str, Any]
+        self, device: Device, program: Program[...], bindings: dict[str, Any], rows: NDArray[np.int64]
     ) -> None:
         """Draw objects in one call, and each height field in one more."""
         if len(self.tessellated_rows):
             is_tessellated = np.isin(rows, self.tessellated_rows)
             for row in rows[is_tessellated].tolist():
-                self.draw_tessellated(device, program, row, bindings)
+                self.draw_tessellated(device, program, bindings, row)
             rows = rows[~is_tessellated]
         if len(rows):
             device.draw_many(program, self.mesh, self.draws[rows], **bindings)
 
-    def draw_tessellated(self, encoder: Encoder, program: Program[...], row: int, bindings: dict[str, Any]) -> None:
+    def draw_tessellated(self, encoder: Encoder, program: Program[...], bindings: dict[str, Any], row: int) -> None:
         """Draw a height field with as many triangles as the device has chosen."""
         place = int(np.searchsorted(self.tessellated_rows, row))
         draw = IndirectDraws(self.tessellated_draws, 1, place * DRAW.itemsize)
@@ -320,6 +333,11 @@ class SceneResources:
         """Return those of the objects `rows` whose bounds are not outside the view."""
         return find_in_view(self.scene, camera, rows)
 
+    def has_shader(self, number: int) -> bool:
+        """Return whether any object has this shader of its material: 0 for the renderer's, or 1 more than the place of
+        its own in the scene's `shaders`."""
+        return any(group // len(DRAW_GROUPS) == number for group in self.groups)
+
     def find_group(self, rows: NDArray[np.int64], number: int) -> slice | NDArray[np.bool_]:
         """Return the index of those of `rows` whose objects are in a group. In a scene with one group this takes no
         test."""
@@ -356,6 +374,8 @@ class SceneResources:
         if self._material_version != scene.material_version:
             self._material_version = scene.material_version
             self.materials.write(scene.materials)
+            for mirrored, values in zip(self.parameters, scene.parameters, strict=True):
+                mirrored.write(values)
             has_others = self._follow_materials()
         self.objects.write(self._rows, None if self._list_lights() or has_others else following)
         self.places.write(self._places, None if has_others else following)
@@ -368,10 +388,11 @@ class SceneResources:
         self.point, self.spot = self._lamps.find(eye)
 
     def _follow_materials(self) -> bool:
-        """Find the objects that are shown, transparent, with two sides, and their meshes and materials, and return
+        """Find the objects that are shown, transparent, with two sides, their shaders, meshes and materials, and return
         whether they are others than before."""
         scene, objects = self.scene, self.scene.objects
         rows, two_sided = scene.find_transparent(), scene.materials["double_sided"][objects.material] != 0
+        shader = scene.materials["shader"][objects.material]
         has_others = not np.array_equal(objects.mesh, self._places["mesh"])
         if has_others:
             self._places["mesh"] = objects.mesh
@@ -381,6 +402,7 @@ class SceneResources:
             for new, old in (
                 (rows, self.transparent_rows),
                 (two_sided, self._has_two_sides),
+                (shader, self._shader),
                 (objects.shown, self._shown),
                 (objects.material, self._rows["material"]),
             )
@@ -388,6 +410,7 @@ class SceneResources:
             return False
         self._rows["material"] = objects.material
         self.transparent_rows, self._has_two_sides, self._shown = rows, two_sided, objects.shown.copy()
+        self._shader = shader
         self.is_transparent[:] = False
         self.is_transparent[rows] = True
         self._group_all()
@@ -401,8 +424,8 @@ class SceneResources:
 
     def _group_all(self) -> None:
         """Divide the objects into groups."""
-        self.group = self.mirrored + 2 * self._has_two_sides.astype(np.int32)
-        self.groups = tuple((number, DRAW_GROUPS[number]) for number in np.unique(self.group).tolist())
+        self.group = self.mirrored + 2 * self._has_two_sides.astype(np.int32) + len(DRAW_GROUPS) * self._shader
+        self.groups = tuple(np.unique(self.group).tolist())
 
     def _transform(self, rows: NDArray[np.int64]) -> None:
         """Update the rows of the arrays that hold the transforms of the objects `rows`."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene.arrays import Rows
+from renderer.scene.instances import OwnShader, find_tangent_readers
 from renderer.scene.materials import TEXTURES, AlphaMode, ShadingModel
 from rhi import SamplerDescriptor, Wrap
 
@@ -30,6 +31,7 @@ _FEATURES: Final = (
     "masks",
     "two sides",
     "mixed coordinates",
+    "material shaders",
 )
 """The features that a material has or lacks by itself."""
 
@@ -44,7 +46,14 @@ class MaterialFeatures:
         version: a number that grows when materials have changed.
     """
 
-    def __init__(self, materials: NDArray[Any], textures: NDArray[Any], samplers: Sequence[SamplerDescriptor]) -> None:
+    def __init__(
+        self,
+        materials: NDArray[Any],
+        textures: NDArray[Any],
+        samplers: Sequence[SamplerDescriptor],
+        shaders: Sequence[OwnShader],
+    ) -> None:
+        self._shaders = shaders
         self._textures = textures
         self._repeats = np.array([(one.wrap_u, one.wrap_v) == (Wrap.REPEAT, Wrap.REPEAT) for one in samplers], bool)
         plain = (textures["transform"] == np.eye(2, 3)).all(axis=(1, 2)) & self._repeats[textures["sampler"]]
@@ -106,13 +115,14 @@ class MaterialFeatures:
             "emission": materials["emission"] != 0,
             "metals": is_metal,
             "emissive colors": emits,
-            "normal maps": has["normal_texture"],
+            "normal maps": find_tangent_readers(materials, self._shaders),
             "roughness maps": is_metal & has["metallic_roughness_texture"],
             "occlusion maps": has["occlusion_texture"],
             "emissive maps": emits & has["emissive_texture"],
             "masks": materials["alpha_mode"] == AlphaMode.MASK,
             "two sides": materials["double_sided"] != 0,
             "mixed coordinates": self._find_mixed(materials),
+            "material shaders": materials["shader"] > 0,
         }
         return np.stack([columns[name] for name in _FEATURES], axis=1)
 

@@ -44,7 +44,7 @@ MATERIAL: Final = np.dtype(
         ("alpha_mode", "<i4"),  # an `AlphaMode`
         ("alpha_cutoff", "<f4"),  # with `MASK`: below this alpha nothing is drawn
         ("double_sided", "<i4"),  # 1 if the back is drawn, too
-        ("pad", "<i4"),
+        ("shader", "<i4"),  # 0 for the renderer's, or 1 more than the place of its own in the scene's `shaders`
     ]
 )
 """112 bytes: a std430 struct whose alignment is that of a vec4."""

@@ -23,9 +23,15 @@ from renderer.scene.clips import Clip, Clips, make_clips
 from renderer.scene.features import MaterialFeatures
 from renderer.scene.finite import FiniteArrays, check_finite
 from renderer.scene.height_fields import HeightField
+from renderer.scene.instances import (
+    MaterialTable,
+    OwnShader,
+    find_tangent_readers,
+    list_textures,
+    read_own_shader,
+)
 from renderer.scene.lights import Lights, check_lights
 from renderer.scene.materials import (
-    MATERIAL,
     TEXTURE,
     TEXTURES,
     AlphaMode,
@@ -33,7 +39,6 @@ from renderer.scene.materials import (
     TextureMap,
     TextureRows,
     check_image,
-    make_material,
 )
 from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
 from renderer.scene.nodes import Nodes
@@ -67,6 +72,8 @@ class Scene:
         name: the text that it was made from.
         nodes, objects, meshes, lights: see their classes.
         materials: (k,) of `MATERIAL`. textures: (t,) of `TEXTURE`, which materials refer to by index.
+        shaders: those that materials have of their own. parameters: of each of them, its values for all materials (k,),
+            (0,) if it has none; they may be written to between frames.
         images, samplers: what textures refer to by index.
         background: linear colour of pixels that show nothing.
         haze: density of the air per metre: after a metre, e^-haze of the light is left; the rest is the background.
@@ -102,6 +109,8 @@ class Scene:
         fog: Fog | None = None,
         glow: Glow | None = None,
         reserved: Rows | None = None,
+        table: MaterialTable | None = None,
+        parameters: tuple[NDArray[Any], ...] = (),
     ) -> None:
         self.name = name
         self.simulated = simulated
@@ -123,7 +132,11 @@ class Scene:
         self.files: tuple[Path, ...] = ()
         self.height_fields: dict[int, HeightField] = dict(height_fields or {})
         self._finite = FiniteArrays()
-        self._features = MaterialFeatures(materials, self.textures, samplers)
+        self._table = MaterialTable() if table is None else table
+        self.shaders: tuple[OwnShader, ...] = tuple(self._table.shaders)
+        self.parameters = parameters
+        self._known_parameters = tuple(one.copy() for one in parameters)
+        self._features = MaterialFeatures(materials, self.textures, samplers, self.shaders)
         self._last_material = int(objects.material.max(initial=-1))
         self._edits = 0  # how often other objects were shown, or objects got other meshes or materials
         spare = [] if reserved is None else reserved.tolist()
@@ -162,6 +175,10 @@ class Scene:
             given, allowed = f"{len(self.materials)} materials", f"at least {self._last_material + 1}"
             refuse(rules.BAD_INDEX, "Scene.refresh", given, allowed)
         self._features.refresh(self.materials)
+        for values, known in zip(self.parameters, self._known_parameters, strict=True):
+            if values.tobytes() != known.tobytes():
+                known[:] = values
+                self._edits += 1
         moved = self.nodes.update()
         if self.nodes.update_hidden():
             self.objects.shown[:] = ~self.nodes.hidden[self.objects.node]
@@ -197,7 +214,7 @@ class Scene:
             is_fixed = np.isin(objects.mesh[chosen], own) | (anchor < 0) | ~self.nodes.dynamic[anchor]
             if (is_fixed | np.isin(meshes, own)).any():
                 refuse(rules.FIXED_MESH, "replace(mesh=...)", f"objects {rows!r}, meshes {mesh!r}")
-        mapped = set(meshes[self.materials["normal_texture"][materials] >= 0].tolist())
+        mapped = set(meshes[find_tangent_readers(self.materials, self.shaders)[materials]].tolist())
         if not mapped <= self.meshes.with_tangents:
             refuse(rules.NO_TANGENTS, "replace", f"meshes {sorted(mapped - self.meshes.with_tangents)}")
         objects.mesh[chosen], objects.material[chosen] = meshes, materials
@@ -245,6 +262,45 @@ class Scene:
         if self._generations.get(handle.row) != handle.generation:
             refuse(rules.REMOVED_OBJECT, "find_row", handle)
         return handle.row
+
+    def set_material(self, material: int, **values: Any) -> None:
+        """Give a material other values of its own, which its instances inherit unless they have their own: arguments of
+        `make_material`, textures by their rows, and parameters of its shader.
+
+        Raises:
+            ValidationError: `scene-bad-index`; `scene-bad-material`; `scene-no-tangents`. Nothing is changed then.
+        """
+        own = self.find_material(material) | values
+        for name, is_color in list_textures(self._table.find_shader(material)).items():
+            row = values.get(name, -1)
+            if row != -1 and not (row in range(len(self.textures)) and self.textures["is_color"][row] == is_color):
+                kind = "colors" if is_color else "data"
+                refuse(rules.BAD_INDEX, f"set_material({name}=...)", row, f"the row of a texture of {kind}")
+        if values.get("normal_texture", -1) != -1:
+            instances = self._table.find_instances(material)
+            meshes = set(self.objects.mesh[np.isin(self.objects.material, instances)].tolist())
+            if not meshes <= self.meshes.with_tangents:
+                refuse(rules.NO_TANGENTS, "set_material", f"meshes {sorted(meshes - self.meshes.with_tangents)}")
+        self._table.change(material, own, self.materials, self.parameters, "set_material")
+
+    def unset_material(self, material: int, *names: str) -> None:
+        """Let a material have its parent's values of these names, or the defaults if it has no parent.
+
+        Raises:
+            ValidationError: `scene-bad-index`; `scene-bad-material` for a name that the material doesn't set itself.
+                Nothing is changed then.
+        """
+        own = self.find_material(material)
+        for name in names:
+            if name not in own:
+                rules.refuse_name(rules.BAD_MATERIAL, "unset_material", name, own)
+        kept = {name: value for name, value in own.items() if name not in names}
+        self._table.change(material, kept, self.materials, self.parameters, "unset_material")
+
+    def find_material(self, material: int) -> dict[str, Any]:
+        """Return the values that a material sets itself."""
+        (row,) = read_ids("find_material", [material], len(self._table)).tolist()
+        return self._table.find_own(row)
 
     @property
     def material_version(self) -> int:
@@ -356,7 +412,7 @@ class SceneBuilder:
         self._bounds: list[MeshBounds | None] = []
         self._height_fields: dict[int, HeightField] = {}  # by mesh
         self._mesh_names: list[str] = []
-        self._materials: list[NDArray[Any]] = []
+        self._table = MaterialTable()
         self._mesh_ids: dict[int, int] = {}
         self._images: list[ImagePixels] = []
         self._image_ids: dict[int, int] = {}
@@ -423,24 +479,37 @@ class SceneBuilder:
             self._kept.append(image)  # as long as the builder lives, so that its id isn't given to another
         return self._image_ids[id(image)]
 
-    def add_material(self, **values: Any) -> int:
-        """Add a material from the arguments of `make_material` and return its id.
+    def add_material(self, *, parent: int = -1, shader: type[Any] | None = None, **values: Any) -> int:
+        """Add a material from the arguments of `make_material`, and the parameters of its shader; return its id.
 
         A texture is the id of an image, which is then filtered linearly and repeated, or a `TextureMap`.
+
+        Args:
+            parent: the id of a material whose shader it has, and whose values where it isn't given its own. These
+                follow the parent's (`Scene.set_material`).
+            shader: a class derived from `renderer.shaders.MaterialShader`; by default the parent's, or the renderer's.
+                Textures are then read as they are: repeated, by the first texture coordinates.
         """
-        maps: dict[str, TextureMap] = {}
-        for name in TEXTURES:
+        if parent != -1:
+            read_ids("add_material(parent=...)", [parent], len(self._table))
+        own = None if shader is None else read_own_shader(shader, "add_material")
+        known = own or (self._table.find_shader(parent) if parent >= 0 else None)
+        maps: dict[str, tuple[TextureMap, bool]] = {}
+        for name, is_color in list_textures(known).items():
             given = values.get(name, -1)
             if given == -1:
                 continue
-            maps[name] = texture = given if isinstance(given, TextureMap) else TextureMap(given)
+            texture = given if isinstance(given, TextureMap) else TextureMap(given)
+            maps[name] = texture, is_color
             if not -1 <= texture.image < len(self._images):
                 refuse(rules.BAD_INDEX, f"add_material({name}=...)", texture.image, "an image's id")
-        material = make_material(**{**values, **dict.fromkeys(maps, 0)})
-        for name, texture in maps.items():
-            material[name] = self._textures.add(texture, is_color=TEXTURES[name])
-        self._materials.append(material)
-        return len(self._materials) - 1
+            if known is not None and texture != TextureMap(texture.image, sampler=texture.sampler):
+                call, given = f"add_material({name}=...)", "a transform or a second set of coordinates"
+                refuse(rules.BAD_MATERIAL, call, given, "textures as they are, in a material with a shader of its own")
+        self._table.check({**values, **dict.fromkeys(maps, 0)}, parent, own)
+        for name, (texture, is_color) in maps.items():
+            values[name] = self._textures.add(texture, is_color=is_color)
+        return self._table.add(values, parent, own)
 
     def add_node(self, local: ArrayLike | None = None, parent: int = -1, dynamic: bool = False, name: str = "") -> int:
         """Add one node with a local transform (4, 4), by default the identity, and return its id."""
@@ -475,7 +544,7 @@ class SceneBuilder:
         columns = np.broadcast_arrays(
             read_ids("add_objects(nodes=...)", nodes, len(self._node_names)),
             read_ids("add_objects(meshes=...)", meshes, len(self._geometries)),
-            read_ids("add_objects(materials=...)", materials, len(self._materials)),
+            read_ids("add_objects(materials=...)", materials, len(self._table)),
         )
         self._objects.append(np.stack([*columns, np.full_like(columns[0], casts_shadow)], axis=1))
         first = self._object_count
@@ -563,7 +632,7 @@ class SceneBuilder:
         clips = make_clips(self.clips, nodes.rows)
         table = np.concatenate(self._objects)
         self._check_simulated(table[:, 1])
-        materials, textures = np.array(self._materials, MATERIAL), self._textures.make()
+        (materials, parameters), textures = self._table.make_rows(), self._textures.make()
         geometries = self._complete_vertices(table, materials, textures)
         meshes = Meshes(geometries, self._mesh_names, self._bounds)
         animated = nodes.rows[np.concatenate([np.zeros(0, np.int64), *(ids for ids, _, _ in self._animated)])]
@@ -609,6 +678,8 @@ class SceneBuilder:
             fog=self.fog,
             glow=self.glow,
             reserved=np.concatenate([np.zeros(0, np.int64), *self._reserved]),
+            table=self._table,
+            parameters=parameters,
         )
 
     def _complete_vertices(
@@ -621,7 +692,7 @@ class SceneBuilder:
         if textures["uv_set"][read[read >= 0]].any():
             kept.add("uv2")
         normals = materials["normal_texture"]
-        mapped = table[normals[table[:, 2]] >= 0]
+        mapped = table[find_tangent_readers(materials, self._table.shaders)[table[:, 2]]]
         if len(mapped):
             kept.add("tangent")
         geometries = list(self._geometries)
@@ -629,7 +700,8 @@ class SceneBuilder:
         meshes, first = np.unique(mapped[:, 1], return_index=True)
         for mesh, material in zip(meshes.tolist(), mapped[first, 2].tolist(), strict=True):
             if "tangent" not in geometries[mesh].attributes:
-                uv = "uv2" if textures["uv_set"][normals[material]] else "uv"
+                row = normals[material]
+                uv = "uv2" if row >= 0 and textures["uv_set"][row] else "uv"
                 geometries[mesh] = add_tangents(geometries[mesh], uv, splits=mesh not in simulated)
         return [one.with_attributes(one.attributes & kept) for one in geometries]
 

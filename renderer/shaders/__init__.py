@@ -9,6 +9,7 @@ from renderer.shaders.lighting import reflected_light as reflected_light
 from renderer.shaders.lighting import safe_normalize as safe_normalize
 from renderer.shaders.lighting import spot_incidence as spot_incidence
 from renderer.shaders.lighting import tone_map as tone_map
+from renderer.shaders.materials import MaterialShader as MaterialShader
 from renderer.shaders.structs import DRAW_LISTS as DRAW_LISTS
 from renderer.shaders.structs import Ambient as Ambient
 from renderer.shaders.structs import DirectionalLight as DirectionalLight
@@ -19,6 +20,8 @@ from renderer.shaders.structs import Object as Object
 from renderer.shaders.structs import ObjectPosition as ObjectPosition
 from renderer.shaders.structs import PointLight as PointLight
 from renderer.shaders.structs import SpotLight as SpotLight
+from renderer.shaders.structs import SurfaceInput as SurfaceInput
+from renderer.shaders.structs import SurfaceParameters as SurfaceParameters
 from renderer.shaders.structs import SurfacePoint as SurfacePoint
 from renderer.shaders.structs import SurfaceVarying as SurfaceVarying
 from renderer.shaders.structs import TextureUse as TextureUse

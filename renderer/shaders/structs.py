@@ -60,7 +60,8 @@ DRAW_LISTS: Final = 4
 class ObjectPosition(Struct):
     """An object's world position, `high` + `low` (two floats for each double), and its mesh.
 
-    `draw_list` is the part of a list of draws that it is in where the device makes lists, one of `DRAW_LISTS`: the sum
+    `draw_list` is the part of a list of draws that it is in where the device makes lists, `DRAW_LISTS` for each
+    shader of materials: the sum
     of 1 if its transform mirrors it, which reverses the winding of its triangles, and 2 if its material has two sides.
     It is -1 if the object is transparent: those are not on a list, since they hide nothing and are drawn in an order of
     their own.
@@ -112,7 +113,7 @@ class Material(Struct):
     alpha_mode: int
     alpha_cutoff: float
     double_sided: int
-    pad: int
+    shader: int
 
 
 class DirectionalLight(Struct):
@@ -197,6 +198,47 @@ class SurfaceVarying(Struct):
     color: vec4
     material: int
     lights: ivec3
+
+
+class SurfaceInput(Struct):
+    """A point of a surface, which a material's shader describes.
+
+    Attributes:
+        position: relative to the eye, along the world's axes. normal: the unit normal of the side that is seen.
+        uv: texture coordinates; to a material's own shader 0 to 1, whole numbers left off. uv2: the second set.
+        changes: the changes of `uv` to the next pixel on the right (x, y), and to that below (z, w); those of a
+            material's own shader, and where textures are read by a table. changes2: the same of `uv2`.
+        tangent: the direction of u in the world, of any length, where meshes have tangents; w is negative if that of v
+            is `cross(tangent, normal)` instead of `cross(normal, tangent)`.
+        color: that of vertices, white if they have none. material: the row of the material.
+    """
+
+    position: vec3
+    normal: vec3
+    uv: vec2
+    uv2: vec2
+    changes: vec4
+    changes2: vec4
+    tangent: vec4
+    color: vec4
+    material: int
+
+
+class SurfaceParameters(Struct):
+    """What a surface is made of at a point, as a material's shader says.
+
+    Attributes:
+        color: multiplies the material's `base_color`: 0 to 1, linear. normal: of length 1, on the side that is seen.
+        metallic, roughness: 0 to 1, of the metallic-roughness model. occlusion: the share of ambient light that comes.
+        emissive: multiplies the material's `emissive` colour: 0 to 1, linear.
+    """
+
+    color: vec4
+    normal: vec3
+    metallic: float
+    roughness: float
+    occlusion: float
+    emissive: vec3
 
 
 class SurfacePoint(Struct):

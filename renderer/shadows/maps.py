@@ -24,7 +24,17 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame import LAMPS, SHADOW_EFFECTS, Effect, Frame, Needs, Pass
+from renderer.frame import (
+    LAMPS,
+    SHADOW_EFFECTS,
+    BoundProgram,
+    Effect,
+    Frame,
+    Needs,
+    Pass,
+    choose_program,
+    find_states,
+)
 from renderer.frame.mirrors import MirroredValue, split_doubles
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
@@ -53,7 +63,6 @@ from rhi import (
     Device,
     Filter,
     Format,
-    Program,
     Region,
     SamplerDescriptor,
     Scissor,
@@ -76,7 +85,7 @@ _COMPARING: Final = SamplerDescriptor(
 )
 _BIAS: Final = (0.1, 0.6)  # texels along the normal: at any angle, and times its sine
 
-BindDepth = Callable[[Frame], tuple[Program[...], dict[str, Any]]]
+BindPrograms = Callable[[Frame], Sequence[BoundProgram]]
 """Returns the program that draws depth of a frame's objects, and its bindings."""
 
 
@@ -198,11 +207,11 @@ class ShadowMaps:
                 return self.atlas.sampled(_COMPARING)
         return self.atlas
 
-    def update(self, frame: Frame, cameras: Sequence[Camera], bind_depth: BindDepth) -> None:
+    def update(self, frame: Frame, cameras: Sequence[Camera], bind_programs: BindPrograms) -> None:
         """Bring all maps that a frame needs up to date, for views of `cameras`.
 
         Args:
-            bind_depth: returns the program that draws what masks leave of objects, and its bindings.
+            bind_programs: returns the programs that draw what masks leave of objects.
         """
         resources = frame.resources
         scene = resources.scene
@@ -218,7 +227,7 @@ class ShadowMaps:
         self._reported = [(key, "skipped", because, None) for key, because in self._needed.skipped]
         self._count_dark(len(self._needed.dark))
         self._place({one.key: one.size for one in wanted}, shrinks=self._forget_lights(scene))
-        self._draw(frame, self._decide(scene, wanted), bind_depth)
+        self._draw(frame, self._decide(scene, wanted), bind_programs)
         self.aim(frame.camera)
         self._write_lamps(scene, frame.needs)
 
@@ -398,12 +407,12 @@ class ShadowMaps:
         one.still, one.moving, one.frame = still, moving, self._frame
         self._report(wanted.key, "drawn", because, wanted)
 
-    def _draw(self, frame: Frame, work: MapWork, bind_depth: BindDepth) -> None:
+    def _draw(self, frame: Frame, work: MapWork, bind_programs: BindPrograms) -> None:
         resources = frame.resources
         for _, rows in (*work.fresh, *work.over):
             resources.simulate(rows)
             self.casters_drawn += len(rows)
-        self._draw_maps(frame, work.fresh, bind_depth, clears=True)
+        self._draw_maps(frame, work.fresh, bind_programs, clears=True)
         if work.saved and self._kept is None:
             size = self.atlas.size
             self._kept = self._device.texture(size, Format.D32F, label="shadow maps of what can't move")
@@ -416,10 +425,10 @@ class ShadowMaps:
                 assert target is not None
                 x, y, side = one.tile
                 source.copy_to(target, region=Region(x, y, side, side), x=x, y=y)
-        self._draw_maps(frame, work.over, bind_depth, clears=False)
+        self._draw_maps(frame, work.over, bind_programs, clears=False)
 
     def _draw_maps(
-        self, frame: Frame, maps: Sequence[tuple[ShadowMap, Rows]], bind_depth: BindDepth, *, clears: bool
+        self, frame: Frame, maps: Sequence[tuple[ShadowMap, Rows]], bind_programs: BindPrograms, *, clears: bool
     ) -> None:
         """Draw objects to the tiles of maps, in one pass."""
         if not maps:
@@ -428,9 +437,9 @@ class ShadowMaps:
         device, resources, is_masked = self._device, frame.resources, self._needed.casters.is_masked
         solid: Any = device.program(DepthOnly)
         buffers = {"objects": resources.objects.buffer, "places": resources.places.buffer}
-        ways: list[tuple[bool, Any, dict[str, Any]]] = [(False, solid, buffers)]
+        kinds: list[tuple[bool, Sequence[BoundProgram]]] = [(False, [BoundProgram(solid, buffers)])]
         if any(is_masked[rows].any() for _, rows in maps):
-            ways.append((True, *bind_depth(frame)))
+            kinds.append((True, bind_programs(frame)))
         faces = CullMode.FRONT if self.settings.back_faces else CullMode.BACK
         with (
             device.render_pass(None, self.atlas),
@@ -442,13 +451,14 @@ class ShadowMaps:
                     if clears:
                         with device.states(DepthFunction.ALWAYS, CullMode.NONE):
                             device.draw(device.program(FarDepth), self._triangle)
-                    for masked, program, bindings in ways:
-                        drawn = rows if len(ways) == 1 else rows[is_masked[rows] == masked]
-                        for number, states in resources.groups:
-                            part = drawn[resources.find_group(drawn, number)]
+                    for masked, programs in kinds:
+                        drawn = rows if len(kinds) == 1 else rows[is_masked[rows] == masked]
+                        for group in resources.groups:
+                            part = drawn[resources.find_group(drawn, group)]
                             if part.size:
-                                with device.states(*states):
-                                    resources.draw_rows(device, program, part, bindings | {"view": one.view.buffer})
+                                program, bindings = choose_program(programs, group)
+                                with device.states(*find_states(group)):
+                                    resources.draw_rows(device, program, bindings | {"view": one.view.buffer}, part)
 
     def _report(self, key: MapKey, state: str, because: str, wanted: WantedMap | None = None) -> None:
         self._reported.append((key, state, because, wanted))
@@ -524,11 +534,11 @@ def _make_report(key: MapKey, state: str, because: str, wanted: WantedMap | None
     return MapReport(name, size, casters, state, because)
 
 
-def shadow_passes(needs: Needs, bind_depth: BindDepth) -> list[Pass[Frame]]:
+def shadow_passes(needs: Needs, bind_programs: BindPrograms) -> list[Pass[Frame]]:
     """Return the pass that brings shadow maps up to date, if the frame needs any. Its maps outlive the frame.
 
     Args:
-        bind_depth: returns the program that draws what masks leave of objects, and its bindings, with any `view`.
+        bind_programs: returns the programs that draw what masks leave of objects, with any `view`.
     """
     reasons = [needs.explain(effect) for effect in SHADOW_EFFECTS if effect in needs.effects]
     if not reasons:
@@ -537,7 +547,7 @@ def shadow_passes(needs: Needs, bind_depth: BindDepth) -> list[Pass[Frame]]:
     def update_maps(frame: Frame) -> None:
         maps = frame.resources.workspace(ShadowMaps)
         if frame.first is None:
-            maps.update(frame, [frame.view.around], bind_depth)
+            maps.update(frame, [frame.view.around], bind_programs)
         else:  # the left eye's frame has drawn them for both
             maps.aim(frame.camera, 1)
 

@@ -8,6 +8,9 @@ evaluated afterwards, and lit by its cluster's lights in the same step.
    screen. A depth test leaves out the pixels without a surface, before anything is shaded: a shader that discards them
    would cost llvmpipe as much as one that lights them. What the test leaves is placed by a copy of the depth.
 
+Materials with shaders of their own are shaded by draws over the screen, one for each shader: `material ids` has the
+shaders of pixels as depth, which these draws test.
+
 With `multi_pass`, each material is shaded by draws of its own: `material ids` writes materials as depth, `rectangles`
 finds where each is seen, and `shading` draws the rectangles with a depth test (`material_rectangles`).
 
@@ -20,11 +23,13 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
+from renderer.shaders.encodings import material_depth
 from renderer.shaders.pixels import distance_at, nearness_of, place_pixel
 from renderer.techniques.parts.cell_lists import CLUSTERS, CellReader, bind_lists, by_cells, list_pass
 from renderer.techniques.parts.deferred_lighting import cluster_passes
 from renderer.techniques.parts.finish import finish_image
+from renderer.techniques.parts.full_screen import Color
 from renderer.techniques.parts.material_rectangles import (
     RectangleShader,
     draw_rectangles,
@@ -33,11 +38,12 @@ from renderer.techniques.parts.material_rectangles import (
 )
 from renderer.techniques.parts.packed_geometry import UNPACKED, PackedReader, can_pack, packed_pass
 from renderer.techniques.parts.scene_shader import ShadingShader
-from renderer.techniques.parts.variants import FORWARD, draw_full_screen, list_lamps
+from renderer.techniques.parts.variants import FORWARD, draw_full_screen, list_lamps, list_shaders
+from rhi import DepthFunction
 from rhi.shading import discard, fragment_coordinate, ivec2, vec4
 
 
-class PackedShading(PackedReader, CellReader, ShadingShader):  # type: ignore[misc]  # as `PackedReader`
+class PackedShading(PackedReader, CellReader, ShadingShader):
     """Shades the pixels of the packed geometry buffer, by the lights of clusters if there are any."""
 
     has_lamps = False
@@ -46,16 +52,26 @@ class PackedShading(PackedReader, CellReader, ShadingShader):  # type: ignore[mi
         place = fragment_coordinate().xy
         distance = distance_at(self.rays, nearness_of(self.rays, self.depth.load(ivec2(place)).x))
         position = place_pixel(self.rays, place, distance)
-        v = self.read_varying(position)
-        material = self.materials[v.material]
-        surface = self.find_surface(v, material)
+        at = self.read_input(position)
+        material = self.materials[at.material]
+        described = self.describe(at)
+        surface = self.make_surface(position, at.normal, described, material)
         color = self.shade(surface, material)
         if self.has_lamps:
             color += self.celllight(surface, distance)
         return self.finish(color, position)
 
 
-class PackedRectangles(RectangleShader, PackedShading):  # type: ignore[misc]  # as `PackedReader`
+class PackedShaders(PackedShading):
+    """Shades the pixels whose materials have one shader: that of a number."""
+
+    shader = 0
+
+    def screen_depth(self) -> float:
+        return material_depth(self.shader)
+
+
+class PackedRectangles(RectangleShader, PackedShading):
     """Shades the pixels of materials. The depth of the last material is also that of pixels without a surface."""
 
     def fragment(self) -> vec4:
@@ -79,12 +95,15 @@ class DeferredPlus:
         if not can_pack(needs):
             return cluster_passes(needs)
         lists = (list_pass(needs, CLUSTERS),) if list_lamps(needs) else ()
-        found = (ids_pass(), rectangles_pass()) if self.multi_pass else ()
-        # A pass can't read the depth that it tests. Rectangles test `material ids`.
-        copied = () if self.multi_pass else (Target("depth copy", DEPTH_FORMAT),)
+        has_own = Effect.MATERIAL_SHADERS in needs.effects
+        found = [ids_pass(by_shader=not self.multi_pass)] if self.multi_pass or has_own else []
+        found += [rectangles_pass()] if self.multi_pass else []
+        # A pass can't read the depth that it tests. Others test `material ids`.
+        copied = () if found else (Target("depth copy", DEPTH_FORMAT),)
         reads = ["packed", "depth"]
         reads += ["light lists"] if lists else []
-        reads += ["material ids", "rectangles"] if self.multi_pass else []
+        reads += ["material ids"] if found else []
+        reads += ["rectangles"] if self.multi_pass else []
         shading = Pass(
             "shading",
             self._shade,
@@ -102,7 +121,22 @@ class DeferredPlus:
         if self.multi_pass:
             draw_rectangles(frame, PackedRectangles, own, switches)
             return
+        if Effect.MATERIAL_SHADERS in frame.needs.effects:
+            clear: Color | None = frame.background
+            for number, shader, parameters in list_shaders(frame):
+                draw_full_screen(
+                    frame,
+                    (*shader, PackedShaders),
+                    frame.image,
+                    {**own, **parameters},
+                    depth=targets["material ids"],
+                    clear=clear,
+                    states=(DepthFunction.EQUAL,),
+                    switches={**switches, "shader": max(number, 0)},
+                )
+                clear = None
+            return
         targets["depth"].copy_to(targets["depth copy"])
         own["depth"] = targets["depth copy"]
-        depth, clear = targets["depth"], frame.background
-        draw_full_screen(frame, PackedShading, frame.image, own, depth=depth, clear=clear, switches=switches)
+        depth, background = targets["depth"], frame.background
+        draw_full_screen(frame, PackedShading, frame.image, own, depth=depth, clear=background, switches=switches)

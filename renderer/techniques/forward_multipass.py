@@ -19,21 +19,20 @@ from typing import Any, Final
 import numpy as np
 
 import rhi.shading as sl
-from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, choose_program, find_states
 from renderer.scene.arrays import Rows
 from renderer.shaders.structs import Object, SurfaceVarying
 from renderer.techniques.parts.finish import finish_image, forward_passes
 from renderer.techniques.parts.resolve import EXACT_BITS, SUM_FORMATS, check_bits, sum_pass
-from renderer.techniques.parts.scene_shader import ForwardShader, LampShader, MaterialShader
+from renderer.techniques.parts.scene_shader import ForwardShader, LampShader, SurfaceShader
 from renderer.techniques.parts.variants import (
     FORWARD,
     NO_LAMPS,
-    bind,
-    find_variant,
+    bind_programs,
     list_lamps,
     scene_pass,
 )
-from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Format, Program, State, Texture
+from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Format, State, Texture
 
 _ADDED: Final[tuple[State, ...]] = (
     DepthTest.ON,
@@ -71,7 +70,7 @@ class Pair(sl.Struct):
     entry: int
 
 
-class LampPairs(MaterialShader, LampShader):
+class LampPairs(SurfaceShader, LampShader):
     """Adds the light of pairs of an object and one lamp of a kind that reaches it; a pair is an instance."""
 
     pairs: sl.Storage[Pair]
@@ -170,13 +169,13 @@ def draw_pairs(frame: Frame, effect: Effect, color: Texture, *bases: type[Any]) 
     draws = resources.draws[objects]
     draws["base_instance"] = np.arange(len(objects))
     kinds = {"has_point_lights": not is_spot, "has_spot_lights": is_spot}
-    program: Program[...] = frame.program(find_variant(frame, *bases, **kinds))
-    bindings = bind(frame, program, {"pairs": device.transient.storage(Pair, pairs)})
+    programs = bind_programs(frame, *bases, own={"pairs": device.transient.storage(Pair, pairs)}, switches=kinds)
     with device.render_pass(color, frame.targets["depth"]), device.states(CullMode.BACK, *_ADDED):
-        for number, states in resources.groups:
-            chosen = draws[resources.find_group(objects, number)]
+        for group in resources.groups:
+            chosen = draws[resources.find_group(objects, group)]
             if chosen.size:
-                with device.states(*states):
+                program, bindings = choose_program(programs, group)
+                with device.states(*find_states(group)):
                     device.draw_many(program, resources.mesh, chosen, **bindings)
 
 

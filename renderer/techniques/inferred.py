@@ -33,6 +33,7 @@ from renderer.shaders.structs import Object, SurfacePoint, SurfaceVarying
 from renderer.techniques.parts.finish import finish_image, forward_passes
 from renderer.techniques.parts.geometry_buffer import SurfaceReader, find_shrunk, find_surface_format
 from renderer.techniques.parts.light_terms import (
+    DIRECTIONS,
     SHININESS_FORMAT,
     NormalShader,
     NormalTexels,
@@ -248,7 +249,8 @@ def _stipple_pass(needs: Needs, small: Sequence[str], stippled: Sequence[str]) -
 
 def _stipple(frame: Frame) -> None:
     surface, shininess, depth = (frame.targets[name] for name in name_small("stippled "))
-    stippled = scene_pass(frame, StippleShader, color=[surface, shininess], depth=depth, clears=False)
+    color = [surface, shininess]
+    stippled = scene_pass(frame, StippleShader, color=color, depth=depth, clears=False, switches=DIRECTIONS)
     frame.draw_transparent(stippled, in_order=False)
 
 

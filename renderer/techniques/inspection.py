@@ -32,7 +32,7 @@ from renderer.techniques.parts.cell_lists import CLUSTERS, TILES, LightCells, bi
 from renderer.techniques.parts.depth import depth_pass
 from renderer.techniques.parts.finish import forward_passes
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
-from renderer.techniques.parts.scene_shader import LampShader, MaterialShader, SceneShader
+from renderer.techniques.parts.scene_shader import LampShader, SceneShader, SurfaceShader
 from renderer.techniques.parts.variants import COVERAGE, draw_full_screen, list_lamps, scene_pass
 from rhi import BlendFunction, CullMode, DepthWrite, Format, PolygonMode, State, refuse
 
@@ -63,12 +63,13 @@ class NormalColors(SceneShader):
     """Shows normals."""
 
     def fragment(self, v: SurfaceVarying) -> sl.vec4:
-        self.cut(v)
-        return sl.vec4(self.find_normal(v) * 0.5 + 0.5, 1.0)
+        return sl.vec4(self.see(self.take(v)).normal * 0.5 + 0.5, 1.0)
 
 
 class EdgeColors(SceneShader):
     """Shows the edges of triangles, a thousandth nearer than they are."""
+
+    is_coverage = True
 
     def transform(self, v: Vertex, uv2: sl.vec2, tangent: sl.vec4, color: sl.vec4) -> SurfaceVarying:
         result = super().transform(v, uv2, tangent, color)
@@ -76,11 +77,11 @@ class EdgeColors(SceneShader):
         return result
 
     def fragment(self, v: SurfaceVarying) -> sl.vec4:
-        self.cut(v)
+        self.cut(self.take(v))
         return sl.vec4(0.0, 0.0, 0.0, 1.0)
 
 
-class CountedLamps(MaterialShader, LampShader):
+class CountedLamps(SurfaceShader, LampShader):
     """Shows the number of lights in range: counts them instead of adding up their light."""
 
     def fragment(self, v: SurfaceVarying) -> sl.vec4:
@@ -99,8 +100,10 @@ class CountedLamps(MaterialShader, LampShader):
 class OneFragment(SceneShader):
     """Adds 1 for each fragment."""
 
+    is_coverage = True
+
     def fragment(self, v: SurfaceVarying) -> sl.vec4:
-        self.cut(v)
+        self.cut(self.take(v))
         return sl.vec4(1.0)
 
 

@@ -35,6 +35,7 @@ from rhi.shading.language.function import native as native
 from rhi.shading.language.functions import *  # noqa: F403
 from rhi.shading.language.modules import from_source as from_source
 from rhi.shading.language.shader import Shader as Shader
+from rhi.shading.language.shader import find_element as find_element
 from rhi.shading.language.shader import shared as shared
 from rhi.shading.language.structs import Struct as Struct
 from rhi.shading.language.textures import *  # noqa: F403

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import renderer.content.material_shaders as material_shaders
 import renderer.shaders.lighting as lighting
 import rhi
 from renderer.content import load_scene, parse_camera
@@ -64,3 +65,28 @@ def test_an_edit_of_the_lighting_shows_and_can_be_taken_back(
             assert reloader.reload(lighting, TEXT) >= 1
             assert np.array_equal(draw(), before)
             assert backend == "null" or not np.array_equal(edited, before)
+
+
+def test_an_edit_of_a_materials_own_shader_shows_and_can_be_taken_back() -> None:
+    text = Path(material_shaders.__file__).read_text()
+    edited = text.replace("share = 0.5 - 0.5 * mean.x * mean.y", "share = 0.5 - 0.5 * mean.x")
+    assert edited != text
+    scene = load_scene("yard:columns=0,lamps=0")
+    camera = parse_camera("overview", scene)
+    try:
+        device = rhi.create_device("gl")
+    except rhi.DeviceError:
+        pytest.skip("no gl device here")
+    with (
+        device,
+        Renderer(device, scene, size=(64, 36), visibility=make_visibility("frustum", scene, device)) as renderer,
+    ):
+        pictures = [renderer.render(camera).image.read()]
+        reloader = rhi.Reloader(device)
+        for now in (edited, text):
+            assert reloader.reload(material_shaders, now) >= 1
+            pictures.append(renderer.render(camera).image.read())
+        with pytest.raises(ShaderError):
+            reloader.reload(material_shaders, text.replace("mean.x * mean.y", "mean.x * mean.z"))
+    assert np.array_equal(pictures[0], pictures[2])
+    assert np.count_nonzero((pictures[0] != pictures[1]).any(axis=2)) > 200

@@ -63,7 +63,9 @@ class Materials:
         added = []
         for values, maps in read:
             used = {name: (image, rest) for name, (image, rest) in maps.items() if image in self._ids}
-            textures = {name: TextureMap(self._ids[image], **rest) for name, (image, rest) in used.items()}
+            textures: dict[str, Any] = {
+                name: TextureMap(self._ids[image], **rest) for name, (image, rest) in used.items()
+            }
             added.append(self.builder.add_material(**values, **textures))
         return added
 

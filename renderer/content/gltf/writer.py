@@ -86,6 +86,8 @@ class _GltfWriter:
         for what, held in (("fog", self._scene.fog), ("glow", self._scene.glow)):
             if held is not None:
                 self.omissions.add(what, "scene")
+        for one in self._scene.shaders:
+            self.omissions.add("shaders of materials", one.shader.__name__)
 
     def save(self, file: Path) -> None:
         """Write the file, and its buffer beside it unless it is a `.glb`."""

@@ -100,8 +100,9 @@ def _describe_view(scene: Scene, camera: Camera, size: tuple[int, int], rays: in
 
 
 def can_judge(scene: Scene) -> bool:
-    """Return whether rays can follow all that a scene shows: it doesn't glow, and no meshes are simulated."""
-    return scene.glow is None and not any(len(one.objects) for one in scene.simulated)
+    """Return whether rays can follow all that a scene shows: it doesn't glow, no meshes are simulated, and materials
+    have no shaders of their own."""
+    return scene.glow is None and not scene.shaders and not any(len(one.objects) for one in scene.simulated)
 
 
 def limit_anisotropy(settings: RenderSettings, device: Device) -> RenderSettings:

@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading as sl
-from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import DEPTH_FORMAT, BoundProgram, Frame, Needs, Pass, Target, TechniquePass
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Orthographic
 from renderer.scene.arrays import Floats
 from renderer.shaders import Object, ObjectPosition, Vertex, ViewConstants, relative_position
 from renderer.techniques import Forward
 from renderer.techniques.parts.scene_shader import ForwardShader
-from renderer.techniques.parts.variants import bind, find_variant
+from renderer.techniques.parts.variants import bind, find_variant, list_shaders
 from rhi import Format, StorageBuffer, Texture, TextureKind, UniformBuffer
 
 _TRIANGLES: Final = "triangles"
@@ -61,8 +61,7 @@ class TracedForward:
 
     def __init__(self) -> None:
         self.numbers: NDArray[np.uint32] = np.zeros((0, 0, 2), np.uint32)
-        self.shader: type[sl.Shader] = NumberShader
-        self.bindings: dict[str, Any] = {}
+        self.shaders: list[tuple[int, type[Any], dict[str, Any]]] = []  # shaders of materials, by their numbers
 
     def declare(self, needs: Needs) -> Sequence[Pass[Frame]]:
         """Return the passes of forward shading, one that draws the numbers of triangles, and one that reads them."""
@@ -75,11 +74,13 @@ class TracedForward:
 
     def _read(self, frame: Frame) -> None:
         self.numbers = frame.targets[_TRIANGLES].read()
-        self.shader = find_variant(frame, ForwardShader)
-        bindings = bind(frame, frame.program(self.shader), {})
         images = frame.resources.images
         samplers = {} if images is None else dict(zip(images.arrays, images.samplers, strict=True))
-        self.bindings = {name: _take(one, samplers) for name, one in bindings.items()}
+        self.shaders = []
+        for number, bases, parameters in list_shaders(frame):
+            shader = find_variant(frame, *bases, ForwardShader)
+            bindings = bind(frame, frame.program(shader), parameters)
+            self.shaders.append((number, shader, {name: _take(one, samplers) for name, one in bindings.items()}))
 
 
 def _draw_numbers(frame: Frame) -> None:
@@ -88,7 +89,7 @@ def _draw_numbers(frame: Frame) -> None:
     bindings = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
     frame.draw_visible(
         TechniquePass(
-            frame.device, resources, frame.view, frame.program(NumberShader), bindings,
+            frame.device, resources, frame.view, [BoundProgram(frame.program(NumberShader), bindings)],
             color=frame.targets[_TRIANGLES], depth=frame.targets["depth of triangles"], clear=(0, 0, 0, 0),
         )
     )  # fmt: skip
@@ -165,15 +166,16 @@ def shade_exactly(renderer: Renderer, camera: Camera, seconds: float = 0.0) -> E
     first = drawn["first"].astype(np.int64) + 3 * triangles[:, 1]
     corners = indices[first[:, None] + np.arange(3)] + drawn["base_vertex"].astype(np.int64)[:, None]
 
-    run = sl.run_vertex(
-        traced.shader, vertices[corners], instance_index=triangles[:, :1], dtype=np.float64, **traced.bindings
-    )
-    shape = objects.shape
+    shape, chunks = objects.shape, []
+    number_of = renderer.resources.scene.materials["shader"][renderer.resources.scene.objects.material]
+    for number, shader, bindings in traced.shaders:
+        own = np.flatnonzero(number_of[pairs[:, 0]] == number) if number >= 0 else np.arange(len(pairs))
+        run = sl.run_vertex(shader, vertices[corners], instance_index=triangles[:, :1], dtype=np.float64, **bindings)
+        chunks += [(own[begin : begin + _CHUNK], run, shader, bindings) for begin in range(0, len(own), _CHUNK)]
     levels, positions = np.zeros((*shape, 3)), np.zeros((*shape, 3))
     depth, distances = np.zeros(shape), np.full(shape, np.inf)
-    frames = run.position[..., [0, 1, 3]].swapaxes(-1, -2)  # (t, 3, 3): x, y and w of the corners
-    for begin in range(0, len(rows), _CHUNK):
-        part = slice(begin, begin + _CHUNK)
+    for part, run, shader, bindings in chunks:
+        frames = run.position[..., [0, 1, 3]].swapaxes(-1, -2)  # (t, 3, 3): x, y and w of the corners
         y, x, chosen = rows[part], columns[part], which.reshape(-1)[part]
         quad_y = (y // 2 * 2)[:, None, None] + np.arange(2)[:, None]
         quad_x = (x // 2 * 2)[:, None, None] + np.arange(2)
@@ -197,7 +199,7 @@ def shade_exactly(renderer: Renderer, camera: Camera, seconds: float = 0.0) -> E
         inverse = inverse_w.reshape(-1, 2, 2)
         place = np.stack([quad_x + 0.5, quad_y + 0.5, clip_z * inverse, inverse], -1)
         shaded = sl.run_fragment(
-            traced.shader, mixed, covered=covered, fragment_coordinate=place, dtype=np.float64, **traced.bindings
+            shader, mixed, covered=covered, fragment_coordinate=place, dtype=np.float64, **bindings
         )
         (color,) = shaded.outputs.values()
         levels[y, x] = encode_levels(color[covered][:, :3])

@@ -238,7 +238,7 @@ def make_turned() -> Sights:
         (skewed, "sphere", {}), (mirrored, "torus", {}), (twice, "cone", {}),
         (mirrored, "box", {"normal_texture": bumps}),
     ):  # fmt: skip
-        metal = builder.add_material(base_color=(0.8, 0.6, 0.4), metallic=0.6, roughness=0.5, **maps)
+        metal = builder.add_material(base_color=(0.8, 0.6, 0.4), metallic=0.6, roughness=0.5, **maps)  # type: ignore[arg-type]
         builder.add_objects(node, builder.add_mesh(_SHAPES[shape]), metal)
     sheet = builder.add_node(
         multiply(translation((2.4, 1.0, 0.5)), multiply(rotation((1, 0, 0), 1.2), scaling((-1, 1, 1))))

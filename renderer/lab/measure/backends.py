@@ -15,7 +15,17 @@ import numpy as np
 
 import rhi
 from renderer import shaders
-from renderer.frame import Effect, Frame, SceneResources, Targets, TechniquePass, View, find_needs, make_plan
+from renderer.frame import (
+    BoundProgram,
+    Effect,
+    Frame,
+    SceneResources,
+    Targets,
+    TechniquePass,
+    View,
+    find_needs,
+    make_plan,
+)
 from renderer.scene import Camera, Depth, Scene
 from renderer.shaders import Object, ObjectPosition, Vertex, relative_position
 from renderer.techniques.forward import Forward
@@ -126,7 +136,12 @@ class BackendPasses:
         arrays = self.resources.list_arrays(self.view.buffer)
         bindings = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
         with TechniquePass(
-            self.device, self.resources, self.view, self._depth, bindings, color=None, depth=self.targets.depth
+            self.device,
+            self.resources,
+            self.view,
+            [BoundProgram(self._depth, bindings)],
+            color=None,
+            depth=self.targets.depth,
         ) as scene_pass:
             scene_pass.draw(self._rows)
         self.device.finish()

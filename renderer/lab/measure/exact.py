@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from renderer.frame import SceneResources, TechniquePass, View
+from renderer.frame import BoundProgram, SceneResources, TechniquePass, View
 from renderer.scene import Camera, Scene
 from renderer.shaders import Object, ObjectPosition, Vertex, ViewConstants, relative_position
 from renderer.visibility import NoCulling
@@ -58,7 +58,7 @@ class ExactVisibility:
         bindings = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
         program = self._device.program(RowShader)
         with TechniquePass(
-            self._device, resources, self._view, program, bindings,
+            self._device, resources, self._view, [BoundProgram(program, bindings)],
             color=self._numbers, depth=self._depth, clear=(0, 0, 0, 0),
         ) as scene_pass:  # fmt: skip
             scene_pass.draw(np.arange(len(self._scene.objects)))

@@ -2,31 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from renderer.frame import DEPTH_FORMAT, Effect, Frame, Pass, Target
+from renderer.frame import DEPTH_FORMAT, BoundProgram, Effect, Frame, Pass, Target
 from renderer.shaders.depth import DepthOnly
 from renderer.shaders.structs import SurfaceVarying
 from renderer.techniques.parts.scene_shader import SceneShader
-from renderer.techniques.parts.variants import COVERAGE, SWITCHES, bind, find_variant, scene_pass
-from rhi import Program
+from renderer.techniques.parts.variants import COVERAGE, SWITCHES, bind_programs, scene_pass
 
 
 class PartialDepth(SceneShader):
     """Draws depth, of what isn't left out."""
 
+    is_coverage = True
+
     def fragment(self, v: SurfaceVarying) -> None:
-        self.cut(v)
+        self.cut(self.take(v))
 
 
-def bind_depth(frame: Frame) -> tuple[Program[...], dict[str, Any]]:
-    """Return the program that draws the depth of any of the scene's objects, of masks what they leave, and its
-    bindings: what casts a shadow may be out of view."""
+def bind_depth_programs(frame: Frame) -> list[BoundProgram]:
+    """Return the programs that draw the depth of any of the scene's objects, of masks what they leave: what casts a
+    shadow may be out of view."""
     counts = frame.needs.counts
     switches = {**{SWITCHES[effect]: count > 0 for effect, count in counts.items()}, **COVERAGE}
     shader = PartialDepth if counts[Effect.MASKS] else DepthOnly
-    program: Program[...] = frame.program(find_variant(frame, shader, **switches))
-    return program, bind(frame, program, {})
+    return bind_programs(frame, shader, switches=switches)
 
 
 def depth_pass(because: str) -> Pass[Frame]:

@@ -27,10 +27,9 @@ from __future__ import annotations
 import rhi.shading as sl
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.encodings import decode_normal, encode_normal
-from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.pixels import PixelRays, place_pixel
-from renderer.shaders.structs import Material, SurfacePoint, SurfaceVarying
-from renderer.techniques.parts.scene_shader import MaterialShader, ReflectingShader, SceneShader
+from renderer.shaders.structs import Material, SurfaceInput, SurfaceParameters, SurfacePoint, SurfaceVarying
+from renderer.techniques.parts.scene_shader import ReflectingShader, SceneShader
 from renderer.techniques.parts.variants import scene_pass
 from rhi import Format
 
@@ -92,55 +91,58 @@ class DetailedTexels(sl.Struct):
     details: sl.uvec4
 
 
-class SurfaceShader(SceneShader):
+class SurfaceWriter(SceneShader):
     """The base of shaders that write `surface`."""
 
     rays: sl.Uniform[PixelRays]
 
-    def encode_surface(self, v: SurfaceVarying) -> sl.uvec4:
+    def encode_surface(self, at: SurfaceInput, normal: sl.vec3) -> sl.uvec4:
         """Return what `surface` holds; what its format has no room for is left out."""
-        normal = self.find_normal(v)
-        distance = sl.dot(v.position, self.rays.forward)
+        distance = sl.dot(at.position, self.rays.forward)
         plane = sl.uint(0)
         if self.has_planes:
-            plane = encode_normal(self.find_plane(v, normal))
+            plane = encode_normal(self.find_plane(at, normal))
         return sl.uvec4(encode_normal(normal), sl.float_bits_to_uint(distance), plane, sl.uint(0))
 
 
-class GeometryShader(MaterialShader, SurfaceShader):
+class GeometryShader(SurfaceWriter):
     """Writes the geometry buffer of a scene without maps but those of normals."""
 
     has_texels = False
 
     def fragment(self, v: SurfaceVarying) -> GeometryTexels:
-        return GeometryTexels(surface=self.encode_surface(v), material=self.encode_material(v))
+        at = self.take(v)
+        described = self.see(at)
+        surface = self.encode_surface(at, described.normal)
+        return GeometryTexels(surface=surface, material=self.encode_material(at.material, described.color))
 
-    def encode_material(self, v: SurfaceVarying) -> sl.uvec4:
+    def encode_material(self, row: int, color: sl.vec4) -> sl.uvec4:
         """Return what `material` holds."""
         texel = sl.uint(0)
         if self.has_texels:
-            texel = encode_texel(self.find_texel(v).rgb)
-        else:
-            self.cut(v)
-        return sl.uvec4(sl.uint(v.material), texel, sl.uint(0), sl.uint(0))
+            texel = encode_texel(color.rgb)
+        return sl.uvec4(sl.uint(row), texel, sl.uint(0), sl.uint(0))
 
 
 class DetailedGeometry(GeometryShader):
     """Writes the geometry buffer of a scene with maps of roughness, occlusion or emitted light."""
 
     def fragment(self, v: SurfaceVarying) -> DetailedTexels:  # type: ignore[override]  # more targets
-        details = encode_details(self.find_metal(v), self.find_occlusion(v))
+        at = self.take(v)
+        described = self.see(at)
+        details = encode_details(sl.vec2(described.metallic, described.roughness), described.occlusion)
         return DetailedTexels(
-            surface=self.encode_surface(v),
-            material=self.encode_material(v),
-            details=sl.uvec4(details, encode_texel(self.find_emissive(v)), sl.uint(0), sl.uint(0)),
+            surface=self.encode_surface(at, described.normal),
+            material=self.encode_material(at.material, described.color),
+            details=sl.uvec4(details, encode_texel(described.emissive), sl.uint(0), sl.uint(0)),
         )
 
 
 def find_formats(needs: Needs) -> dict[str, Format]:
     """Return the formats of the geometry buffer's contents but `depth`, which hold what the scene has and no more."""
     effects = needs.effects
-    has_emissive = Effect.EMISSIVE_MAPS in effects
+    has_own = Effect.MATERIAL_SHADERS in effects  # which may say anything
+    has_emissive = has_own or Effect.EMISSIVE_MAPS in effects
     has_details = has_emissive or not effects.isdisjoint((Effect.ROUGHNESS_MAPS, Effect.OCCLUSION_MAPS))
     has_texels = has_details or not effects.isdisjoint((Effect.IMAGES, Effect.VERTEX_COLORS))
     formats = {"surface": find_surface_format(needs), "material": Format.RG32UI if has_texels else Format.R32UI}
@@ -192,12 +194,12 @@ class GeometryReader(SurfaceReader, ReflectingShader):
         """Return the surface at a place of the buffer, whose texels of `material` and `surface` were loaded."""
         material = self.materials[int(row.x)]
         normal = decode_normal(texel.x)
-        base_color = material.base_color.rgb
+        color = sl.vec3(1.0)
         metal = sl.vec2(material.metallic, material.roughness)
         occlusion = 1.0
         emissive = sl.vec3(1.0)
         if self.has_texels:
-            base_color = base_color * decode_texel(row.y)
+            color = decode_texel(row.y)
         if self.has_details:
             bits = self.details.load(place)
             details = decode_details(bits.x)
@@ -205,18 +207,15 @@ class GeometryReader(SurfaceReader, ReflectingShader):
             occlusion = details.z
             if self.has_emissive_texels:
                 emissive = decode_texel(bits.y)
-        surface = SurfacePoint(
-            position=position,
+        described = SurfaceParameters(
+            color=sl.vec4(color, 1.0),
             normal=normal,
-            plane=self.read_plane(texel, normal),
-            to_eye=safe_normalize(-position),
-            base_color=base_color,
-            specular_color=material.specular_color,
-            shininess=material.shininess,
+            metallic=metal.x,
+            roughness=metal.y,
             occlusion=occlusion,
             emissive=emissive,
         )
-        return self.with_model(surface, material, metal)
+        return self.make_surface(position, self.read_plane(texel, normal), described, material)
 
 
 def geometry_pass(needs: Needs, depth_format: Format = DEPTH_FORMAT) -> Pass[Frame]:

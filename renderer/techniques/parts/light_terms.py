@@ -10,15 +10,19 @@ from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.encodings import decode_normal
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying
-from renderer.techniques.parts.geometry_buffer import SurfaceReader, SurfaceShader, find_surface_format
+from renderer.techniques.parts.geometry_buffer import SurfaceReader, SurfaceWriter, find_surface_format
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
-from renderer.techniques.parts.scene_shader import MaterialShader, ReflectingShader
+from renderer.techniques.parts.scene_shader import ReflectingShader
 from renderer.techniques.parts.variants import scene_pass
 from rhi import Format, Texture
 
 SHININESS_FORMAT: Final = Format.R16F
 _SHININESS_SCALE: Final = 0.5
 """Of what is stored: a shininess may be 100,000, a half float 65,504."""
+
+
+DIRECTIONS: Final = {"has_color": False, "has_occlusion_maps": False, "has_emissive_maps": False}
+"""Switches of shaders that draw what light depends on, and leave the rest of materials to a later pass."""
 
 
 class NormalTexels(sl.Struct):
@@ -28,13 +32,15 @@ class NormalTexels(sl.Struct):
     shininess: float
 
 
-class NormalShader(MaterialShader, SurfaceShader):
+class NormalShader(SurfaceWriter, ReflectingShader):
     """Writes normal, distance and shininess."""
 
     def fragment(self, v: SurfaceVarying) -> NormalTexels:
-        self.cut(v)
-        shininess = self.find_shininess(self.materials[v.material], self.find_metal(v))
-        return NormalTexels(surface=self.encode_surface(v), shininess=shininess * _SHININESS_SCALE)
+        at = self.take(v)
+        described = self.see(at)
+        shininess = self.find_shininess(self.materials[v.material], described.roughness)
+        surface = self.encode_surface(at, described.normal)
+        return NormalTexels(surface=surface, shininess=shininess * _SHININESS_SCALE)
 
 
 class LightTerms(sl.Struct):
@@ -152,7 +158,7 @@ def normals_pass(needs: Needs, depth_format: Format = DEPTH_FORMAT) -> Pass[Fram
 def draw_normals(frame: Frame) -> None:
     """Draw the visible objects: what lights must know of them."""
     color = [frame.targets["surface"], frame.targets["shininess"]]
-    frame.draw_visible(scene_pass(frame, NormalShader, color=color))
+    frame.draw_visible(scene_pass(frame, NormalShader, color=color, switches=DIRECTIONS))
 
 
 def list_terms(needs: Needs, *, packed: bool = False) -> list[str]:

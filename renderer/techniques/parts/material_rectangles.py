@@ -16,6 +16,7 @@ each: no shared memory, and no limit on their number.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -26,9 +27,10 @@ from renderer.frame import Frame, Pass, Target
 from renderer.frame.mirrors import MirroredValue
 from renderer.shaders.encodings import material_depth
 from renderer.shaders.pixels import BackgroundScreen
-from renderer.techniques.parts.full_screen import bind_rays, make_triangle
+from renderer.shaders.structs import Material
+from renderer.techniques.parts.full_screen import make_triangle
 from renderer.techniques.parts.packed_geometry import MOST_MATERIALS
-from renderer.techniques.parts.variants import bind, find_variant
+from renderer.techniques.parts.variants import bind, find_variant, list_shaders
 from rhi import (
     CullMode,
     DepthFunction,
@@ -68,7 +70,20 @@ class MaterialIds(BackgroundScreen):
         pixel = sl.ivec2(sl.fragment_coordinate().xy)
         if self.depth.load(pixel).x == self.rays.farthest:
             sl.discard()
-        return MaterialId(depth=material_depth(int(self.packed.load(pixel).y & sl.uint(_LAST))))
+        return MaterialId(depth=material_depth(self.find_id(int(self.packed.load(pixel).y & sl.uint(_LAST)))))
+
+    def find_id(self, row: int) -> int:
+        """Return what stands for the material of this row."""
+        return row
+
+
+class ShaderIds(MaterialIds):
+    """Writes the depth that stands for the shader of each pixel's material."""
+
+    materials: sl.Storage[Material]
+
+    def find_id(self, row: int) -> int:
+        return self.materials[row].shader
 
 
 class TileSize(sl.Struct):
@@ -151,10 +166,16 @@ class RectangleShader(BackgroundScreen):
     """The base of shaders that are run for the pixels of materials: two triangles for each rectangle, at the depth of
     its material."""
 
+    shader = -1
+    """The number of the shader whose materials are drawn; -1 for all."""
+
     rectangles: sl.Storage[MaterialRectangle]
+    materials: sl.Storage[Material]
 
     def vertex(self) -> sl.vec4:
         one = self.rectangles[sl.instance_index()]
+        if self.shader >= 0 and self.materials[int(one.material)].shader != self.shader:
+            return sl.vec4(0.0, 0.0, 0.0, 1.0)
         corner = sl.vertex_index()
         if corner > 2:
             corner -= 2
@@ -215,25 +236,24 @@ class MaterialRectangles:
             resource.destroy()
 
 
-def ids_pass() -> Pass[Frame]:
-    """Return the pass that writes `material ids`."""
+def ids_pass(*, by_shader: bool = False) -> Pass[Frame]:
+    """Return the pass that writes `material ids`: materials, or their shaders."""
     return Pass(
         "material ids",
-        draw_ids,
+        partial(draw_ids, by_shader=by_shader),
         "a depth test tells the pixels of a material",
         reads=("packed", "depth"),
         writes=(Target("material ids", IDS_FORMAT),),
     )
 
 
-def draw_ids(frame: Frame) -> None:
-    """Write the material of each pixel as a depth; the background has the last one, 1."""
+def draw_ids(frame: Frame, *, by_shader: bool = False) -> None:
+    """Write the material of each pixel, or its shader, as a depth; the background has the last one, 1."""
     device, targets = frame.device, frame.targets
-    bindings = {"rays": bind_rays(frame), "packed": targets["packed"], "depth": targets["depth"]}
     states = CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS
-    program: Program[...] = device.program(MaterialIds)
+    program: Program[...] = device.program(ShaderIds if by_shader else MaterialIds)
     with device.render_pass(None, targets["material ids"], clear_depth=1.0), device.states(*states):
-        device.draw(program, frame.view.workspace(make_triangle), **bindings)
+        device.draw(program, frame.view.workspace(make_triangle), **bind(frame, program, {}))
 
 
 def rectangles_pass() -> Pass[Frame]:
@@ -257,9 +277,13 @@ def draw_rectangles(
 ) -> None:
     """Make the image: run a shader for the pixels of each material, before the background."""
     device, found = frame.device, frame.view.workspace(MaterialRectangles)
-    program: Program[...] = frame.program(find_variant(frame, shader, **switches))
-    bindings = bind(frame, program, {**own, "rectangles": found.rectangles})
+    bound = {**own, "rectangles": found.rectangles}
+    drawn = []
+    for number, bases, parameters in list_shaders(frame):
+        program: Program[...] = frame.program(find_variant(frame, *bases, shader, **switches, shader=number))
+        drawn.append((program, bind(frame, program, bound | parameters)))
     states = CullMode.NONE, DepthTest.ON, DepthWrite.OFF, DepthFunction.EQUAL
     ids, clear = frame.targets["material ids"], frame.background
     with device.render_pass(frame.image, ids, clear=clear), device.states(*states):
-        device.draw_indirect(program, found.corners, IndirectDraws(found.draw, 1), **bindings)
+        for program, bindings in drawn:
+            device.draw_indirect(program, found.corners, IndirectDraws(found.draw, 1), **bindings)

@@ -12,8 +12,8 @@ follows from the depth and the ray of the pixel. Texture coordinates are stored 
 transform applied. Texels are read when geometry is drawn only where masks cut it: a
 texture is filtered later, with the derivatives that are stored, so what is hidden costs no texel.
 
-Materials are evaluated by the parts that draw geometry in other techniques (`surfaces`), given a surface of the buffer
-instead of varyings. Only where texture coordinates and their derivatives come from is another matter.
+Materials are evaluated by the `MaterialShader` that other techniques draw geometry with, given a point of the buffer
+instead of a fragment's.
 
 The encodings are those of `renderer.shaders.encodings`.
 """
@@ -38,9 +38,10 @@ from renderer.shaders.encodings import (
     encode_uv,
 )
 from renderer.shaders.lighting import safe_normalize
+from renderer.shaders.materials import MaterialShader
 from renderer.shaders.pixels import BackgroundScreen
-from renderer.shaders.structs import SurfaceVarying, TextureUse
-from renderer.techniques.parts.scene_shader import MaterialShader, SceneShader
+from renderer.shaders.structs import SurfaceInput, SurfaceVarying
+from renderer.techniques.parts.scene_shader import SceneShader
 from renderer.techniques.parts.variants import scene_pass
 from rhi import Format, refuse
 
@@ -65,40 +66,38 @@ class TexturedWords(sl.Struct):
 class PackedPlain(SceneShader):
     """Writes the packed geometry buffer of a scene without images."""
 
+    is_coverage = True
+
     def fragment(self, v: SurfaceVarying) -> PlainWords:
-        self.cut(v)
-        return PlainWords(packed=sl.uvec2(encode_normal(self.find_side(v)), sl.uint(v.material)))
-
-    def find_side(self, v: SurfaceVarying) -> sl.vec3:
-        """Return the normal of the side that is seen, not bent."""
-        return self.turn_side(safe_normalize(v.normal))
+        at = self.take(v)
+        self.cut(at)
+        return PlainWords(packed=sl.uvec2(encode_normal(at.normal), sl.uint(v.material)))
 
 
-class PackedTextures(PackedPlain):
+class PackedTextures(SceneShader):
     """Writes the packed geometry buffer of a scene with images."""
 
+    is_coverage = True
     has_texture_transforms = False
 
-    def fragment(self, v: SurfaceVarying) -> TexturedWords:  # type: ignore[override]  # more words
+    def fragment(self, v: SurfaceVarying) -> TexturedWords:
         x = encode_change(self.put(v, sl.vec3(sl.ddx(v.uv), 0.0)))
         y = encode_change(self.put(v, sl.vec3(sl.ddy(v.uv), 0.0)))
-        self.cut(v)
+        at = self.take(v)
+        self.cut(at)
         words = sl.uvec4(
-            self.encode_directions(v),
+            self.encode_directions(at),
             sl.uint(v.material) | y >> 8 << 16,
             encode_uv(self.put(v, sl.vec3(v.uv, 1.0))),
             x | y << 24,
         )
         return TexturedWords(packed=words)
 
-    def encode_directions(self, v: SurfaceVarying) -> sl.uint:
-        normal = self.find_side(v)
+    def encode_directions(self, at: SurfaceInput) -> sl.uint:
         if not self.has_normal_maps:
-            return encode_normal(normal)
-        # Of a back the bent normal is turned, and so are all vectors that it is made of.
-        turned = away_from_zero(sl.dot(normal, v.normal))
-        tangent = safe_normalize(v.tangent.xyz) * turned
-        return encode_frame(TangentFrame(normal=normal, tangent=tangent, side=away_from_zero(v.tangent.w) * turned))
+            return encode_normal(at.normal)
+        side = away_from_zero(at.tangent.w)
+        return encode_frame(TangentFrame(normal=at.normal, tangent=safe_normalize(at.tangent.xyz), side=side))
 
     def put(self, v: SurfaceVarying, uv: sl.vec3) -> sl.vec2:
         """Return texture coordinates (u, v, 1), or changes of them (u, v, 0), as the material's textures are read: all
@@ -114,71 +113,35 @@ class PackedTextures(PackedPlain):
         return sl.vec2(sl.dot(use.u, uv), sl.dot(use.v, uv))
 
 
-# Where `PackedReader` is a base, mypy finds two vertex stages of different types: that of `BackgroundScreen`, which it
-# has, and that of `SceneShader`, from which the parts of materials are derived.
-class PackedReader(BackgroundScreen, MaterialShader):  # type: ignore[misc]
-    """The base of shaders that evaluate the materials of the packed geometry buffer, pixel by pixel."""
+class PackedReader(BackgroundScreen, MaterialShader):
+    """The base of shaders that evaluate the materials of the packed geometry buffer, pixel by pixel. Textures are
+    filtered as they would have been when the geometry was drawn."""
 
     packed: sl.UintTexture2D
     depth: sl.Texture2D
 
-    def read_words(self) -> sl.uvec4:
-        """Return what is stored of the pixel."""
-        return self.packed.load(sl.ivec2(sl.fragment_coordinate().xy))
-
-    def read_varying(self, position: sl.vec3) -> SurfaceVarying:
-        """Return the varyings of the pixel's surface, which is at `position`."""
-        words = self.read_words()
+    def read_input(self, position: sl.vec3) -> SurfaceInput:
+        """Return the point of the pixel's surface, which is at `position`."""
+        words = self.packed.load(sl.ivec2(sl.fragment_coordinate().xy))
         frame = self.decode_directions(words.x)
-        return SurfaceVarying(
-            clip=sl.vec4(0.0),
+        right = decode_change(words.w & 0xFFFFFF)
+        below = decode_change(words.w >> 24 | words.y >> 16 << 8)
+        return SurfaceInput(
             position=position,
             normal=frame.normal,
             uv=decode_uv(words.z),
             uv2=sl.vec2(0.0),
+            changes=sl.vec4(right, below),
+            changes2=sl.vec4(0.0),
             tangent=sl.vec4(frame.tangent, frame.side),
             color=sl.vec4(1.0),
             material=int(words.y & 65535),
-            lights=sl.ivec3(0),
         )
 
     def decode_directions(self, bits: sl.uint) -> TangentFrame:
         if self.has_normal_maps:
             return decode_frame(bits)
         return TangentFrame(normal=decode_normal(bits), tangent=sl.vec3(1.0, 0.0, 0.0), side=1.0)
-
-    def turn_side(self, normal: sl.vec3) -> sl.vec3:
-        return normal  # which side is seen was found when the geometry was drawn
-
-    def find_change(self) -> sl.vec4:
-        """Return the changes of texture coordinates to the next pixel on the right, and to that below."""
-        words = self.read_words()
-        x = decode_change(words.w & 0xFFFFFF)
-        y = decode_change(words.w >> 24 | words.y >> 16 << 8)
-        return sl.vec4(x, y)
-
-    # Textures are filtered as they would have been when the geometry was drawn, at the coordinates that are stored.
-
-    def read_color(self, texture: int, v: SurfaceVarying) -> sl.vec4:
-        if self.has_table:
-            return super().read_color(texture, v)
-        change = self.find_change()
-        return self.images.sample_grad(sl.vec3(v.uv, float(texture)), change.xy, change.zw)
-
-    def read_data(self, texture: int, v: SurfaceVarying) -> sl.vec4:
-        if self.has_table:
-            return super().read_data(texture, v)
-        change = self.find_change()
-        return self.maps.sample_grad(sl.vec3(v.uv, float(texture)), change.xy, change.zw)
-
-    def place(self, use: TextureUse, v: SurfaceVarying) -> sl.vec3:
-        return sl.vec3(v.uv, use.layer)
-
-    def change_right(self, use: TextureUse, v: SurfaceVarying) -> sl.vec2:
-        return self.find_change().xy
-
-    def change_below(self, use: TextureUse, v: SurfaceVarying) -> sl.vec2:
-        return self.find_change().zw
 
 
 def can_pack(needs: Needs) -> bool:
@@ -188,8 +151,9 @@ def can_pack(needs: Needs) -> bool:
 
 
 def _has_textures(needs: Needs) -> bool:
+    own = Effect.MATERIAL_SHADERS
     maps = Effect.IMAGES, Effect.NORMAL_MAPS, Effect.ROUGHNESS_MAPS, Effect.OCCLUSION_MAPS, Effect.EMISSIVE_MAPS
-    return not needs.effects.isdisjoint(maps)
+    return not needs.effects.isdisjoint((own, *maps))
 
 
 def packed_pass(needs: Needs) -> Pass[Frame]:
@@ -214,5 +178,5 @@ def draw_packed(frame: Frame) -> None:
     frame.draw_visible(scene_pass(frame, shader, color=frame.targets["packed"]))
 
 
-UNPACKED: Final = {"has_masks": False, "has_vertex_colors": False}
-"""Switches of shaders that read the buffer: what was cut is left out."""
+UNPACKED: Final = {"has_masks": False, "has_vertex_colors": False, "has_changes": True, "is_placed": True}
+"""Switches of shaders that read the buffer: what was cut is left out, and textures are read by what is stored."""

@@ -1,16 +1,9 @@
-"""The shared shaders of techniques: the vertex stage of the scene, its surfaces, and the light that reaches them.
+"""The shared shaders of techniques: the vertex stage of the scene, and the light that reaches its surfaces.
 
-Techniques combine these classes with their own. What a scene may lack is a switch, a constant `has_…` that
-`renderer.techniques.parts.variants` sets: a stage keeps the branches that are taken, and a program binds what they
-read. So a feature that a scene lacks costs nothing. Every pass over the scene's geometry has the vertex stage of
-`SceneShader`, so that equal code gives equal depth: a later pass may test it with EQUAL.
-
-A texture is read in one of two ways. If all images are in one array, and all are read by texture coordinates as they
-are, a texture's row is its layer. Otherwise a table of textures (`TextureUse`) leads to an array, a layer and the
-transform of texture coordinates. All fragments of a primitive have one material, and so take the same branches: there,
-derivatives of texture coordinates are defined, and a device skips the arrays that aren't read. llvmpipe doesn't: it
-samples each array that a texture might be in. So colours are looked for in the arrays of colours alone (`images`), and
-data, such as normals, in those of data (`maps`).
+Techniques combine these classes with their own; `renderer.techniques.parts.variants` sets the switches of what a scene
+may lack. What surfaces are made of is said by a `MaterialShader`, the renderer's or a material's own. Every pass over
+the scene's geometry has the vertex stage of `SceneShader`, so that equal code gives equal depth: a later pass may test
+it with EQUAL.
 """
 
 from __future__ import annotations
@@ -18,7 +11,7 @@ from __future__ import annotations
 from typing import Final
 
 import rhi.shading as sl
-from renderer.scene import AlphaMode, ShadingModel
+from renderer.scene import ShadingModel
 from renderer.shaders.fog import FogConstants, through_fog
 from renderer.shaders.lighting import (
     BRIGHTEST,
@@ -33,6 +26,7 @@ from renderer.shaders.lighting import (
     through_haze,
     tone_map,
 )
+from renderer.shaders.materials import MaterialShader
 from renderer.shaders.metals import (
     ambient_light_of_metal,
     metal_surface,
@@ -51,64 +45,30 @@ from renderer.shaders.structs import (
     PointLight,
     SecondUv,
     SpotLight,
+    SurfaceInput,
+    SurfaceParameters,
     SurfacePoint,
     SurfaceVarying,
     Tangent,
-    TextureUse,
     Vertex,
     VertexColor,
-    ViewConstants,
     relative_position,
 )
 from renderer.shadows import ShadowReceiver
 
 _METALLIC: Final = int(ShadingModel.METALLIC_ROUGHNESS)
-_MASK: Final = int(AlphaMode.MASK)
-_ROUNDING: Final = 2.0**-16
-"""The most that an alpha may be below the cut and still be at it: filtering rounds."""
-_NO_NORMAL: Final = 5e-5
-"""The square of a normal's length, below which it has no direction. No number of 8 bits means 0: a vector of length 0
-is stored as 127 or 128, 1/255 beside it along each axis, and a diagonal would be made of that."""
 
 
-class SceneShader(sl.Shader):
-    """Draws the scene's geometry, and reads its textures."""
+class SceneShader(MaterialShader):
+    """Draws the scene's geometry."""
 
-    # Highlights end up in 8 bits: a pow as exact as GL's (128 ulp) halves the time of a lit pass on OpenCL.
-    precision = sl.Precision.FAST
-    lean = True
-
-    view: sl.Uniform[ViewConstants]
-    objects: sl.Storage[Object]
-    places: sl.Storage[ObjectPosition]
-    materials: sl.Storage[Material]
-    textures: sl.Storage[TextureUse]
-    images: sl.Texture2DArray
-    images_1: sl.Texture2DArray
-    images_2: sl.Texture2DArray
-    images_3: sl.Texture2DArray
-    images_4: sl.Texture2DArray
-    images_5: sl.Texture2DArray
-    images_6: sl.Texture2DArray
-    images_7: sl.Texture2DArray
-    maps: sl.Texture2DArray
-    maps_1: sl.Texture2DArray
-    maps_2: sl.Texture2DArray
-    maps_3: sl.Texture2DArray
-    maps_4: sl.Texture2DArray
-    maps_5: sl.Texture2DArray
-    maps_6: sl.Texture2DArray
-    maps_7: sl.Texture2DArray
-    image_arrays = 1
-    map_arrays = 1
-    has_table = False
-    has_images = False
-    has_second_uvs = False
-    has_vertex_colors = False
-    has_masks = False
-    has_normal_maps = False
+    is_coverage = False
+    """Whether it draws where surfaces are, and nothing else of them but what masks cut."""
     has_planes = False
     has_two_sides = False
+
+    objects: sl.Storage[Object]
+    places: sl.Storage[ObjectPosition]
 
     def vertex(self, v: Vertex, second: SecondUv, tangent: Tangent, color: VertexColor) -> SurfaceVarying:
         return self.transform(
@@ -151,139 +111,29 @@ class SceneShader(sl.Shader):
         lights begin, and where those end."""
         return sl.ivec3(thing.lights_begin, thing.points_end, thing.lights_end)
 
-    def find_texel(self, v: SurfaceVarying) -> sl.vec4:
-        """Return what multiplies the base colour of the fragment's material. Nothing is drawn where the alpha of a mask
-        is below its cut."""
-        texel = sl.vec4(1.0)
-        if self.has_images:
-            texture = self.materials[v.material].texture
-            if texture >= 0:
-                texel = self.read_color(texture, v)
-        if self.has_vertex_colors:
-            texel = texel * v.color
-        if self.has_masks:
-            material = self.materials[v.material]
-            if material.alpha_mode == _MASK and material.base_color.a * texel.a < material.alpha_cutoff - _ROUNDING:
-                sl.discard()
-        return texel
+    def take(self, v: SurfaceVarying) -> SurfaceInput:
+        """Return the point of the surface that the fragment shows, on the side that is seen. Backs are drawn of
+        materials with two sides only (`DRAW_GROUPS`). Varyings that nothing else reads aren't interpolated."""
+        side = 1.0
+        if self.has_two_sides:
+            side = 1.0 if sl.front_facing() else -1.0
+        second = v.uv2 if self.has_second_uvs else sl.vec2(0.0)
+        return SurfaceInput(
+            position=v.position,
+            normal=safe_normalize(v.normal) * side,
+            uv=sl.fract(v.uv) if self.is_own else v.uv,
+            uv2=second,
+            changes=sl.vec4(sl.ddx(v.uv), sl.ddy(v.uv)) if self.has_changes else sl.vec4(0.0),
+            changes2=sl.vec4(sl.ddx(second), sl.ddy(second)) if self.has_second_uvs else sl.vec4(0.0),
+            tangent=v.tangent * side if self.has_normal_maps else sl.vec4(1.0, 0.0, 0.0, 1.0),
+            color=v.color if self.has_vertex_colors else sl.vec4(1.0),
+            material=v.material,
+        )
 
-    def cut(self, v: SurfaceVarying) -> None:
-        """Leave out what isn't drawn."""
-        if self.has_masks:
-            _ = self.find_texel(v)
-
-    def find_normal(self, v: SurfaceVarying) -> sl.vec3:
-        """Return the unit normal of the fragment, as maps bend it."""
-        return self.turn_side(self.bend(safe_normalize(v.normal), v))
-
-    def find_plane(self, v: SurfaceVarying, normal: sl.vec3) -> sl.vec3:
+    def find_plane(self, at: SurfaceInput, normal: sl.vec3) -> sl.vec3:
         """Return the unit normal of the fragment's surface, which maps don't bend, given the `normal` that they do:
         shadow maps hold these surfaces."""
-        return self.turn_side(safe_normalize(v.normal)) if self.has_planes else normal
-
-    def bend(self, normal: sl.vec3, v: SurfaceVarying) -> sl.vec3:
-        """Return a unit normal as maps bend it. Where a texture has no direction, it is as it was."""
-        if not self.has_normal_maps:
-            return normal
-        material = self.materials[v.material]
-        if material.normal_texture < 0:
-            return normal
-        texel = self.read_data(material.normal_texture, v).xyz * 2.0 - 1.0
-        tangent = safe_normalize(v.tangent.xyz)
-        up = sl.cross(normal, tangent) * (-1.0 if v.tangent.w < 0.0 else 1.0)
-        bent = (tangent * texel.x + up * texel.y) * material.normal_scale + normal * texel.z
-        if sl.dot(bent, bent) < _NO_NORMAL:
-            return normal
-        return safe_normalize(bent)
-
-    def turn_side(self, normal: sl.vec3) -> sl.vec3:
-        """Return the normal of the side that is seen, given that of the front. Backs are drawn of materials with two
-        sides only (`DRAW_GROUPS`)."""
-        if self.has_two_sides:
-            return normal if sl.front_facing() else -normal
-        return normal
-
-    def read_color(self, texture: int, v: SurfaceVarying) -> sl.vec4:
-        """Return the texel of the texture of colours of this row."""
-        if self.has_table:
-            use = self.textures[texture]
-            return self.read_images(use.array, self.place(use, v), self.change_right(use, v), self.change_below(use, v))
-        return self.images.sample(sl.vec3(v.uv, float(texture)))
-
-    def read_data(self, texture: int, v: SurfaceVarying) -> sl.vec4:
-        """Return the texel of the texture of data of this row."""
-        if self.has_table:
-            use = self.textures[texture]
-            return self.read_maps(use.array, self.place(use, v), self.change_right(use, v), self.change_below(use, v))
-        return self.maps.sample(sl.vec3(v.uv, float(texture)))
-
-    # Texture coordinates by the table are numbers of a buffer, from which a fragment that failed a test may have read
-    # zeros (llvmpipe), so its neighbours would derive nonsense. Derivatives are those of the varying, transformed
-    # alike.
-
-    def place(self, use: TextureUse, v: SurfaceVarying) -> sl.vec3:
-        """Return the texture coordinates and the layer at which a texture is read."""
-        uv = v.uv
-        if self.has_second_uvs:
-            uv = v.uv if use.uv_set == 0 else v.uv2
-        at = sl.vec3(uv, 1.0)
-        return sl.vec3(sl.dot(use.u, at), sl.dot(use.v, at), use.layer)
-
-    def change_right(self, use: TextureUse, v: SurfaceVarying) -> sl.vec2:
-        """Return the change of texture coordinates to the next pixel on the right."""
-        change = sl.ddx(v.uv)
-        if self.has_second_uvs:
-            second = sl.ddx(v.uv2)
-            change = change if use.uv_set == 0 else second
-        right = sl.vec3(change, 0.0)
-        return sl.vec2(sl.dot(use.u, right), sl.dot(use.v, right))
-
-    def change_below(self, use: TextureUse, v: SurfaceVarying) -> sl.vec2:
-        """Return the change of texture coordinates to the next pixel below."""
-        change = sl.ddy(v.uv)
-        if self.has_second_uvs:
-            second = sl.ddy(v.uv2)
-            change = change if use.uv_set == 0 else second
-        below = sl.vec3(change, 0.0)
-        return sl.vec2(sl.dot(use.u, below), sl.dot(use.v, below))
-
-    def read_images(self, array: int, place: sl.vec3, right: sl.vec2, below: sl.vec2) -> sl.vec4:
-        """Return a texel of an array of colours, given the changes of texture coordinates to the pixels on the right
-        and below."""
-        if self.image_arrays > 1 and array == 1:
-            return self.images_1.sample_grad(place, right, below)
-        if self.image_arrays > 2 and array == 2:
-            return self.images_2.sample_grad(place, right, below)
-        if self.image_arrays > 3 and array == 3:
-            return self.images_3.sample_grad(place, right, below)
-        if self.image_arrays > 4 and array == 4:
-            return self.images_4.sample_grad(place, right, below)
-        if self.image_arrays > 5 and array == 5:
-            return self.images_5.sample_grad(place, right, below)
-        if self.image_arrays > 6 and array == 6:
-            return self.images_6.sample_grad(place, right, below)
-        if self.image_arrays > 7 and array == 7:
-            return self.images_7.sample_grad(place, right, below)
-        return self.images.sample_grad(place, right, below)
-
-    def read_maps(self, array: int, place: sl.vec3, right: sl.vec2, below: sl.vec2) -> sl.vec4:
-        """Return a texel of an array of data, given the changes of texture coordinates to the pixels on the right and
-        below."""
-        if self.map_arrays > 1 and array == 1:
-            return self.maps_1.sample_grad(place, right, below)
-        if self.map_arrays > 2 and array == 2:
-            return self.maps_2.sample_grad(place, right, below)
-        if self.map_arrays > 3 and array == 3:
-            return self.maps_3.sample_grad(place, right, below)
-        if self.map_arrays > 4 and array == 4:
-            return self.maps_4.sample_grad(place, right, below)
-        if self.map_arrays > 5 and array == 5:
-            return self.maps_5.sample_grad(place, right, below)
-        if self.map_arrays > 6 and array == 6:
-            return self.maps_6.sample_grad(place, right, below)
-        if self.map_arrays > 7 and array == 7:
-            return self.maps_7.sample_grad(place, right, below)
-        return self.maps.sample_grad(place, right, below)
+        return at.normal if self.has_planes else normal
 
 
 class ReflectingShader(sl.Shader):
@@ -294,17 +144,30 @@ class ReflectingShader(sl.Shader):
     has_metals = False
     has_both_models = False
 
-    def with_model(self, surface: SurfacePoint, material: Material, metal: sl.vec2) -> SurfacePoint:
-        """Return a surface as the model needs it, given its base colour, and how metallic and rough it is."""
+    def make_surface(
+        self, position: sl.vec3, plane: sl.vec3, described: SurfaceParameters, material: Material
+    ) -> SurfacePoint:
+        """Return the surface to be lit at a position, as a material's shader has described it."""
+        surface = SurfacePoint(
+            position=position,
+            normal=described.normal,
+            plane=plane,
+            to_eye=safe_normalize(-position),
+            base_color=material.base_color.rgb * described.color.rgb,
+            specular_color=material.specular_color,
+            shininess=material.shininess,
+            occlusion=described.occlusion,
+            emissive=described.emissive,
+        )
         if self.has_metals and (not self.has_both_models or material.model == _METALLIC):
-            return metal_surface(surface, metal.x, metal.y)
+            return metal_surface(surface, described.metallic, described.roughness)
         return surface
 
-    def find_shininess(self, material: Material, metal: sl.vec2) -> float:
+    def find_shininess(self, material: Material, roughness: float) -> float:
         """Return the shininess of such a surface alone."""
         if self.has_both_models:
-            return shininess_of_metal(metal.y) if material.model == _METALLIC else material.shininess
-        return shininess_of_metal(metal.y) if self.has_metals else material.shininess
+            return shininess_of_metal(roughness) if material.model == _METALLIC else material.shininess
+        return shininess_of_metal(roughness) if self.has_metals else material.shininess
 
     def find_terms(self, surface: SurfacePoint, to_light: sl.vec3) -> sl.vec3:
         """Return what the surface does with light from a unit direction in front of it: the terms of its base color, of
@@ -324,60 +187,6 @@ class ReflectingShader(sl.Shader):
         if self.has_metals and (not self.has_both_models or surface.shininess < 0.0):
             return ambient_light_of_metal(surface, ambient)
         return ambient_light(surface, ambient, material.rim_strength, material.rim_power)
-
-
-class MaterialShader(SceneShader, ReflectingShader):
-    """The base of shaders that draw the scene's geometry with its materials."""
-
-    has_roughness_maps = False
-    has_occlusion_maps = False
-    has_emissive_maps = False
-
-    def find_surface(self, v: SurfaceVarying, material: Material) -> SurfacePoint:
-        """Return the surface that the fragment shows."""
-        normal = self.find_normal(v)  # before a mask leaves a fragment out, whose neighbours derive from it
-        return self.color_surface(v, material, normal, self.find_texel(v))
-
-    def color_surface(self, v: SurfaceVarying, material: Material, normal: sl.vec3, texel: sl.vec4) -> SurfacePoint:
-        """Return the surface with this normal, and with a texel that multiplies its base colour."""
-        surface = SurfacePoint(
-            position=v.position,
-            normal=normal,
-            plane=self.find_plane(v, normal),
-            to_eye=safe_normalize(-v.position),
-            base_color=material.base_color.rgb * texel.rgb,
-            specular_color=material.specular_color,
-            shininess=material.shininess,
-            occlusion=self.find_occlusion(v),
-            emissive=self.find_emissive(v),
-        )
-        return self.with_model(surface, material, self.find_metal(v))
-
-    def find_metal(self, v: SurfaceVarying) -> sl.vec2:
-        """Return how metallic and how rough the fragment is."""
-        material = self.materials[v.material]
-        metal = sl.vec2(material.metallic, material.roughness)
-        if self.has_roughness_maps and material.metallic_roughness_texture >= 0:
-            metal = metal * self.read_data(material.metallic_roughness_texture, v).zy
-        return metal
-
-    def find_occlusion(self, v: SurfaceVarying) -> float:
-        """Return how much of the ambient light reaches the fragment."""
-        if not self.has_occlusion_maps:
-            return 1.0
-        material = self.materials[v.material]
-        if material.occlusion_texture < 0:
-            return 1.0
-        return sl.mix(1.0, self.read_data(material.occlusion_texture, v).x, material.occlusion_strength)
-
-    def find_emissive(self, v: SurfaceVarying) -> sl.vec3:
-        """Return what multiplies the emissive colour of the fragment's material."""
-        if not self.has_emissive_maps:
-            return sl.vec3(1.0)
-        texture = self.materials[v.material].emissive_texture
-        if texture < 0:
-            return sl.vec3(1.0)
-        return self.read_color(texture, v).rgb
 
 
 class FinishShader(sl.Shader):
@@ -486,7 +295,17 @@ class LampShader(ReflectingShader, ShadowReceiver):
         return self.unblocked_spot(light, surface.position, surface.plane, row)
 
 
-class ForwardShader(MaterialShader, LampShader, ShadingShader):
+class SurfaceShader(SceneShader, ReflectingShader):
+    """The base of shaders that draw the scene's geometry with its materials."""
+
+    def find_surface(self, v: SurfaceVarying, material: Material) -> SurfacePoint:
+        """Return the surface that the fragment shows."""
+        at = self.take(v)
+        described = self.see(at)
+        return self.make_surface(at.position, self.find_plane(at, described.normal), described, material)
+
+
+class ForwardShader(SurfaceShader, LampShader, ShadingShader):
     """Draws the scene lit: a fragment by all lights that reach its object."""
 
     def fragment(self, v: SurfaceVarying) -> sl.vec4:

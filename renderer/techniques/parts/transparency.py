@@ -52,15 +52,17 @@ class TransparentShader(ForwardShader):
     """Covers a part of what is behind the surface."""
 
     def fragment(self, v: SurfaceVarying) -> sl.vec4:
-        seen = self.see(v)
+        seen = self.cover(v)
         return sl.vec4(seen.rgb * seen.a, seen.a)
 
-    def see(self, v: SurfaceVarying) -> sl.vec4:
+    def cover(self, v: SurfaceVarying) -> sl.vec4:
         """Return the colour of the surface, and the share of the background that it covers."""
         material = self.materials[v.material]
-        texel = self.find_texel(v)
-        surface = self.color_surface(v, material, self.find_normal(v), texel)
-        return sl.vec4(self.light_surface(surface, v, material).rgb, sl.saturate(material.base_color.a * texel.a))
+        at = self.take(v)
+        described = self.see(at)
+        surface = self.make_surface(at.position, self.find_plane(at, described.normal), described, material)
+        opacity = sl.saturate(material.base_color.a * described.color.a)
+        return sl.vec4(self.light_surface(surface, v, material).rgb, opacity)
 
 
 class WeightedTexels(sl.Struct):
@@ -74,7 +76,7 @@ class WeightedShader(TransparentShader):
     """Adds a surface to weighted sums."""
 
     def fragment(self, v: SurfaceVarying) -> WeightedTexels:  # type: ignore[override]  # other targets than the image
-        seen = self.see(v)
+        seen = self.cover(v)
         near = sl.dot(v.position, v.position) / 40000.0  # squared distances in 200 m
         weight = seen.a * sl.clamp(0.03 / (1e-5 + near * near), 1e-2, _HEAVIEST)
         return WeightedTexels(colors=sl.vec4(seen.rgb * weight, seen.a), weights=weight)

@@ -15,6 +15,7 @@ from renderer.frame import (
     DEPTH_FORMAT,
     LAMPS,
     SHADOW_EFFECTS,
+    BoundProgram,
     Effect,
     Frame,
     Needs,
@@ -26,7 +27,7 @@ from renderer.frame.air import bind_fog, bind_haze
 from renderer.frame.images import MOST_ARRAYS, SceneImages
 from renderer.shadows import FILTERS, ShadowMaps, ShadowReceiver
 from renderer.techniques.parts.full_screen import BEHIND, Color, bind_rays, make_triangle
-from renderer.techniques.parts.scene_shader import ForwardShader
+from renderer.techniques.parts.scene_shader import ForwardShader, SceneShader
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
 
 
@@ -76,6 +77,8 @@ def find_variant(frame: Frame, *bases: type[Any], **fixed: Any) -> type[Any]:
     if images is not None:
         arrays = {"image_arrays": len(images.colors), "map_arrays": len(images.data)}
         switches |= {**arrays, "has_table": images.table is not None}
+    own = [base for base in bases if base in needs.shaders]
+    switches |= {"is_own": bool(own), "has_changes": bool(own) or switches.get("has_table", False)}
     switches |= fixed
     switches["has_second_uvs"] = switches["has_second_uvs"] and switches.get("has_table", False)
     if any(issubclass(base, ShadowReceiver) for base in bases) and not needs.effects.isdisjoint(SHADOW_EFFECTS):
@@ -129,6 +132,36 @@ def bind(frame: Frame, program: Program[...], own: Mapping[str, Any]) -> dict[st
     return {name: own[name] if name in own else find_binding(frame, name) for name in names}
 
 
+def bind_programs(
+    frame: Frame, *bases: type[Any], own: Mapping[str, Any] = {}, switches: Mapping[str, Any] = {}
+) -> list[BoundProgram]:
+    """Return the programs that draw the scene's geometry by the variant of a shader with these bases: one, or where
+    materials have shaders of their own, the renderer's and one for each of these."""
+    program: Program[...] = frame.program(find_variant(frame, *bases, **switches))
+    bound = [BoundProgram(program, bind(frame, program, own))]
+    effects = frame.needs.effects
+    reads_materials = any(issubclass(base, SceneShader) and not base.is_coverage for base in bases)
+    cuts = issubclass(bases[-1], SceneShader) and switches.get("has_masks", Effect.MASKS in effects)
+    if not switches.get("has_material_shaders", Effect.MATERIAL_SHADERS in effects) or not (reads_materials or cuts):
+        return bound
+    bound *= 1 + len(frame.needs.shaders)
+    for number, shader, parameters in list_shaders(frame)[1:]:
+        program = frame.program(find_variant(frame, *shader, *bases, **switches))
+        bound[number] = BoundProgram(program, bind(frame, program, {**own, **parameters}))
+    return bound
+
+
+def list_shaders(frame: Frame) -> list[tuple[int, tuple[type[Any], ...], dict[str, Any]]]:
+    """Return the shaders of materials that objects have: their numbers, further bases of a variant, and bindings. If
+    all have the renderer's, it has the number -1; otherwise 0, whether or not any object has it."""
+    resources = frame.resources
+    scene, own = resources.scene, []
+    for number, (one, values) in enumerate(zip(scene.shaders, resources.parameters, strict=True), 1):
+        if resources.has_shader(number):
+            own.append((number, (one.shader,), {"parameters": values.buffer}))
+    return [(0 if own else -1, (), {}), *own]
+
+
 def scene_pass(
     frame: Frame,
     *bases: type[Any],
@@ -140,11 +173,8 @@ def scene_pass(
 ) -> TechniquePass:
     """Return the pass that draws the scene's geometry by the variant of a shader with these bases. `options` are those
     of a `TechniquePass`."""
-    program: Program[...] = frame.program(find_variant(frame, *bases, **switches))
-    bindings, depth = bind(frame, program, own), depth or frame.targets["depth"]
-    return TechniquePass(
-        frame.device, frame.resources, frame.view, program, bindings, color=color, depth=depth, **options
-    )
+    programs, depth = bind_programs(frame, *bases, own=own, switches=switches), depth or frame.targets["depth"]
+    return TechniquePass(frame.device, frame.resources, frame.view, programs, color=color, depth=depth, **options)
 
 
 def draw_full_screen(

@@ -16,6 +16,7 @@ from typing import Final
 
 from renderer import rules
 from renderer.scene import Camera, Depth, Scene
+from renderer.shaders import DRAW_LISTS
 from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.gpu.draw_lists import IndirectDrawList
 from renderer.visibility.gpu.occludees import FindOccludees, Occludees
@@ -41,8 +42,9 @@ class DeviceCulling(ABC):
             refuse(rules.NO_COMPUTE, f"{type(self).__name__}(...)", given)
         self._device = device
         self._occludees = Occludees(device, len(scene.objects), find)
-        self.first = IndirectDrawList(device, self._occludees)
-        self.second = IndirectDrawList(device, self._occludees)
+        parts = DRAW_LISTS * (1 + len(scene.shaders))
+        self.first = IndirectDrawList(device, self._occludees, parts)
+        self.second = IndirectDrawList(device, self._occludees, parts)
         self._repeated = RepeatedCommands(device, "culling")
 
     @staticmethod

@@ -8,13 +8,14 @@ those marked HIDDEN. The CPU sees neither: it draws both indirectly.
   near the eye are drawn first, for the benefit of early depth tests.
 - There are no atomics: each group counts and ranks the keys of its 64 rows in shared memory, one group computes the
   prefix sums, and each row is written to its position.
-- Objects that are drawn with other states (their winding, the faces to cull) are in a part of their own, because the
-  device can't choose states: `DRAW_LISTS` parts, of which a scene uses few.
+- Objects that are drawn with another program or other states (their winding, the faces to cull) are in a part of their
+  own, because the device can't choose these: `DRAW_LISTS` parts for each shader that materials have.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -26,14 +27,25 @@ from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, Occludee, Occludees
 from renderer.visibility.repeated import clear
 from renderer.visibility.scene_pass import SceneArrays
-from rhi import DRAW, Device, Encoder, IndirectDraws
+from rhi import DRAW, Device, Encoder, IndirectDraws, Program
 
 _BUCKETS: Final = 31
-"""Number of distance classes: up to 1/8 m, then a half octave each up to 4 km, then all beyond."""
-_HIDDEN_KEY: Final = DRAW_LISTS * _BUCKETS
+"""The number of distance classes with `DRAW_LISTS` parts: up to 1/8 m, then a half octave each up to 4 km, then all
+beyond. More parts have fewer and wider ones."""
 _NO_KEY: Final = 2 * GROUP - 1
 KEYS: Final = 2 * GROUP
 """Number of keys. Each of a group's lanes counts two of them."""
+MOST_PARTS: Final = (KEYS - 2) // 2
+"""The most parts of a list: each has two distance classes then."""
+
+
+@cache
+def with_parts(shader: type[sl.Shader], parts: int) -> type[sl.Shader]:
+    """Return a shader of lists that have so many parts."""
+    if parts <= DRAW_LISTS:
+        return shader
+    constants = {"__module__": __name__, "parts": parts, "buckets": (KEYS - 2) // parts}
+    return type(f"{shader.__name__}{parts}", (shader,), constants)
 
 
 class DrawArguments(sl.Struct):
@@ -46,23 +58,12 @@ class DrawArguments(sl.Struct):
     base_instance: sl.uint
 
 
-class ListCounts(sl.Struct):
-    """The numbers of draws of each part, and of hidden rows."""
-
-    first: sl.uint
-    second: sl.uint
-    third: sl.uint
-    fourth: sl.uint
-    hidden: sl.uint
-
-
-_PARTS: Final = ("first", "second", "third", "fourth")
-
-
 class CountKeys(sl.Shader):
     """Computes each row's key and its rank among the equal keys of its group, and counts each group's keys."""
 
     work_group = (GROUP,)
+    parts = DRAW_LISTS
+    buckets = _BUCKETS
     places: sl.Storage[ObjectPosition]
     occludees: sl.Storage[Occludee]
     marks: sl.StorageRW[sl.uint]
@@ -78,11 +79,11 @@ class CountKeys(sl.Shader):
             mark = self.marks[row]
             if mark == sl.uint(VISIBLE):
                 octaves = sl.log2(sl.max(self.occludees[row].depth, 0.125))
-                key = sl.clamp(int(sl.floor(2.0 * octaves)) + 6, 0, _BUCKETS - 1)
-                key += _BUCKETS * self.places[row].draw_list
+                key = sl.clamp(int(sl.floor((octaves + 3.0) * (2.0 * self.buckets / _BUCKETS))), 0, self.buckets - 1)
+                key += self.buckets * self.places[row].draw_list
                 self.marks[row] = sl.uint(DRAWN)
             elif mark == sl.uint(HIDDEN):
-                key = _HIDDEN_KEY
+                key = self.parts * self.buckets
         self.in_group[lane] = sl.uint(key)
         sl.barrier()
         rank = 0
@@ -106,36 +107,37 @@ class WriteDraws(sl.Shader):
     """Writes each visible row's draw and each hidden row to the position that the prefix sums give."""
 
     work_group = (GROUP,)
+    parts = DRAW_LISTS
+    buckets = _BUCKETS
     places: sl.Storage[ObjectPosition]
-    parts: sl.Storage[MeshPart]
+    meshes: sl.Storage[MeshPart]
     keys: sl.Storage[sl.uint]
     sums: sl.Storage[sl.uint]
     listed: sl.StorageRW[DrawArguments]
     hidden: sl.StorageRW[sl.uint]
-    totals: sl.StorageRW[ListCounts]
+    totals: sl.StorageRW[sl.uint]
     boxes: sl.StorageRW[DrawArguments]
 
     def compute(self) -> None:
         row = sl.global_id().x
         groups = sl.group_count().x
-        hidden = self.sums[_HIDDEN_KEY * groups]
+        hidden_key = self.parts * self.buckets
+        hidden = self.sums[hidden_key * groups]
         if row == 0:
+            for number in range(self.parts):
+                begin = self.sums[number * self.buckets * groups]
+                self.totals[number] = self.sums[(number + 1) * self.buckets * groups] - begin
             count = self.sums[_NO_KEY * groups] - hidden
-            second = self.sums[_BUCKETS * groups]
-            third = self.sums[2 * _BUCKETS * groups]
-            fourth = self.sums[3 * _BUCKETS * groups]
-            self.totals[0] = ListCounts(
-                first=second, second=third - second, third=fourth - third, fourth=hidden - fourth, hidden=count
-            )
+            self.totals[self.parts] = count
             self.boxes[0].instances = count
         if row < len(self.keys):
             packed = int(self.keys[row])
             key = packed % KEYS
             place = self.sums[key * groups + sl.group_id().x] + sl.uint(packed // KEYS)
-            if key < _HIDDEN_KEY:
-                number = key // _BUCKETS
-                at = int(place - self.sums[number * _BUCKETS * groups]) + number * len(self.keys)
-                part = self.parts[self.places[row].mesh]
+            if key < hidden_key:
+                number = key // self.buckets
+                at = int(place - self.sums[number * self.buckets * groups]) + number * len(self.keys)
+                part = self.meshes[self.places[row].mesh]
                 self.listed[at] = DrawArguments(
                     count=part.count,
                     instances=sl.uint(1),
@@ -143,7 +145,7 @@ class WriteDraws(sl.Shader):
                     base_vertex=part.base_vertex,
                     base_instance=sl.uint(row),
                 )
-            elif key == _HIDDEN_KEY:
+            elif key == hidden_key:
                 self.hidden[int(place - hidden)] = sl.uint(row)
 
 
@@ -151,26 +153,28 @@ class IndirectDrawList:
     """A list of draws that the device makes: a `DeviceList`.
 
     Attributes:
-        draws: (4 n,) of `rhi.DRAW`: part i, the objects whose `ObjectPosition.draw_list` is i, from n i on.
-        totals: (1,) of `ListCounts`.
+        parts: the number of parts, at most `MOST_PARTS`.
+        draws: (parts n,) of `rhi.DRAW`: part i, the objects whose `ObjectPosition.draw_list` is i, from n i on.
+        totals: (parts + 1,) the numbers of draws of each part, and of hidden objects.
         hidden: (n,) rows of the hidden objects. box_draw: a draw of as many boxes.
         generation: how often the list was renewed.
     """
 
-    def __init__(self, device: Device, occludees: Occludees) -> None:
+    def __init__(self, device: Device, occludees: Occludees, parts: int = DRAW_LISTS) -> None:
         count = occludees.count
+        self.parts = parts
         self.generation = 0
-        self.draws = device.storage(DrawArguments, DRAW_LISTS * count, label="listed draws")
-        self.totals = device.storage(ListCounts, 1, label="list counts")
+        self.draws = device.storage(DrawArguments, parts * count, label="listed draws")
+        self.totals = device.storage(sl.uint, parts + 1, label="list counts")
         self.hidden = device.storage(sl.uint, count, label="hidden rows")
         self.box_draw = device.storage(DrawArguments, occludees.cube.draws(instances=0), label="box draw")
         self._device = device
         self._occludees = occludees
         self._keys = device.storage(sl.uint, count, label="keys")
         self._counts = device.storage(sl.uint, KEYS * occludees.groups, label="key counts")
-        self._count_keys = device.program(CountKeys)
+        self._count_keys: Program[...] = device.program(with_parts(CountKeys, parts))
         self._add_counts = device.program(PrefixSum)
-        self._write_draws = device.program(WriteDraws)
+        self._write_draws: Program[...] = device.program(with_parts(WriteDraws, parts))
 
     def renew(self) -> None:
         """Begin another list: what was read of the one before is out of date."""
@@ -195,7 +199,7 @@ class IndirectDrawList:
             self._write_draws,
             occludees.groups,
             places=arrays.places,
-            parts=arrays.parts,
+            meshes=arrays.parts,
             keys=self._keys,
             sums=self._counts,
             listed=self.draws,
@@ -219,7 +223,7 @@ class IndirectDrawList:
     def read_rows(self) -> NDArray[np.int64]:
         """Return the rows of the listed objects, in the order of their draws. Waits for the device."""
         count = self._occludees.count
-        sizes = _count_parts(self.totals.read())
+        sizes = self.totals.read().tolist()[:-1]
         return _find_rows([self.draws.read(count * part, size) for part, size in enumerate(sizes) if size])
 
     def read_rows_async(self) -> Callable[[], NDArray[np.int64]]:
@@ -227,7 +231,7 @@ class IndirectDrawList:
         totals, draws, count = self.totals.read_async(), self.draws.read_async(), self._occludees.count
 
         def wait() -> NDArray[np.int64]:
-            rows, sizes = draws.result(), _count_parts(totals.result())
+            rows, sizes = draws.result(), totals.result().tolist()[:-1]
             return _find_rows([rows[count * part : count * part + size] for part, size in enumerate(sizes)])
 
         return wait
@@ -236,11 +240,6 @@ class IndirectDrawList:
         """Destroy the resources on the device."""
         for resource in (self.draws, self.totals, self.hidden, self.box_draw, self._keys, self._counts):
             resource.destroy()
-
-
-def _count_parts(totals: NDArray[Any]) -> list[int]:
-    """Return the number of listed objects of each part."""
-    return [int(totals[0][name]) for name in _PARTS]
 
 
 def _find_rows(parts: list[NDArray[Any]]) -> NDArray[np.int64]:

@@ -138,6 +138,12 @@ def list_bindings(shader: type[Shader]) -> list[str]:
     return [name for name, each in shader._declared.items() if each.storage_class is not StorageClass.SHARED]
 
 
+def find_element(shader: type[Shader], name: str) -> Any:
+    """Return the type of the elements of a shader's buffer, such as a `Struct` class; None if it has no such buffer."""
+    declared = shader._declared.get(name)
+    return None if declared is None else declared.host
+
+
 def collect_bindings(
     cls: type[Shader], module: dict[str, Any], names: Mapping[str, Any] = MappingProxyType({})
 ) -> None:

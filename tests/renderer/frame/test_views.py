@@ -13,6 +13,7 @@ import rhi
 from renderer.frame import (
     DEPTH_FORMAT,
     IMAGE_FORMAT,
+    BoundProgram,
     Frame,
     Needs,
     Pass,
@@ -40,7 +41,9 @@ def draw_depth(frame: Frame, view: View, depth: rhi.Texture) -> None:
     arrays = frame.resources.list_arrays(view.buffer)
     bindings: dict[str, Any] = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
     program: Any = frame.device.program(DepthOnly)
-    scene_pass = TechniquePass(frame.device, frame.resources, view, program, bindings, color=None, depth=depth)
+    scene_pass = TechniquePass(
+        frame.device, frame.resources, view, [BoundProgram(program, bindings)], color=None, depth=depth
+    )
     frame.draw_visible(scene_pass, view)
 
 
@@ -63,7 +66,7 @@ class DepthFirst:
         bindings = bind(frame, program, {})
         frame.draw_visible(
             TechniquePass(
-                frame.device, frame.resources, frame.view, program, bindings,
+                frame.device, frame.resources, frame.view, [BoundProgram(program, bindings)],
                 color=frame.targets.image, depth=frame.targets.depth, clears=False,
                 clear=(*frame.resources.scene.background, 1.0),
                 states=(DepthFunction.EQUAL, DepthWrite.OFF),

@@ -34,7 +34,7 @@ def make_textures() -> np.ndarray[Any, Any]:
 
 
 def count_from_scratch(materials: np.ndarray[Any, Any]) -> dict[str, int]:
-    return dict(MaterialFeatures(materials, make_textures(), SAMPLERS).counts)
+    return dict(MaterialFeatures(materials, make_textures(), SAMPLERS, ()).counts)
 
 
 CHANGES = st.tuples(
@@ -54,7 +54,7 @@ CHANGES = st.tuples(
 @given(st.lists(st.lists(CHANGES, max_size=5), max_size=4))
 def test_what_is_counted_after_changes_is_what_is_counted_from_scratch(steps: list[list[tuple[int, Any]]]) -> None:
     materials = np.array([make_material()] * COUNT)
-    features = MaterialFeatures(materials, make_textures(), SAMPLERS)
+    features = MaterialFeatures(materials, make_textures(), SAMPLERS, ())
     for changes in steps:
         for row, (name, value) in changes:
             materials[name][row] = value
@@ -64,7 +64,7 @@ def test_what_is_counted_after_changes_is_what_is_counted_from_scratch(steps: li
 
 @pytest.mark.parametrize("count", [COUNT - 2, COUNT + 3])
 def test_an_array_of_another_length_is_counted_from_scratch(count: int) -> None:
-    features = MaterialFeatures(np.array([make_material()] * COUNT), make_textures(), SAMPLERS)
+    features = MaterialFeatures(np.array([make_material()] * COUNT), make_textures(), SAMPLERS, ())
     others = np.array([make_material(emission=2.0, texture=0)] * count)
     features.refresh(others)
     assert features.counts == count_from_scratch(others)
@@ -101,7 +101,7 @@ def test_materials_may_be_replaced_by_more_but_not_by_fewer_than_objects_have(te
 
 def test_a_version_is_another_only_when_materials_have_changed() -> None:
     materials = np.array([make_material()] * COUNT)
-    features = MaterialFeatures(materials, make_textures(), SAMPLERS)
+    features = MaterialFeatures(materials, make_textures(), SAMPLERS, ())
     versions = []
     for strength in (0.0, 1.0, 1.0, 2.0):
         materials["emission"][3] = strength
@@ -120,7 +120,7 @@ def test_only_materials_that_have_changed_are_examined(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(MaterialFeatures, "_examine", note)
     materials = np.array([make_material()] * 65_536)
-    features = MaterialFeatures(materials, make_textures(), SAMPLERS)
+    features = MaterialFeatures(materials, make_textures(), SAMPLERS, ())
     features.refresh(materials)
     materials["alpha_mode"][[3, 65_535]] = AlphaMode.MASK
     features.refresh(materials)

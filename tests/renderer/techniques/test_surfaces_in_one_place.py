@@ -101,9 +101,9 @@ def test_a_second_pass_draws_objects_in_the_order_of_the_first_one_whatever_thei
     drawn: dict[int, list[list[int]]] = {}
     real = SceneResources.draw_rows
 
-    def draw_rows(self: SceneResources, device: rhi.Device, program: Any, rows: Any, bindings: Any) -> None:
+    def draw_rows(self: SceneResources, device: rhi.Device, program: Any, bindings: Any, rows: Any) -> None:
         drawn.setdefault(id(program), []).append(rows.tolist())
-        real(self, device, program, rows, bindings)
+        real(self, device, program, bindings, rows)
 
     monkeypatch.setattr(SceneResources, "draw_rows", draw_rows)
     with open_renderer(null, city, ForwardPlus(), visibility="chc") as renderer:

@@ -407,5 +407,5 @@ def test_a_fragment_reads_its_texture_and_tests_its_mask_once(shader: type[Shade
         .emit("glsl", Stage.FRAGMENT)
         .text
     )
-    assert text.count("find_texel(") == 2, "where it is defined, and one call"
+    assert text.count("find_color(") == text.count("see(") == 2, "where it is defined, and one call"
     assert text.count("discard") == 1

@@ -16,17 +16,16 @@ from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility import NoCulling
 from renderer.visibility.gpu.draw_lists import (
     KEYS,
+    MOST_PARTS,
     CountKeys,
     DrawArguments,
     IndirectDrawList,
-    ListCounts,
     WriteDraws,
 )
 from renderer.visibility.gpu.occludees import DRAWN, HIDDEN, OUTSIDE, VISIBLE, Occludee, Occludees
 from rhi.shading import run_compute
 
 BUCKETS = 31
-PARTS = ("first", "second", "third", "fourth")
 
 
 def buckets(depth: np.ndarray) -> np.ndarray:
@@ -56,17 +55,17 @@ def expect(marks: np.ndarray, places: np.ndarray, boxes: np.ndarray, part: int) 
 def check(
     marks: np.ndarray, places: np.ndarray, boxes: np.ndarray, parts: np.ndarray, after: dict[str, np.ndarray]
 ) -> None:
-    count, totals, draws = len(marks), after["totals"][0], after["listed"]
-    for part, name in enumerate(PARTS):
+    count, totals, draws = len(marks), after["totals"], after["listed"]
+    for part in range(4):
         rows, begin = expect(marks, places, boxes, part), part * count
-        assert totals[name] == len(rows)
+        assert totals[part] == len(rows)
         listed, mesh = draws[begin : begin + len(rows)], parts[places["mesh"][rows]]
         assert listed["base_instance"].tolist() == rows.tolist()
         assert (listed["instances"] == 1).all()
         for field in ("count", "first", "base_vertex"):
             assert listed[field].tolist() == mesh[field].tolist()
     hidden = np.flatnonzero(marks == HIDDEN)
-    assert totals["hidden"] == after["boxes"][0]["instances"] == len(hidden)
+    assert totals[4] == after["boxes"][0]["instances"] == len(hidden)
     assert after["hidden"][: len(hidden)].tolist() == hidden.tolist()
     assert after["marks"].tolist() == np.where(marks == VISIBLE, DRAWN, marks).tolist()
 
@@ -84,10 +83,38 @@ def test_lists_are_of_marked_rows_near_first(count: int, seed: int) -> None:
     sums = run_compute(PrefixSum, 1, counts=counted["counts"])["counts"]
     assert sums.tolist() == np.append(0, np.cumsum(counted["counts"]))[:-1].tolist()
     written = run_compute(
-        WriteDraws, groups, places=places, parts=parts, keys=counted["keys"], sums=sums, listed=4 * count,
-        hidden=count, totals=np.zeros(1, ListCounts.dtype), boxes=np.zeros(1, DrawArguments.dtype),
+        WriteDraws, groups, places=places, meshes=parts, keys=counted["keys"], sums=sums, listed=4 * count,
+        hidden=count, totals=5, boxes=np.zeros(1, DrawArguments.dtype),
     )  # fmt: skip
     check(marks, places, boxes, parts, counted | written)
+
+
+@pytest.mark.parametrize("listed", [5, 8, 20, MOST_PARTS])
+def test_lists_may_have_more_parts(device: rhi.Device, listed: int) -> None:
+    """With fewer and wider classes of distances."""
+    count, rng = 900, np.random.default_rng(listed)
+    marks, places, boxes, parts = make_rows(count, listed)
+    places["draw_list"] = rng.integers(0, listed, count)
+    occludees = Occludees(device, count)
+    occludees.marks.write(marks)
+    occludees.boxes.write(boxes)
+    lists = IndirectDrawList(device, occludees, listed)
+    scene = load_scene("grid:mesh=box,count=1")
+    resources = SceneResources(device, scene)
+    view = aim(device, scene, resources)
+    arrays = resources.list_arrays(view.buffer)
+    given_places, given_parts = device.storage(ObjectPosition, places), device.storage(MeshPart, parts)
+    lists.list_draws(device, type(arrays)(arrays.view, arrays.objects, given_places, given_parts))
+    totals, draws, classes = lists.totals.read(), lists.draws.read(), (KEYS - 2) // listed
+    octaves = np.log2(np.maximum(boxes["depth"], 0.125)) + 3.0
+    order = np.argsort(np.floor(octaves * (2.0 * classes / BUCKETS)).clip(0, classes - 1), kind="stable")
+    for part in range(listed):
+        expected = order[((marks == VISIBLE) & (places["draw_list"] == part))[order]]
+        drawn = draws["base_instance"][part * count : part * count + totals[part]]
+        assert drawn.tolist() == expected.tolist()
+    assert totals[listed] == (marks == HIDDEN).sum()
+    for resource in (occludees, lists, resources, view, given_places, given_parts):
+        resource.destroy()
 
 
 def aim(device: rhi.Device, scene: Scene, resources: SceneResources) -> View:
@@ -139,8 +166,7 @@ def test_arguments_lie_where_indirect_draws_look_for_them(null: rhi.Device) -> N
     assert DrawArguments.dtype.itemsize == rhi.DRAW.itemsize == parts[0].stride
     assert [DrawArguments.dtype.fields[name][1] for name in rhi.DRAW.names or ()] == [0, 4, 8, 12, 16]
     assert [one.offset for one in parts] == [10 * part * rhi.DRAW.itemsize for part in range(4)]
-    fields = ListCounts.dtype.fields
-    assert [one.count_offset for one in parts] == [fields[name][1] for name in PARTS]
+    assert [one.count_offset for one in parts] == [0, 4, 8, 12]
 
 
 @pytest.mark.parametrize("count", [1, 64, 65])

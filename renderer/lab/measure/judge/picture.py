@@ -26,9 +26,11 @@ class Judge:
     """
 
     def __init__(self, scene: Scene, *, has_shadows: bool = True) -> None:
-        """Raises ValueError for a scene with glow."""
+        """Raises ValueError for a scene with glow, or with shaders of materials."""
         if scene.glow is not None:
             raise ValueError("what glows can't be judged by single rays")
+        if scene.shaders:
+            raise ValueError("what materials' own shaders say isn't known here")
         self._scene, self._geometry = scene, Geometry(scene)
         self._tree = TriangleTree(self._geometry.corners)
         self._lighting = LitSurfaces(scene, self._geometry, self._tree, has_shadows=has_shadows)

@@ -113,5 +113,5 @@ def test_only_lanes_that_take_part_need_to_agree():
 def test_every_name_that_shaders_import_can_be_suggested():
     for_the_host = {"HostTexture", "ImageBinding", "NumpyKernel", "StorageRange", "TextureBinding", "UniformRange"}
     for_the_host |= {"compile_shader", "evaluate", "opencl_kernel", "run_compute", "run_fragment", "run_vertex"}
-    for_the_host |= {"ShaderCode", "from_source", "register_language", "stage_trees", "value_type_of"}
+    for_the_host |= {"ShaderCode", "find_element", "from_source", "register_language", "stage_trees", "value_type_of"}
     assert set(rhi.shading.__all__) - for_the_host == LANGUAGE_NAMES

@@ -1,0 +1,150 @@
+"""Shaders of materials: parallax, marble, and a checkerboard. They show how materials get shaders of their own, and the
+scene `yard` has them."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Final
+
+import rhi.shading as sl
+from renderer.shaders.lighting import safe_normalize
+from renderer.shaders.materials import MaterialShader
+from renderer.shaders.structs import SurfaceInput, SurfaceParameters
+
+_FLAT: Final = 0.05
+"""The least cosine to a surface's normal with which parallax reckons: below it, rays would go on and on."""
+
+
+class ParallaxParameters(sl.Struct):
+    """Parameters of `Parallax`: the texture of heights (red, 1 at the surface), the depth of height 0 in texture
+    coordinates, and the number of steps in which a ray looks for the heights."""
+
+    height_texture: int
+    depth: float
+    steps: int
+
+
+class Parallax(MaterialShader):
+    """Relief below a surface: what is seen is where the ray meets a map of heights (Tatarchuk 2006, steep parallax with
+    a linear last step). All textures are read there."""
+
+    parameter_defaults: ClassVar = {"depth": 0.04, "steps": 24}
+    parameter_textures: ClassVar = {"height_texture": False}
+    reads_tangents = True
+
+    parameters: sl.Storage[ParallaxParameters]
+
+    def describe(self, at: SurfaceInput) -> SurfaceParameters:
+        relief = self.parameters[at.material]
+        met = at
+        if relief.height_texture >= 0:
+            met.uv = self.meet(at, relief)
+        return super().describe(met)
+
+    def meet(self, at: SurfaceInput, relief: ParallaxParameters) -> sl.vec2:
+        """Return the texture coordinates at which the ray from the eye meets the heights."""
+        tangent = safe_normalize(at.tangent.xyz)
+        up = sl.cross(at.normal, tangent) * (-1.0 if at.tangent.w < 0.0 else 1.0)
+        to_eye = safe_normalize(-at.position)
+        steepness = sl.max(sl.dot(to_eye, at.normal), _FLAT)
+        # The v of images counts down, so it falls along the bitangent.
+        along = sl.vec2(-sl.dot(to_eye, tangent), sl.dot(to_eye, up)) / steepness
+        step = along * relief.depth / float(relief.steps)
+        probe = at
+        below = 0.0
+        gap = 1.0 - self.read_data(relief.height_texture, at).x
+        before = gap
+        for _ in range(relief.steps):
+            if gap <= 0.0:
+                break
+            before = gap
+            below += 1.0 / float(relief.steps)
+            probe.uv = probe.uv + step
+            gap = 1.0 - below - self.read_data(relief.height_texture, probe).x
+        if gap > 0.0:
+            return probe.uv
+        return probe.uv + step * (gap / sl.max(before - gap, 1e-6))
+
+
+class MarbleParameters(sl.Struct):
+    """Parameters of `Marble`: the colour of its veins, their number in a metre, and how much noise bends them."""
+
+    vein_color: sl.vec3
+    frequency: float
+    turbulence: float
+
+
+@sl.function
+def find_noise(place: sl.vec3) -> float:
+    """Return smooth noise of -1 to 1, which changes over lengths of 1: a number for each corner of a grid, mixed."""
+    cell = sl.floor(place)
+    part = place - cell
+    weight = part * part * part * (part * (part * 6.0 - 15.0) + 10.0)
+    corner = sl.ivec3(cell)
+    sum = 0.0
+    for i in range(8):
+        offset = sl.ivec3(i & 1, i >> 1 & 1, i >> 2)
+        share = sl.mix(1.0 - weight, weight, sl.vec3(offset))
+        sum += hash_corner(corner + offset) * share.x * share.y * share.z
+    return sum
+
+
+@sl.function
+def hash_corner(corner: sl.ivec3) -> float:
+    """Return a number of -1 to 1 for a corner of the grid (PCG, O'Neill 2014)."""
+    word = sl.uint(corner.x) * sl.uint(73856093) ^ sl.uint(corner.y) * sl.uint(19349663)
+    word = (word ^ sl.uint(corner.z) * sl.uint(83492791)) * sl.uint(747796405) + sl.uint(2891336453)
+    word = (word >> ((word >> 28) + sl.uint(4)) ^ word) * sl.uint(277803737)
+    return float((word >> 22 ^ word) >> 8) / 8388608.0 - 1.0
+
+
+class Marble(MaterialShader):
+    """Stone with veins through the whole of it: waves in the world's space, bent by noise (Perlin 1985, turbulence).
+    Objects that move move through it."""
+
+    parameter_defaults: ClassVar = {"vein_color": (0.2, 0.18, 0.16), "frequency": 1.6, "turbulence": 1.2}
+
+    parameters: sl.Storage[MarbleParameters]
+
+    def describe(self, at: SurfaceInput) -> SurfaceParameters:
+        stone = self.parameters[at.material]
+        place = self.find_world(at) * stone.frequency
+        bend = 0.0
+        size = 1.0
+        for _ in range(4):
+            bend += size * sl.abs(find_noise(place / size))
+            size *= 0.5
+        wave = 0.5 + 0.5 * sl.sin(6.2831853 * (place.x + place.y + stone.turbulence * bend))
+        vein = wave * wave * wave
+        described = super().describe(at)
+        described.color = described.color * sl.vec4(sl.mix(sl.vec3(1.0), stone.vein_color, vein), 1.0)
+        described.roughness = sl.saturate(described.roughness + 0.3 * vein)
+        return described
+
+
+class CheckerParameters(sl.Struct):
+    """Parameters of `Checker`: the number of squares along u and v, and the colour of every second one."""
+
+    squares: sl.vec2
+    second_color: sl.vec3
+
+
+class Checker(MaterialShader):
+    """A checkerboard that doesn't alias: the mean over a pixel's box, in closed form (Quílez 2017). Its numbers of
+    squares are even, so that it goes on where texture coordinates begin again."""
+
+    parameter_defaults: ClassVar = {"squares": (8.0, 8.0), "second_color": (0.1, 0.1, 0.1)}
+
+    parameters: sl.Storage[CheckerParameters]
+
+    def describe(self, at: SurfaceInput) -> SurfaceParameters:
+        board = self.parameters[at.material]
+        place = at.uv * board.squares
+        width = sl.max((sl.abs(at.changes.xy) + sl.abs(at.changes.zw)) * board.squares, sl.vec2(1e-4))
+        # The integral of a square wave of +1 and -1 is a triangle wave; their differences over a box are its mean.
+        ahead = sl.abs(sl.fract((place + 0.5 * width) * 0.5) - 0.5)
+        behind = sl.abs(sl.fract((place - 0.5 * width) * 0.5) - 0.5)
+        mean = 2.0 * (behind - ahead) / width
+        share = 0.5 - 0.5 * mean.x * mean.y
+        described = super().describe(at)
+        described.color = described.color * sl.vec4(sl.mix(sl.vec3(1.0), board.second_color, share), 1.0)
+        return described

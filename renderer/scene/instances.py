@@ -1,0 +1,229 @@
+"""Materials by their values: instances, which inherit from a parent what they don't set, and parameters of shaders.
+
+A material has the values that were given for it; what it lacks is its parent's, and what no parent has is the default.
+So a value that is set in a parent changes all instances that don't set it themselves (Thatcher 2014, 10.4.3: parent,
+set, unset). From these values follow a row of `MATERIAL`, and a row of the parameters of its shader, if that is its
+own. An instance has its parent's shader.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import rhi.shading as sl
+from renderer import rules
+from renderer.scene.materials import MATERIAL, TEXTURES, make_material
+from rhi.errors import refuse
+
+MOST_SHADERS: Final = 14
+"""The most shaders of their own that the materials of a scene may have: lists that a device makes have four parts for
+each, and at most 63 (`renderer.visibility.gpu.draw_lists`)."""
+_STANDARD: Final = frozenset(make_material.__annotations__) - {"return"}
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OwnShader:
+    """A shader that materials have of their own, and the struct of its parameters, `int` if it has none."""
+
+    shader: type[Any]
+    parameters: type[Any]
+    fields: Mapping[str, np.dtype[Any]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        dtype: np.dtype[Any] = np.dtype(np.int32) if self.parameters is int else self.parameters.dtype
+        object.__setattr__(self, "fields", {name: dtype[name] for name in dtype.names or ()})
+
+    @property
+    def textures(self) -> Mapping[str, bool]:
+        """The parameters that are textures, and whether these hold colours."""
+        textures: Mapping[str, bool] = self.shader.parameter_textures
+        return textures
+
+    def make_row(self, values: Mapping[str, Any], call: str) -> NDArray[Any]:
+        """Create the row () of the parameters with these values."""
+        row = np.zeros((), np.int32 if self.parameters is int else self.parameters.dtype)
+        for name, dtype in self.fields.items():
+            value = values.get(name, -1 if name in self.textures else self.shader.parameter_defaults.get(name))
+            if value is None:
+                refuse(
+                    rules.BAD_MATERIAL, f"{call}({name}=...)", "nothing", f"a value: {self.shader.__name__} needs it"
+                )
+            row[name] = _read(value, dtype, f"{call}({name}=...)")
+        return row
+
+
+def _read(value: Any, dtype: np.dtype[Any], call: str) -> NDArray[Any]:
+    """Return a value as a parameter keeps it."""
+    base, shape = dtype.subdtype or (dtype, ())
+    array = np.asarray(value)
+    whole = base.kind in "iu"
+    is_number = array.dtype.kind in ("iu" if whole else "iuf")
+    if array.shape != shape or not is_number or not np.isfinite(array).all():
+        kind = "whole number" if whole else "finite number"
+        refuse(rules.BAD_MATERIAL, call, value, f"{' x '.join(map(str, shape))} {kind}s" if shape else f"a {kind}")
+    return array
+
+
+def read_own_shader(shader: object, call: str) -> OwnShader:
+    """Check the shader of a material: a class with `describe`, and what it says of its parameters."""
+    allowed = "a class derived from renderer.shaders.MaterialShader"
+    if not (isinstance(shader, type) and issubclass(shader, sl.Shader) and hasattr(shader, "describe")):
+        refuse(rules.BAD_MATERIAL, f"{call}(shader=...)", shader, allowed)
+    own = OwnShader(shader, sl.find_element(shader, "parameters") or int)
+    declared: Any = shader
+    wrong = [name for name in (*declared.parameter_defaults, *declared.parameter_textures) if name not in own.fields]
+    wrong += [name for name in own.fields if name in _STANDARD]
+    if wrong:
+        given = f"{shader.__name__}, {wrong[0]!r}"
+        refuse(rules.BAD_MATERIAL, f"{call}(shader=...)", given, "names of parameters, and none that a material has")
+    return own
+
+
+class MaterialTable:
+    """The materials of a scene by their values.
+
+    Attributes:
+        shaders: those that materials have of their own. The `shader` of a material is 1 more than the place here.
+    """
+
+    def __init__(self) -> None:
+        self.shaders: list[OwnShader] = []
+        self._parents: list[int] = []
+        self._own: list[dict[str, Any]] = []
+        self._shader: list[int] = []
+
+    def __len__(self) -> int:
+        return len(self._own)
+
+    def find_shader(self, material: int) -> OwnShader | None:
+        """Return the shader that a material has of its own."""
+        number = self._shader[material]
+        return self.shaders[number - 1] if number else None
+
+    def find_own(self, material: int) -> dict[str, Any]:
+        """Return the values that a material sets itself."""
+        return dict(self._own[material])
+
+    def find_values(self, material: int) -> dict[str, Any]:
+        """Return the values that a material or one of its parents sets."""
+        parent = self._parents[material]
+        return (self.find_values(parent) if parent >= 0 else {}) | self._own[material]
+
+    def find_instances(self, material: int) -> list[int]:
+        """Return a material, and all that have it above them."""
+        found = [material]
+        found.extend(row for row in range(material + 1, len(self)) if self._parents[row] in found)
+        return found
+
+    def add(self, values: Mapping[str, Any], parent: int, shader: OwnShader | None) -> int:
+        """Add a material, whose textures are given by their rows, and return its id."""
+        number, self.shaders = self.check(values, parent, shader)
+        self._parents.append(parent)
+        self._own.append(dict(values))
+        self._shader.append(number)
+        return len(self._own) - 1
+
+    def check(self, values: Mapping[str, Any], parent: int, shader: OwnShader | None) -> tuple[int, list[OwnShader]]:
+        """Refuse what can't be added; return the number of the material's shader, and the shaders with it."""
+        number = self._shader[parent] if parent >= 0 else 0
+        shaders = list(self.shaders)
+        if shader is not None:
+            known = [place for place, one in enumerate(shaders, 1) if one.shader is shader.shader]
+            if parent >= 0 and known != [number]:
+                refuse(rules.BAD_MATERIAL, "add_material(shader=...)", shader.shader.__name__, "that of the parent")
+            if not known:
+                shaders.append(shader)
+            number = known[0] if known else len(shaders)
+        if len(shaders) > MOST_SHADERS:
+            refuse(rules.BAD_MATERIAL, "add_material(shader=...)", f"{len(shaders)} shaders", f"at most {MOST_SHADERS}")
+        own = shaders[number - 1] if number else None
+        check_names(values, own, "add_material")
+        _make((self.find_values(parent) if parent >= 0 else {}) | dict(values), number, own, "add_material")
+        return number, shaders
+
+    def make_rows(self) -> tuple[NDArray[Any], tuple[NDArray[Any], ...]]:
+        """Create the materials (k,) of `MATERIAL`, and for each of `shaders` the parameters (k,) of all materials,
+        which are 0 where they have another shader; (0,) of a shader without parameters."""
+        materials = np.zeros(len(self), MATERIAL)
+        parameters = tuple(
+            np.zeros(0, np.int32) if one.parameters is int else np.zeros(len(self), one.parameters.dtype)
+            for one in self.shaders
+        )
+        for material in range(len(self)):
+            self._write(material, None, materials, parameters)
+        return materials, parameters
+
+    def change(
+        self,
+        material: int,
+        own: dict[str, Any],
+        materials: NDArray[Any],
+        parameters: tuple[NDArray[Any], ...],
+        call: str,
+    ) -> None:
+        """Give a material these values of its own, and write what thereby changes in the rows of it and its
+        instances."""
+        before, changed = self._own[material], self.find_instances(material)
+        check_names(own, self.find_shader(material), call)
+        rows = [self._make_row(row, call) for row in changed]
+        self._own[material] = own
+        try:
+            for row in changed:
+                self._make_row(row, call)
+        except BaseException:
+            self._own[material] = before
+            raise
+        for row, known in zip(changed, rows, strict=True):
+            self._write(row, known, materials, parameters)
+
+    def _make_row(self, material: int, call: str) -> tuple[NDArray[Any], NDArray[Any] | None]:
+        return _make(self.find_values(material), self._shader[material], self.find_shader(material), call)
+
+    def _write(
+        self,
+        material: int,
+        known: tuple[NDArray[Any], NDArray[Any] | None] | None,
+        materials: NDArray[Any],
+        parameters: tuple[NDArray[Any], ...],
+    ) -> None:
+        """Write a material's rows, or only what differs from those that are `known`."""
+        standard, own = self._make_row(material, "add_material")
+        for name in MATERIAL.names or ():
+            if known is None or not np.array_equal(standard[name], known[0][name]):
+                materials[name][material] = standard[name]
+        if own is not None and own.dtype.names:
+            parameters[self._shader[material] - 1][material] = own
+
+
+def check_names(values: Mapping[str, Any], own: OwnShader | None, call: str) -> None:
+    """Refuse names that neither a material nor its shader has."""
+    allowed = [*_STANDARD, *(own.fields if own is not None else ())]
+    for name in values:
+        if name not in allowed:
+            rules.refuse_name(rules.BAD_MATERIAL, f"{call}({name}=...)", name, allowed)
+
+
+def _make(
+    values: Mapping[str, Any], number: int, own: OwnShader | None, call: str
+) -> tuple[NDArray[Any], NDArray[Any] | None]:
+    """Return the rows of a material with these values, and of its parameters."""
+    standard = make_material(**{name: value for name, value in values.items() if name in _STANDARD})
+    standard["shader"] = number
+    return standard, None if own is None else own.make_row(values, call)
+
+
+def find_tangent_readers(materials: NDArray[Any], shaders: Sequence[OwnShader]) -> NDArray[np.bool_]:
+    """Return which of the materials (k,) need meshes with tangents."""
+    reads = np.array([False, *(one.shader.reads_tangents for one in shaders)], bool)
+    found: NDArray[np.bool_] = (materials["normal_texture"] >= 0) | reads[materials["shader"]]
+    return found
+
+
+def list_textures(own: OwnShader | None) -> dict[str, bool]:
+    """Return the values of a material that are textures, and whether these hold colours."""
+    return TEXTURES | dict(own.textures if own is not None else {})

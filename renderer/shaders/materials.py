@@ -1,0 +1,266 @@
+"""The shaders of materials: from a point of a surface to what it is made of.
+
+`MaterialShader.describe` is the renderer's own: base colour, normals, and what other maps say. A material may have a
+shader of its own: a class derived from `MaterialShader` with another `describe`, which may call this one. A technique
+combines it with its own shaders, so it is compiled for each technique, and objects are drawn by it.
+
+Where a technique evaluates materials after geometry (Deferred+), a material's shader runs for pixels, not for
+fragments: it has no derivatives but `SurfaceInput.changes`, and writes nothing.
+
+What a scene may lack is a switch, a constant `has_…`: a stage keeps the branches that are taken, and a program binds
+what they read. So a feature that a scene lacks costs nothing.
+
+A texture is read in one of two ways. If all images are in one array, and all are read by texture coordinates as they
+are, a texture's row is its layer. Otherwise a table of textures (`TextureUse`) leads to an array, a layer and the
+transform of texture coordinates. All fragments of a primitive have one material, and so take the same branches: there,
+derivatives of texture coordinates are defined, and a device skips the arrays that aren't read. llvmpipe doesn't: it
+samples each array that a texture might be in. So colours are looked for in the arrays of colours alone (`images`), and
+data, such as normals, in those of data (`maps`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Final
+
+import rhi.shading as sl
+from renderer.scene import AlphaMode
+from renderer.shaders.lighting import safe_normalize
+from renderer.shaders.structs import Material, SurfaceInput, SurfaceParameters, TextureUse, ViewConstants
+
+_NO_NORMAL: Final = 5e-5
+"""The square of a normal's length, below which it has no direction. No number of 8 bits means 0: a vector of length 0
+is stored as 127 or 128, 1/255 beside it along each axis, and a diagonal would be made of that."""
+
+
+_MASK: Final = int(AlphaMode.MASK)
+_ROUNDING: Final = 2.0**-16
+"""The most that an alpha may be below the cut and still be at it: filtering rounds."""
+
+
+class MaterialShader(sl.Shader):
+    """The base of shaders that describe surfaces, and of materials' own shaders, which override `describe`.
+
+    A shader of a material's own may declare `parameters`, a storage buffer of a struct, in which a material's row
+    (`SurfaceInput.material`) has its values. It adds no other binding.
+
+    Attributes:
+        parameter_defaults: the parameters that materials needn't give, and their values.
+        parameter_textures: the parameters that are textures, and whether these hold colours (`read_color`) or data
+            (`read_data`). One that a material lacks is -1.
+        reads_tangents: whether it reads `SurfaceInput.tangent`, so that meshes need tangents.
+    """
+
+    # Highlights end up in 8 bits: a pow as exact as GL's (128 ulp) halves the time of a lit pass on OpenCL.
+    precision = sl.Precision.FAST
+    lean = True
+
+    parameter_defaults: ClassVar[Mapping[str, object]] = {}
+    parameter_textures: ClassVar[Mapping[str, bool]] = {}
+    reads_tangents: ClassVar[bool] = False
+
+    view: sl.Uniform[ViewConstants]
+    materials: sl.Storage[Material]
+    textures: sl.Storage[TextureUse]
+    images: sl.Texture2DArray
+    images_1: sl.Texture2DArray
+    images_2: sl.Texture2DArray
+    images_3: sl.Texture2DArray
+    images_4: sl.Texture2DArray
+    images_5: sl.Texture2DArray
+    images_6: sl.Texture2DArray
+    images_7: sl.Texture2DArray
+    maps: sl.Texture2DArray
+    maps_1: sl.Texture2DArray
+    maps_2: sl.Texture2DArray
+    maps_3: sl.Texture2DArray
+    maps_4: sl.Texture2DArray
+    maps_5: sl.Texture2DArray
+    maps_6: sl.Texture2DArray
+    maps_7: sl.Texture2DArray
+    image_arrays = 1
+    map_arrays = 1
+    has_table = False
+    has_changes = False
+    """Whether textures are read by the changes of texture coordinates that the input has."""
+    is_placed = False
+    """Whether texture coordinates are as textures are read, a transform applied."""
+    is_own = False
+    """Whether this is a shader of a material's own."""
+    has_color = True
+    """Whether anybody asks for the colour."""
+    has_images = False
+    has_second_uvs = False
+    has_vertex_colors = False
+    has_masks = False
+    has_normal_maps = False
+    has_roughness_maps = False
+    has_occlusion_maps = False
+    has_emissive_maps = False
+
+    def describe(self, at: SurfaceInput) -> SurfaceParameters:
+        """Return what the surface is at a point, as the renderer's own materials have it."""
+        metal = self.find_metal(at)
+        return SurfaceParameters(
+            color=self.find_color(at),
+            normal=self.bend(at),
+            metallic=metal.x,
+            roughness=metal.y,
+            occlusion=self.find_occlusion(at),
+            emissive=self.find_emissive(at),
+        )
+
+    def see(self, at: SurfaceInput) -> SurfaceParameters:
+        """Return what the surface is at a point. Nothing is drawn where the alpha of a mask is below its cut."""
+        described = self.describe(at)
+        self.cut_off(described.color.a, at)
+        return described
+
+    def cut(self, at: SurfaceInput) -> None:
+        """Draw nothing where the alpha of a mask is below its cut."""
+        if self.has_masks:
+            self.cut_off(self.describe(at).color.a if self.is_own else self.find_color(at).a, at)
+
+    def cut_off(self, alpha: float, at: SurfaceInput) -> None:
+        """Draw nothing where this alpha of a material is below its cut."""
+        if self.has_masks:
+            material = self.materials[at.material]
+            if material.alpha_mode == _MASK and material.base_color.a * alpha < material.alpha_cutoff - _ROUNDING:
+                sl.discard()
+
+    def find_color(self, at: SurfaceInput) -> sl.vec4:
+        """Return what multiplies the base colour of the material."""
+        texel = sl.vec4(1.0)
+        if not self.has_color and not self.has_masks:
+            return texel
+        if self.has_images:
+            texture = self.materials[at.material].texture
+            if texture >= 0:
+                texel = self.read_color(texture, at)
+        if self.has_vertex_colors:
+            texel = texel * at.color
+        return texel
+
+    def bend(self, at: SurfaceInput) -> sl.vec3:
+        """Return the unit normal as maps bend it. Where a texture has no direction, it is as it was."""
+        if not self.has_normal_maps:
+            return at.normal
+        material = self.materials[at.material]
+        if material.normal_texture < 0:
+            return at.normal
+        texel = self.read_data(material.normal_texture, at).xyz * 2.0 - 1.0
+        tangent = safe_normalize(at.tangent.xyz)
+        up = sl.cross(at.normal, tangent) * (-1.0 if at.tangent.w < 0.0 else 1.0)
+        bent = (tangent * texel.x + up * texel.y) * material.normal_scale + at.normal * texel.z
+        if sl.dot(bent, bent) < _NO_NORMAL:
+            return at.normal
+        return safe_normalize(bent)
+
+    def find_metal(self, at: SurfaceInput) -> sl.vec2:
+        """Return how metallic and how rough the surface is."""
+        material = self.materials[at.material]
+        metal = sl.vec2(material.metallic, material.roughness)
+        if self.has_roughness_maps and material.metallic_roughness_texture >= 0:
+            metal = metal * self.read_data(material.metallic_roughness_texture, at).zy
+        return metal
+
+    def find_occlusion(self, at: SurfaceInput) -> float:
+        """Return how much of the ambient light reaches the surface."""
+        if not self.has_occlusion_maps:
+            return 1.0
+        material = self.materials[at.material]
+        if material.occlusion_texture < 0:
+            return 1.0
+        return sl.mix(1.0, self.read_data(material.occlusion_texture, at).x, material.occlusion_strength)
+
+    def find_emissive(self, at: SurfaceInput) -> sl.vec3:
+        """Return what multiplies the emissive colour of the material."""
+        if not self.has_emissive_maps:
+            return sl.vec3(1.0)
+        texture = self.materials[at.material].emissive_texture
+        if texture < 0:
+            return sl.vec3(1.0)
+        return self.read_color(texture, at).rgb
+
+    def find_world(self, at: SurfaceInput) -> sl.vec3:
+        """Return the position of the point in the world: to 1e-7 of its distance from the world's origin."""
+        return at.position + self.view.eye_low + self.view.eye_high
+
+    def read_color(self, texture: int, at: SurfaceInput) -> sl.vec4:
+        """Return the texel of the texture of colours of this row."""
+        if self.has_table:
+            use = self.textures[texture]
+            return self.read_images(use.array, self.place(use, at), self.find_changes(use, at))
+        if self.has_changes:
+            return self.images.sample_grad(sl.vec3(at.uv, float(texture)), at.changes.xy, at.changes.zw)
+        return self.images.sample(sl.vec3(at.uv, float(texture)))
+
+    def read_data(self, texture: int, at: SurfaceInput) -> sl.vec4:
+        """Return the texel of the texture of data of this row."""
+        if self.has_table:
+            use = self.textures[texture]
+            return self.read_maps(use.array, self.place(use, at), self.find_changes(use, at))
+        if self.has_changes:
+            return self.maps.sample_grad(sl.vec3(at.uv, float(texture)), at.changes.xy, at.changes.zw)
+        return self.maps.sample(sl.vec3(at.uv, float(texture)))
+
+    # Texture coordinates by the table are numbers of a buffer, from which a fragment that failed a test may have read
+    # zeros (llvmpipe), so its neighbours would derive nonsense. Derivatives are those of the varying, transformed
+    # alike.
+
+    def place(self, use: TextureUse, at: SurfaceInput) -> sl.vec3:
+        """Return the texture coordinates and the layer at which a texture is read."""
+        if self.is_placed:
+            return sl.vec3(at.uv, use.layer)
+        uv = at.uv
+        if self.has_second_uvs:
+            uv = at.uv if use.uv_set == 0 else at.uv2
+        homogeneous = sl.vec3(uv, 1.0)
+        return sl.vec3(sl.dot(use.u, homogeneous), sl.dot(use.v, homogeneous), use.layer)
+
+    def find_changes(self, use: TextureUse, at: SurfaceInput) -> sl.vec4:
+        """Return the changes of a texture's coordinates to the next pixel on the right, and to that below."""
+        changes = at.changes
+        if self.is_placed:
+            return changes
+        if self.has_second_uvs:
+            changes = at.changes if use.uv_set == 0 else at.changes2
+        right = sl.vec3(changes.xy, 0.0)
+        below = sl.vec3(changes.zw, 0.0)
+        return sl.vec4(sl.dot(use.u, right), sl.dot(use.v, right), sl.dot(use.u, below), sl.dot(use.v, below))
+
+    def read_images(self, array: int, place: sl.vec3, changes: sl.vec4) -> sl.vec4:
+        """Return a texel of an array of colours, given the changes of texture coordinates."""
+        if self.image_arrays > 1 and array == 1:
+            return self.images_1.sample_grad(place, changes.xy, changes.zw)
+        if self.image_arrays > 2 and array == 2:
+            return self.images_2.sample_grad(place, changes.xy, changes.zw)
+        if self.image_arrays > 3 and array == 3:
+            return self.images_3.sample_grad(place, changes.xy, changes.zw)
+        if self.image_arrays > 4 and array == 4:
+            return self.images_4.sample_grad(place, changes.xy, changes.zw)
+        if self.image_arrays > 5 and array == 5:
+            return self.images_5.sample_grad(place, changes.xy, changes.zw)
+        if self.image_arrays > 6 and array == 6:
+            return self.images_6.sample_grad(place, changes.xy, changes.zw)
+        if self.image_arrays > 7 and array == 7:
+            return self.images_7.sample_grad(place, changes.xy, changes.zw)
+        return self.images.sample_grad(place, changes.xy, changes.zw)
+
+    def read_maps(self, array: int, place: sl.vec3, changes: sl.vec4) -> sl.vec4:
+        """Return a texel of an array of data, given the changes of texture coordinates."""
+        if self.map_arrays > 1 and array == 1:
+            return self.maps_1.sample_grad(place, changes.xy, changes.zw)
+        if self.map_arrays > 2 and array == 2:
+            return self.maps_2.sample_grad(place, changes.xy, changes.zw)
+        if self.map_arrays > 3 and array == 3:
+            return self.maps_3.sample_grad(place, changes.xy, changes.zw)
+        if self.map_arrays > 4 and array == 4:
+            return self.maps_4.sample_grad(place, changes.xy, changes.zw)
+        if self.map_arrays > 5 and array == 5:
+            return self.maps_5.sample_grad(place, changes.xy, changes.zw)
+        if self.map_arrays > 6 and array == 6:
+            return self.maps_6.sample_grad(place, changes.xy, changes.zw)
+        if self.map_arrays > 7 and array == 7:
+            return self.maps_7.sample_grad(place, changes.xy, changes.zw)
+        return self.maps.sample_grad(place, changes.xy, changes.zw)
