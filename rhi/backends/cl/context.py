@@ -215,13 +215,14 @@ def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> bo
     """
     request = cache.request(_PROBE, QUICK)
     stored = cache.find(request.key)
-    try:
-        program = build_cached(context, cache, request, stored)
-    except cl.Error:
-        if not cache.declares:
-            raise
-        cache.declares = False  # a version of the driver that can't do without its header
-        program = build_cached(context, cache, cache.request(_PROBE, QUICK), stored)
+    with cache.watch_use(request.key):
+        try:
+            program = build_cached(context, cache, request, stored)
+        except cl.Error:
+            if not cache.declares:
+                raise
+            cache.declares = False  # a version of the driver that can't do without its header
+            program = build_cached(context, cache, cache.request(_PROBE, QUICK), stored)
     kernel = cl.Kernel(program, "probe")
     words = allocate_pages(_COUNT * 4 + 4).view(np.uint32)
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR

@@ -7,6 +7,8 @@
   they are complete. Before a program is taken from the folder, its files are checked; damaged ones are removed. The
   checksums are keyed, and the folder must be the user's own (`rhi.backends.cl.pocl.trust`).
 - Where the folder isn't, or is full, a temporary one serves this process, and a warning says why.
+- PoCL reads the variable once in a process. Where another library was first, it uses a folder of its own: its mark of
+  use is missing in ours (`KernelCache.watch_use`). Then nothing is taken from ours, which PoCL doesn't see.
 - PoCL's names of folders can't be computed. So each program contains a function whose name contains its key, by which
   its folder is found (`Request.write`).
 - To find a program by its source, PoCL runs its preprocessor: 6 to 20 ms. By LLVM code it finds it in 1 to 10. So a
@@ -27,6 +29,7 @@ from __future__ import annotations
 import atexit
 import hashlib
 import json
+import logging
 import os
 import re
 import shutil
@@ -65,6 +68,7 @@ _TYPICAL: Final = 400_000  # bytes of a program whose record doesn't say
 PATIENCE: Final = 20.0
 """Seconds that a lock is waited for: whoever holds it longer may be stopped."""
 _IMPATIENCE: Final = 0.5  # after one was waited for in vain
+LOGGER: Final = logging.getLogger("rhi.kernels")
 _replaced: Final[dict[str, Path]] = {}
 """The temporary folders of those that aren't used."""
 _OLD: Final = 86400.0  # seconds after which locks and unfinished records are nobody's
@@ -196,6 +200,25 @@ class KernelCache:
         with suppress(OSError):
             os.utime(record)
         return CachedProgram(code or b"", frozenset(name.split("/")[0] for name in files if "/" in name))
+
+    @contextmanager
+    def watch_use(self, key: str) -> Iterator[None]:
+        """Find out whether the driver uses the folder, by whether it marks a program that is built inside. If it
+        doesn't, nothing is known from then on."""
+        if self._folder is None:
+            yield
+            return
+        with suppress(OSError):
+            self._find_mark(key).unlink()
+        yield
+        if not self._find_mark(key).exists():
+            LOGGER.info("PoCL keeps kernels in another folder than %s: it was begun before rhi", self._folder)
+            self._folder, self.takes_code = None, False
+
+    def _find_mark(self, key: str) -> Path:
+        assert self._folder is not None
+        place, *_ = _read_record(self._folder, self._folder / _RECORDS / key)
+        return (self._folder if place is None else place) / _USED
 
     def knows(self, key: str, kernels: Sequence[str] = ()) -> bool:
         """Return whether a program is there and undamaged, with machine code of these kernels."""

@@ -17,7 +17,7 @@ from rhi.backends.cl.pocl import binaries, cache, trust
 from rhi.backends.cl.pocl.cache import KernelCache
 
 DRAW = """
-import hashlib, sys, threading, warnings
+import hashlib, os, sys, threading, warnings
 import numpy as np
 import pyopencl as cl
 import rhi
@@ -37,6 +37,9 @@ def note(opened, text, options):
     return build(opened, text, options)
 
 context.build_again = note
+if "second" in sys.argv:
+    os.environ["POCL_CACHE_DIR"] = sys.argv[-1]
+    [platform.get_devices() for platform in cl.get_platforms()]
 with rhi.create_device("cl") as device:
     image = device.texture((64, 48), rhi.Format.RGBA8)
     program, mesh = device.program(Colored), device.mesh(rectangle(color=(0.2, 0.4, 0.6, 0.8)))
@@ -49,7 +52,8 @@ with rhi.create_device("cl") as device:
     print(hashlib.sha256(image.read().tobytes()).hexdigest(), made, given.count(str), given.count("machine code"))
 """
 """Draws, and prints a picture's checksum, the number of programs that were compiled, and how many the driver was given
-as source code, and as machine code alone. The arguments: `HOT`, and `refuse` for a driver that takes nothing else."""
+as source code, and as machine code alone. The arguments: `HOT`, `refuse` for a driver that takes nothing else, and
+`second` for one that another library has begun, with a folder of its own."""
 
 
 def start(folder: Path, hot: int = 1 << 30, *arguments: str, **variables: str) -> subprocess.Popen[str]:
@@ -140,6 +144,16 @@ def test_machine_code_is_used_only_where_it_was_checked(filled: tuple[Path, str]
     (link,) = (folder / "pocl" / "RH").rglob("raster.so")
     link.unlink()
     link.write_bytes(b"foreign")
+    assert finish_counting(start(folder)) == (picture, 0, 0, 3)
+
+
+def test_a_driver_that_another_library_has_begun_is_given_nothing_of_the_folder(
+    filled: tuple[Path, str], tmp_path: Path
+) -> None:
+    """It doesn't look there, and ends the process where machine code that it is told of isn't in its own folder."""
+    folder, picture = filled
+    (tmp_path / "its own").mkdir()
+    assert finish_counting(start(folder, 1 << 30, "second", str(tmp_path / "its own"))) == (picture, 3, 3, 0)
     assert finish_counting(start(folder)) == (picture, 0, 0, 3)
 
 
