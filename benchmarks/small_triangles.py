@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final
 
@@ -26,13 +26,19 @@ from renderer.cli.options import option, rounds, size
 from renderer.lab.comparison import Frames, Record, Subject, compare, ratio, time
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, make_height_field
-from renderer.techniques import TECHNIQUES
+from renderer.techniques import TECHNIQUES, DeferredPlus, Technique
 from renderer.tessellation import TessellationSettings
 from renderer.visibility import FrustumCulling
 
 EDGES: Final = (32.0, 8.0, 4.0, 2.0, 1.0)
 """Lengths of triangles' edges in pixels."""
-NAMES: Final = ("clustered", "deferred_plus", "clustered_deferred")
+COMPARED: Final[dict[str, Callable[[], Technique]]] = {
+    "clustered": TECHNIQUES["clustered"],
+    "deferred_plus": DeferredPlus,
+    "deferred_plus, multi-pass": lambda: DeferredPlus(multi_pass=True),
+    "deferred_plus, binned": lambda: DeferredPlus(binned=True),
+    "clustered_deferred": TECHNIQUES["clustered_deferred"],
+}
 
 
 def make_ground() -> Scene:
@@ -69,9 +75,9 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
     camera = Camera.look_at((0, 14, 50), (0, 0, 0)).with_aspect(given.size[0] / given.size[1])
     columns = {"ms": time(processor=True), "gain": ratio(2, processor=True, inverse=True)}
     with rhi.create_device(given.backend) as device:
-        renderers = {name: Renderer(device, scene, size=given.size) for name in NAMES}
+        renderers = {name: Renderer(device, scene, size=given.size) for name in COMPARED}
         for name, renderer in renderers.items():
-            renderer.technique, renderer.visibility = TECHNIQUES[name](), FrustumCulling(scene)
+            renderer.technique, renderer.visibility = COMPARED[name](), FrustumCulling(scene)
         for edge in EDGES:
             subjects = []
             for name, renderer in renderers.items():

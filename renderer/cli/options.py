@@ -28,6 +28,7 @@ WAYS: Final = {
     "stencil": "deferred and light_pre_pass mask each light in a stencil buffer",
     "depth_first": "clustered draws depth before, so that no hidden fragment is lit",
     "multi_pass": "deferred_plus shades each material by draws of its own",
+    "binned": "deferred_plus shades lists of each material's pixels",
 }
 """Other ways of some techniques to the same picture, settings of `TechniqueSettings`."""
 

@@ -27,12 +27,23 @@ from rhi import Device
 TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
     "deferred+": DeferredPlus,
     "deferred+, multi-pass": lambda: DeferredPlus(multi_pass=True),
+    "deferred+, binned": lambda: DeferredPlus(binned=True),
     "clustered forward": Clustered,
     "clustered forward, depth first": lambda: Clustered(depth_first=True),
 }
 """The techniques that are compared; the last one is the chapter's."""
 
-STEPS: Final = ("depth", "light lists", "geometry", "forward", "material ids", "rectangles", "shading")
+STEPS: Final = (
+    "depth",
+    "light lists",
+    "geometry",
+    "forward",
+    "material ids",
+    "rectangles",
+    "bins",
+    "shading",
+    "resolve",
+)
 """The passes of all of them."""
 CULLING_STEPS: Final = ("likely", "missed", "remember")
 """The parts of two-pass culling, each with steps of its own."""

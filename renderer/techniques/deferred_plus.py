@@ -14,22 +14,28 @@ shaders of pixels as depth, which these draws test.
 With `multi_pass`, each material is shaded by draws of its own: `material ids` writes materials as depth, `rectangles`
 finds where each is seen, and `shading` draws the rectangles with a depth test (`material_rectangles`).
 
+With `binned`, each pixel is listed with those of its material (`bins`), `shading` is a compute shader for each shader
+of materials that goes through its list, and `resolve` copies what they have stored.
+
 So a hidden fragment costs its geometry alone, and textures are read once a pixel. Scenes with what the packed buffer
-has no room for (unlike transforms of one material's textures, a second set of texture coordinates, colours of vertices)
-are drawn as by `clustered_deferred`.
+has no room for (textures of one material that are read at unlike coordinates, or clamped) are drawn as by
+`clustered_deferred`.
 """
 
 from __future__ import annotations
 
 from typing import Any, Final
 
+import rhi.shading as sl
+from renderer import rules
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.encodings import material_depth
-from renderer.shaders.pixels import distance_at, nearness_of, place_pixel
+from renderer.shaders.pixels import BackgroundScreen, distance_at, nearness_of, place_pixel
 from renderer.techniques.parts.cell_lists import CLUSTERS, CellReader, bind_lists, by_cells, list_pass
 from renderer.techniques.parts.deferred_lighting import cluster_passes
 from renderer.techniques.parts.finish import finish_image
 from renderer.techniques.parts.full_screen import Color
+from renderer.techniques.parts.material_bins import LANES, DispatchGroups, PixelBins, PixelRange, bins_pass
 from renderer.techniques.parts.material_rectangles import (
     RectangleShader,
     draw_rectangles,
@@ -37,20 +43,21 @@ from renderer.techniques.parts.material_rectangles import (
     rectangles_pass,
 )
 from renderer.techniques.parts.packed_geometry import UNPACKED, PackedReader, can_pack, packed_pass
+from renderer.techniques.parts.resolve import LIGHT_FORMAT, resolve_pass
 from renderer.techniques.parts.scene_shader import ShadingShader
-from renderer.techniques.parts.variants import FORWARD, draw_full_screen, list_lamps, list_shaders
-from rhi import DepthFunction
-from rhi.shading import discard, fragment_coordinate, ivec2, vec4
+from renderer.techniques.parts.variants import FORWARD, bind, draw_full_screen, find_variant, list_lamps, list_shaders
+from rhi import DepthFunction, Program, refuse
 
 
-class PackedShading(PackedReader, CellReader, ShadingShader):
-    """Shades the pixels of the packed geometry buffer, by the lights of clusters if there are any."""
+class PackedLight(PackedReader, CellReader, ShadingShader):
+    """Lights the surfaces of the packed geometry buffer, by the lights of clusters if there are any."""
 
     has_lamps = False
 
-    def fragment(self) -> vec4:
-        place = fragment_coordinate().xy
-        distance = distance_at(self.rays, nearness_of(self.rays, self.depth.load(ivec2(place)).x))
+    def light_pixel(self) -> sl.vec4:
+        """Return the colour of the pixel's surface."""
+        place = sl.vec2(self.find_pixel()) + 0.5
+        distance = distance_at(self.rays, nearness_of(self.rays, self.depth.load(self.find_pixel()).x))
         position = place_pixel(self.rays, place, distance)
         at = self.read_input(position)
         material = self.materials[at.material]
@@ -62,6 +69,13 @@ class PackedShading(PackedReader, CellReader, ShadingShader):
         return self.finish(color, position)
 
 
+class PackedShading(BackgroundScreen, PackedLight):
+    """Shades pixels where they lie."""
+
+    def fragment(self) -> sl.vec4:
+        return self.light_pixel()
+
+
 class PackedShaders(PackedShading):
     """Shades the pixels whose materials have one shader: that of a number."""
 
@@ -71,13 +85,50 @@ class PackedShaders(PackedShading):
         return material_depth(self.shader)
 
 
-class PackedRectangles(RectangleShader, PackedShading):
+class PackedRectangles(RectangleShader, PackedLight):
     """Shades the pixels of materials. The depth of the last material is also that of pixels without a surface."""
 
-    def fragment(self) -> vec4:
-        if self.depth.load(ivec2(fragment_coordinate().xy)).x == self.rays.farthest:
-            discard()
-        return super().fragment()
+    def fragment(self) -> sl.vec4:
+        if self.depth.load(self.find_pixel()).x == self.rays.farthest:
+            sl.discard()
+        return self.light_pixel()
+
+
+class PackedBins(PackedLight):
+    """Shades the pixels that are listed for one shader of materials."""
+
+    work_group = (LANES,)
+    shader = 0
+
+    pixels: sl.Storage[sl.uint]
+    ranges: sl.Storage[PixelRange]
+    lit: sl.Image2D = sl.image(LIGHT_FORMAT)
+
+    def find_pixel(self) -> sl.ivec2:
+        place = sl.min(self.ranges[self.shader].begin + sl.uint(sl.global_id().x), sl.uint(len(self.pixels) - 1))
+        pixel = self.pixels[int(place)]
+        return sl.ivec2(int(pixel & 0xFFFF), int(pixel >> 16))
+
+    def compute(self) -> None:
+        # Lanes of no pixel shade another one: what lanes do together must be done by all.
+        color = self.light_pixel()
+        if self.ranges[self.shader].begin + sl.uint(sl.global_id().x) < self.ranges[self.shader].end:
+            self.lit.store(self.find_pixel(), color)
+
+
+class LitPixels(BackgroundScreen):
+    """Shows what was shaded elsewhere."""
+
+    lit: sl.Texture2D
+
+    def fragment(self) -> sl.vec4:
+        return sl.vec4(self.lit.load(sl.ivec2(sl.fragment_coordinate().xy)).rgb, 1.0)
+
+
+def check_passes(multi_pass: bool, binned: bool, call: str) -> None:
+    """Refuse two ways at once to shade pixels by their materials."""
+    if multi_pass and binned:
+        refuse(rules.BAD_TECHNIQUE, f"{call}(multi_pass=..., binned=...)", "True and True", "one of them")
 
 
 class DeferredPlus:
@@ -85,39 +136,48 @@ class DeferredPlus:
 
     name: Final = "deferred_plus"
 
-    def __init__(self, *, multi_pass: bool = False) -> None:
-        """With `multi_pass`, the pixels of a material are found by a depth test, and shaded in draws of their own."""
-        self.multi_pass = multi_pass
+    def __init__(self, *, multi_pass: bool = False, binned: bool = False) -> None:
+        """With `multi_pass`, the pixels of a material are found by a depth test, and shaded in draws of their own. If
+        they are `binned`, they are listed by material, and shaded by compute shaders. Not both."""
+        check_passes(multi_pass, binned, "DeferredPlus")
+        self.multi_pass, self.binned = multi_pass, binned
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `geometry`, `light lists` if there are lights to list, and `shading`; with `multi_pass`
-        also `material ids` and `rectangles`; and those of transparent surfaces."""
+        also `material ids` and `rectangles`, if `binned` also `bins` and `resolve`; and those of transparent
+        surfaces."""
         if not can_pack(needs):
             return cluster_passes(needs)
         lists = (list_pass(needs, CLUSTERS),) if list_lamps(needs) else ()
         has_own = Effect.MATERIAL_SHADERS in needs.effects
-        found = [ids_pass(by_shader=not self.multi_pass)] if self.multi_pass or has_own else []
-        found += [rectangles_pass()] if self.multi_pass else []
+        if self.binned:
+            found = [bins_pass()]
+        elif self.multi_pass:
+            found = [ids_pass(), rectangles_pass()]
+        else:
+            found = [ids_pass(by_shader=True)] if has_own else []
+        colors = ["vertex_colors"] if Effect.VERTEX_COLORS in needs.effects else []
+        reads = ["packed", "depth", *colors, *(["light lists"] if lists else []), *(one.writes[0] for one in found)]
         # A pass can't read the depth that it tests. Others test `material ids`.
         copied = () if found else (Target("depth copy", DEPTH_FORMAT),)
-        reads = ["packed", "depth"]
-        reads += ["light lists"] if lists else []
-        reads += ["material ids"] if found else []
-        reads += ["rectangles"] if self.multi_pass else []
         shading = Pass(
             "shading",
             self._shade,
             "evaluates each pixel's material and its light",
-            reads=tuple(reads),
-            writes=(needs.image, *copied),
+            reads=tuple(one if isinstance(one, str) else one.name for one in reads),
+            writes=(Target("lit", LIGHT_FORMAT),) if self.binned else (needs.image, *copied),
         )
+        shown = (resolve_pass(needs, _show, "shows what was shaded", ("lit", "depth")),) if self.binned else ()
         lighting = by_cells(CLUSTERS) if lists else FORWARD
-        return (packed_pass(needs), *lists, *found, shading, *finish_image(needs, lighting))
+        return (packed_pass(needs), *lists, *found, shading, *shown, *finish_image(needs, lighting))
 
     def _shade(self, frame: Frame) -> None:
         targets, has_lamps = frame.targets, bool(list_lamps(frame.needs))
         own: dict[str, Any] = bind_lists(frame, CLUSTERS) if has_lamps else {}
         switches = {**UNPACKED, "has_lamps": has_lamps}
+        if self.binned:
+            _shade_bins(frame, own, switches)
+            return
         if self.multi_pass:
             draw_rectangles(frame, PackedRectangles, own, switches)
             return
@@ -140,3 +200,20 @@ class DeferredPlus:
         own["depth"] = targets["depth copy"]
         depth, background = targets["depth"], frame.background
         draw_full_screen(frame, PackedShading, frame.image, own, depth=depth, clear=background, switches=switches)
+
+
+def _shade_bins(frame: Frame, own: dict[str, Any], switches: dict[str, Any]) -> None:
+    """Shade the pixels that are listed, by the shaders of their materials."""
+    bins = frame.view.workspace(PixelBins)
+    given = {**own, "pixels": bins.pixels, "ranges": bins.ranges, "lit": frame.targets["lit"].image(0)}
+    for number, bases, parameters in list_shaders(frame):
+        shader = max(number, 0)
+        program: Program[...] = frame.program(find_variant(frame, *bases, PackedBins, **switches, shader=shader))
+        bindings = bind(frame, program, {**given, **parameters})
+        frame.device.dispatch_indirect(program, bins.groups, shader * DispatchGroups.dtype.itemsize, **bindings)
+
+
+def _show(frame: Frame) -> None:
+    """Make the image of what was shaded."""
+    depth, background = frame.targets["depth"], frame.background
+    draw_full_screen(frame, LitPixels, frame.image, depth=depth, clear=background)

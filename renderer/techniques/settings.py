@@ -9,6 +9,7 @@ from inspect import signature
 from renderer import rules
 from renderer.scene import Scene
 from renderer.techniques.auto import CANDIDATES, AutoTechnique
+from renderer.techniques.deferred_plus import check_passes
 from renderer.techniques.forward import Forward
 from renderer.techniques.inferred import check_scale
 from renderer.techniques.light_pre_pass import check_channels
@@ -37,7 +38,7 @@ class TechniqueSettings:
         all_lights: whether `forward` looks at all lights of the scene for each fragment, instead of its object's list.
         stencil: whether `deferred` and `light_pre_pass` mask each light in a stencil buffer. depth_first: whether
             `clustered` draws depth before. multi_pass: whether `deferred_plus` shades each material by draws of its
-            own. Pictures are the same.
+            own. binned: whether it lists pixels by material, and shades the lists. Pictures are the same.
     """
 
     name: str = AutoTechnique.name
@@ -53,6 +54,7 @@ class TechniqueSettings:
     stencil: bool = False
     depth_first: bool = False
     multi_pass: bool = False
+    binned: bool = False
 
     def __post_init__(self) -> None:
         rules.check_kinds(self, rules.BAD_TECHNIQUE)
@@ -67,6 +69,7 @@ class TechniqueSettings:
         check_scale(self.scale, "TechniqueSettings")
         check_channels(self.specular_channels, "TechniqueSettings")
         check_bits(self.light_bits, "TechniqueSettings")
+        check_passes(self.multi_pass, self.binned, "TechniqueSettings")
 
     def find_cells(self, name: str) -> LightCells | None:
         """Return the cells of lights that the setting of this name has; None for all but `tiles` and `clusters`."""

@@ -203,6 +203,7 @@ def test_settings_at_the_ends_of_their_ranges_are_taken(tmp_path: Path) -> None:
         ("light_pre_pass", "stencil"),
         ("clustered", "depth_first"),
         ("deferred_plus", "multi_pass"),
+        ("deferred_plus", "binned"),
     ],
 )
 def test_other_ways_of_techniques_can_be_set(technique: str, way: str, null: rhi.Device) -> None:

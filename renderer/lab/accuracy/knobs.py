@@ -556,6 +556,7 @@ NEUTRAL: Final[Mapping[str, str]] = {
     "technique.stencil": "the same lights at the same pixels in another way",
     "technique.depth_first": "the same pixels without what is hidden",
     "technique.multi_pass": "the same pixels in another order",
+    "technique.binned": "the same pixels in another order",
     "algorithm": "pictures are the same; `compare visibility`",
     "technique.tiles.slices": "tiles end at the surfaces that they show",
     "technique.tiles.sphere_test": "as that of clusters, which is a knob",

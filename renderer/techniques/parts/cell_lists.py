@@ -91,7 +91,11 @@ class CellReader(LampShader):
 
     def find_cell(self, distance: float) -> int:
         """Return the pixel's cell at this distance along the view."""
-        return cell_index(self.grid, ivec2(fragment_coordinate().xy), distance)
+        return cell_index(self.grid, self.find_pixel(), distance)
+
+    def find_pixel(self) -> ivec2:
+        """Return the pixel that is lit."""
+        return ivec2(fragment_coordinate().xy)
 
     def find_cell_lights(self, cell: int) -> ivec3:
         """Return where the point lights of a cell begin in the light rows, where they end and the spot lights begin,

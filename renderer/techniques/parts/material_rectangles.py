@@ -10,7 +10,9 @@ pixels that are covered and with the materials that meet in a tile, however many
 which algorithm found the visible objects. With a tile as large as the screen it is the chapter's one rectangle.
 
 A tile is examined by one invocation, which takes its materials in ascending order and looks at all pixels once for
-each: no shared memory, and no limit on their number.
+each: no shared memory, and no limit on their number. A dispatch takes `_TURN` of them, because llvmpipe ends loops
+after 65,535 turns in all; as many dispatches follow as the scene's materials may need, which leave at once where a tile
+has no more.
 """
 
 from __future__ import annotations
@@ -52,6 +54,8 @@ IDS_FORMAT: Final = Format.D16
 
 _GROUP: Final = 8
 _LAST: Final = MOST_MATERIALS - 1
+_TURN: Final = 60
+"""The materials of a tile that a dispatch takes: each is 32 × 33 turns of loops, and one more."""
 
 
 class MaterialId(sl.Struct):
@@ -120,6 +124,7 @@ class FindRectangles(sl.Shader):
     ids: sl.Texture2D
     rectangles: sl.StorageRW[MaterialRectangle]
     draw: sl.StorageRW[RectangleDraw]
+    progress: sl.StorageRW[int]
 
     def compute(self) -> None:
         tile = sl.global_id().xy
@@ -130,9 +135,12 @@ class FindRectangles(sl.Shader):
         if tile.x == 0 and tile.y == 0:
             self.draw[0].count = sl.uint(6)
         end = sl.min(begin + self.layout.tile, size)
-        known = -1
-        is_left = True
-        while is_left:
+        across = (size.x + self.layout.tile - 1) // self.layout.tile
+        known = self.progress[tile.y * across + tile.x] - 1
+        is_left = known < self.layout.materials
+        turn = 0
+        while is_left and turn < _TURN:
+            turn += 1
             # the next material, and whether there are more beyond it
             chosen = self.layout.materials
             is_left = False
@@ -160,6 +168,7 @@ class FindRectangles(sl.Shader):
                     material=sl.uint(chosen),
                 )
             known = chosen
+        self.progress[tile.y * across + tile.x] = (known if is_left else self.layout.materials) + 1
 
 
 class RectangleShader(BackgroundScreen):
@@ -199,6 +208,7 @@ class MaterialRectangles:
         self.corners: Mesh = device.mesh(6, label="rectangle")
         self.draw: StorageBuffer[RectangleDraw] = device.storage(RectangleDraw, 1, label="rectangle draw")
         self.rectangles: StorageBuffer[MaterialRectangle] = device.storage(MaterialRectangle, 1)
+        self._progress: StorageBuffer[int] = device.storage(int, 1, label="progress of rectangles")
         self._device = device
         self._layout = MirroredValue(device, TileSize(tile=tile, materials=0))
 
@@ -206,20 +216,27 @@ class MaterialRectangles:
         """List the rectangles of an image whose materials are below `materials`."""
         device = self._device
         tiles = tuple(-(-side // self.tile) for side in ids.size)
-        most = tiles[0] * tiles[1] * int(np.minimum(materials, self.tile * self.tile))
+        in_a_tile = min(materials, self.tile * self.tile)
+        most = tiles[0] * tiles[1] * in_a_tile
+        if self._progress.count < tiles[0] * tiles[1]:
+            self._progress.destroy()
+            self._progress = device.storage(int, tiles[0] * tiles[1], label="progress of rectangles")
         if self.rectangles.count < most:
             self.rectangles.destroy()
             self.rectangles = device.storage(MaterialRectangle, most, label="rectangles")
         self._layout.write(TileSize(tile=self.tile, materials=materials))
         self.draw.clear()
-        device.dispatch(
-            device.program(FindRectangles),
-            tuple(-(-count // _GROUP) for count in tiles),
-            layout=self._layout.buffer,
-            ids=ids,
-            rectangles=self.rectangles,
-            draw=self.draw,
-        )
+        self._progress.clear()
+        for _ in range(0, in_a_tile, _TURN):
+            device.dispatch(
+                device.program(FindRectangles),
+                tuple(-(-count // _GROUP) for count in tiles),
+                layout=self._layout.buffer,
+                ids=ids,
+                rectangles=self.rectangles,
+                draw=self.draw,
+                progress=self._progress,
+            )
 
     def read(self) -> NDArray[Any]:
         """Return the rectangles (k, 5): the material, the first x and y, the width and the height in pixels. Waits for
@@ -232,7 +249,7 @@ class MaterialRectangles:
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        for resource in (self.corners, self.draw, self.rectangles, self._layout):
+        for resource in (self.corners, self.draw, self.rectangles, self._layout, self._progress):
             resource.destroy()
 
 

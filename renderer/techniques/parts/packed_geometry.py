@@ -7,8 +7,9 @@
 | 2 | 32 | the fractional parts of the texture coordinates |
 | 3 | 24 + 8 | the change of texture coordinates in x; the beginning of that in y |
 
-Its format is RGBA32UI, 16 bytes a pixel; a scene without images has the first two words only, RG32UI. The position
-follows from the depth and the ray of the pixel. Texture coordinates are stored as the material's textures are read, a
+Its format is RGBA32UI, 16 bytes a pixel; a scene without images has the first two words only, RG32UI. A scene with
+colours of vertices has a further buffer, `vertex_colors`: R32UI, 3 × 10 bits. The position follows from the depth and
+the ray of the pixel. Texture coordinates are stored as the material's textures are read: those of their set, a
 transform applied. Texels are read when geometry is drawn only where masks cut it: a
 texture is filtered later, with the derivatives that are stored, so what is hidden costs no texel.
 
@@ -39,16 +40,15 @@ from renderer.shaders.encodings import (
 )
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.materials import MaterialShader
-from renderer.shaders.pixels import BackgroundScreen
+from renderer.shaders.pixels import PixelRays
 from renderer.shaders.structs import SurfaceInput, SurfaceVarying
+from renderer.techniques.parts.geometry_buffer import decode_texel, encode_texel
 from renderer.techniques.parts.scene_shader import SceneShader
 from renderer.techniques.parts.variants import scene_pass
 from rhi import Format, refuse
 
 MOST_MATERIALS: Final = 1 << 16
 """The number of materials that the buffer can tell apart."""
-
-_UNPACKED: Final = (Effect.VERTEX_COLORS, Effect.SECOND_UVS, Effect.MIXED_COORDINATES)
 
 
 class PlainWords(sl.Struct):
@@ -61,6 +61,13 @@ class TexturedWords(sl.Struct):
     """The texels that `PackedTextures` writes."""
 
     packed: sl.uvec4
+
+
+class ColoredWords(sl.Struct):
+    """The texels that `PackedColors` writes."""
+
+    packed: sl.uvec4
+    vertex_colors: sl.uvec4
 
 
 class PackedPlain(SceneShader):
@@ -81,17 +88,21 @@ class PackedTextures(SceneShader):
     has_texture_transforms = False
 
     def fragment(self, v: SurfaceVarying) -> TexturedWords:
-        x = encode_change(self.put(v, sl.vec3(sl.ddx(v.uv), 0.0)))
-        y = encode_change(self.put(v, sl.vec3(sl.ddy(v.uv), 0.0)))
+        return TexturedWords(packed=self.pack(v))
+
+    def pack(self, v: SurfaceVarying) -> sl.uvec4:
+        """Return what `packed` holds."""
+        second = v.uv2 if self.has_second_uvs else v.uv
+        x = encode_change(self.put(v, sl.vec3(sl.ddx(v.uv), 0.0), sl.vec3(sl.ddx(second), 0.0)))
+        y = encode_change(self.put(v, sl.vec3(sl.ddy(v.uv), 0.0), sl.vec3(sl.ddy(second), 0.0)))
         at = self.take(v)
         self.cut(at)
-        words = sl.uvec4(
+        return sl.uvec4(
             self.encode_directions(at),
             sl.uint(v.material) | y >> 8 << 16,
-            encode_uv(self.put(v, sl.vec3(v.uv, 1.0))),
+            encode_uv(self.put(v, sl.vec3(v.uv, 1.0), sl.vec3(second, 1.0))),
             x | y << 24,
         )
-        return TexturedWords(packed=words)
 
     def encode_directions(self, at: SurfaceInput) -> sl.uint:
         if not self.has_normal_maps:
@@ -99,30 +110,45 @@ class PackedTextures(SceneShader):
         side = away_from_zero(at.tangent.w)
         return encode_frame(TangentFrame(normal=at.normal, tangent=safe_normalize(at.tangent.xyz), side=side))
 
-    def put(self, v: SurfaceVarying, uv: sl.vec3) -> sl.vec2:
-        """Return texture coordinates (u, v, 1), or changes of them (u, v, 0), as the material's textures are read: all
-        of a material have the same transform."""
-        if not self.has_texture_transforms:
-            return uv.xy
+    def put(self, v: SurfaceVarying, first: sl.vec3, second: sl.vec3) -> sl.vec2:
+        """Return texture coordinates (u, v, 1) of one of both sets, or changes of them (u, v, 0), as the material's
+        textures are read: all of a material have the same set and transform."""
+        if not self.has_texture_transforms and not self.has_second_uvs:
+            return first.xy
         material = self.materials[v.material]
         maps = sl.max(sl.max(material.texture, material.normal_texture), material.metallic_roughness_texture)
         row = sl.max(maps, sl.max(material.occlusion_texture, material.emissive_texture))
         if row < 0:
-            return uv.xy
+            return first.xy
         use = self.textures[row]
+        uv = first if use.uv_set == 0 else second
         return sl.vec2(sl.dot(use.u, uv), sl.dot(use.v, uv))
 
 
-class PackedReader(BackgroundScreen, MaterialShader):
+class PackedColors(PackedTextures):
+    """Writes the packed geometry buffer of a scene with colours of vertices."""
+
+    def fragment(self, v: SurfaceVarying) -> ColoredWords:  # type: ignore[override]  # more targets
+        colors = sl.uvec4(encode_texel(v.color.rgb), sl.uint(0), sl.uint(0), sl.uint(0))
+        return ColoredWords(packed=self.pack(v), vertex_colors=colors)
+
+
+class PackedReader(MaterialShader):
     """The base of shaders that evaluate the materials of the packed geometry buffer, pixel by pixel. Textures are
     filtered as they would have been when the geometry was drawn."""
 
+    rays: sl.Uniform[PixelRays]
     packed: sl.UintTexture2D
+    vertex_colors: sl.UintTexture2D
     depth: sl.Texture2D
+
+    def find_pixel(self) -> sl.ivec2:
+        """Return the pixel that is evaluated."""
+        return sl.ivec2(sl.fragment_coordinate().xy)
 
     def read_input(self, position: sl.vec3) -> SurfaceInput:
         """Return the point of the pixel's surface, which is at `position`."""
-        words = self.packed.load(sl.ivec2(sl.fragment_coordinate().xy))
+        words = self.packed.load(self.find_pixel())
         frame = self.decode_directions(words.x)
         right = decode_change(words.w & 0xFFFFFF)
         below = decode_change(words.w >> 24 | words.y >> 16 << 8)
@@ -134,9 +160,14 @@ class PackedReader(BackgroundScreen, MaterialShader):
             changes=sl.vec4(right, below),
             changes2=sl.vec4(0.0),
             tangent=sl.vec4(frame.tangent, frame.side),
-            color=sl.vec4(1.0),
+            color=self.find_vertex_color(),
             material=int(words.y & 65535),
         )
+
+    def find_vertex_color(self) -> sl.vec4:
+        if self.has_vertex_colors:
+            return sl.vec4(decode_texel(self.vertex_colors.load(self.find_pixel()).x), 1.0)
+        return sl.vec4(1.0)
 
     def decode_directions(self, bits: sl.uint) -> TangentFrame:
         if self.has_normal_maps:
@@ -146,8 +177,8 @@ class PackedReader(BackgroundScreen, MaterialShader):
 
 def can_pack(needs: Needs) -> bool:
     """Return whether all that the scene's materials read is in the buffer: repeated textures, all of a material at the
-    same place, and no colours of vertices."""
-    return needs.effects.isdisjoint(_UNPACKED)
+    same place."""
+    return Effect.MIXED_COORDINATES not in needs.effects
 
 
 def _has_textures(needs: Needs) -> bool:
@@ -157,13 +188,17 @@ def _has_textures(needs: Needs) -> bool:
 
 
 def packed_pass(needs: Needs) -> Pass[Frame]:
-    """Return the pass that draws the packed geometry buffer: `packed` and `depth`."""
+    """Return the pass that draws the packed geometry buffer: `packed`, `vertex_colors` if there are any, and
+    `depth`."""
+    has_colors = Effect.VERTEX_COLORS in needs.effects
+    is_wide = has_colors or _has_textures(needs)
     return Pass(
         "geometry",
         draw_packed,
         "stores the nearest surface of each pixel, without its material",
         writes=(
-            Target("packed", Format.RGBA32UI if _has_textures(needs) else Format.RG32UI),
+            Target("packed", Format.RGBA32UI if is_wide else Format.RG32UI),
+            *([Target("vertex_colors", Format.R32UI)] if has_colors else []),
             Target("depth", DEPTH_FORMAT),
         ),
     )
@@ -174,9 +209,13 @@ def draw_packed(frame: Frame) -> None:
     count = len(frame.resources.scene.materials)
     if count > MOST_MATERIALS:
         refuse(rules.MANY_MATERIALS, "render", f"{count:,} materials", f"at most {MOST_MATERIALS:,}")
-    shader = PackedTextures if _has_textures(frame.needs) else PackedPlain
-    frame.draw_visible(scene_pass(frame, shader, color=frame.targets["packed"]))
+    shader: type[SceneShader] = PackedTextures if _has_textures(frame.needs) else PackedPlain
+    color = [frame.targets["packed"]]
+    if Effect.VERTEX_COLORS in frame.needs.effects:
+        shader = PackedColors
+        color.append(frame.targets["vertex_colors"])
+    frame.draw_visible(scene_pass(frame, shader, color=color))
 
 
-UNPACKED: Final = {"has_masks": False, "has_vertex_colors": False, "has_changes": True, "is_placed": True}
+UNPACKED: Final = {"has_masks": False, "has_second_uvs": False, "has_changes": True, "is_placed": True}
 """Switches of shaders that read the buffer: what was cut is left out, and textures are read by what is stored."""

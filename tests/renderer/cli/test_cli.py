@@ -377,6 +377,7 @@ def test_plan_says_why_each_pass_is_there_and_what_is_left_out(capsys: pytest.Ca
 @pytest.mark.parametrize(("technique", "way", "more"), [
     ("clustered", "--depth-first", ["depth"]),
     ("deferred_plus", "--multi-pass", ["material ids", "rectangles"]),
+    ("deferred_plus", "--binned", ["bins", "resolve"]),
     ("forward", "--multi-pass", []),
 ])  # fmt: skip
 def test_techniques_draw_in_other_ways_on_demand(

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from frames import draw_each, find_difference, make_boxes, open_renderer
+from frames import draw_each, find_difference, find_eye, make_boxes, open_renderer, read_colors
 from numpy.typing import NDArray
 
 import rhi
 from renderer import rules
-from renderer.content import BUILT_IN
+from renderer.content import BUILT_IN, load_scene
 from renderer.lab.measure.plans import describe_plan
 from renderer.renderer import Renderer
 from renderer.scene import (
@@ -27,8 +27,10 @@ from renderer.scene import (
 )
 from renderer.techniques import DeferredPlus, Forward
 from renderer.techniques.deferred_plus import PackedShading
+from renderer.techniques.parts.material_bins import PixelBins
 from renderer.techniques.parts.material_rectangles import MaterialRectangles
 from renderer.techniques.parts.packed_geometry import MOST_MATERIALS, PackedPlain, PackedTextures
+from renderer.techniques.settings import TechniqueSettings
 from renderer.visibility import FrustumCulling, TwoPassCulling
 from rhi import Op, Stage
 from rhi.shading import compile_shader
@@ -153,6 +155,59 @@ def test_rectangles_hold_all_pixels_of_their_material_and_tile(drawing_device: r
     assert len(listed) == len(found["rectangles"]) > 30
     assert listed == expected
     assert min(material for material, _, _ in listed) == 3
+
+
+def test_tiles_with_many_materials_have_all_their_rectangles(drawing_device: rhi.Device) -> None:
+    """llvmpipe ends loops after 65,535 turns: with 64 materials in a tile the rest was missing."""
+    scene, size = load_scene("bazaar"), (160, 90)
+    camera = find_eye(scene).with_aspect(size[0] / size[1])
+    with open_renderer(drawing_device, scene, DeferredPlus(multi_pass=True), size=size) as renderer:
+        shown = renderer.render(camera)
+        materials = shown.targets["packed"].read()[..., 1] & 0xFFFF
+        tiles = [materials[y : y + 32, x : x + 32] for y in (0, 32, 64) for x in range(0, 160, 32)]
+        assert max(len(np.unique(tile)) for tile in tiles) > 64
+        image = read_colors(shown)
+        renderer.technique = DeferredPlus()
+        assert find_difference(image, read_colors(renderer.render(camera))) == 0
+
+
+@pytest.mark.parametrize("spec", ["yard:columns=3,lamps=2", "bazaar:instances=400,materials=70,meshes=40,lights=8"])
+def test_bins_hold_each_pixel_once_by_shader_and_by_material(drawing_device: rhi.Device, spec: str) -> None:
+    scene, size = load_scene(spec), (97, 61)
+    camera = find_eye(scene).with_aspect(size[0] / size[1])
+    with open_renderer(drawing_device, scene, DeferredPlus(binned=True), size=size) as renderer:
+        for _ in range(2):
+            targets = renderer.render(camera).targets
+        listed = renderer.view.workspace(PixelBins).read()
+        rows = (targets["packed"].read()[..., 1] & 0xFFFF).astype(int)
+        covered = targets["depth"].read() > 0.0
+    assert len(listed) == 1 + len(scene.shaders)
+    together = np.concatenate(listed)
+    assert len(together) == len(np.unique(together, axis=0)) == covered.sum() > 1000
+    for number, pixels in enumerate(listed):
+        assert covered[pixels[:, 1], pixels[:, 0]].all()
+        found = rows[pixels[:, 1], pixels[:, 0]]
+        assert (scene.materials["shader"][found] == number).all()
+        assert (np.diff(found) >= 0).all(), "those of a material side by side"
+    # Runs of the pixels of 8 × 8 groups: far fewer than pixels.
+    groups = together // 8
+    assert 1 + np.count_nonzero((np.diff(groups, axis=0) != 0).any(axis=1)) < len(together) / 4
+
+
+def test_lists_of_pixels_take_a_dispatch_for_each_shader(null: rhi.Device) -> None:
+    for spec, shaders in (("yard", 4), ("grid:count=4", 1)):
+        scene = load_scene(spec)
+        null.stream.clear()
+        with open_renderer(null, scene, DeferredPlus(binned=True), size=SIZE) as renderer:
+            renderer.render(find_eye(scene))
+            assert len(null.stream.filter(Op.DISPATCH_INDIRECT)) == shaders
+
+
+def test_pixels_are_shaded_in_one_way() -> None:
+    with pytest.raises(rhi.ValidationError, match="one of them"):
+        DeferredPlus(multi_pass=True, binned=True)
+    with pytest.raises(rhi.ValidationError, match="one of them"):
+        TechniqueSettings(multi_pass=True, binned=True)
 
 
 def test_materials_come_back_from_the_packed_buffer(drawing_device: rhi.Device) -> None:
@@ -397,3 +452,35 @@ def test_coordinates_that_the_buffer_has_no_room_for_are_drawn_with_another_buff
         scene = mapped(1.7, unlike=unlike)
         report = describe_plan(scene, DeferredPlus(), EYE, SIZE)
         assert report.passes[-1].name == last
+
+
+def painted_corners(*, uv_set: int, colored: bool) -> SceneBuilder:
+    """Make a slanted square whose two sets of texture coordinates are far apart, and whose corners have colours."""
+    random = np.random.default_rng(5)
+    builder = SceneBuilder("corners")
+    more = {"color": random.uniform(0.2, 1.0, (4, 4))} if colored else {}
+    corners = np.array([(-4, -3, 0), (4, -3, -2), (4, 3, -2), (-4, 3, 0)], float)
+    uv = np.array([(0, 1), (1, 1), (1, 0), (0, 0)], float)
+    geometry = make_geometry(corners, [0, 1, 2, 0, 2, 3], uv=uv, uv2=3.0 * uv[:, ::-1] + 0.3, **more)
+    texture = TextureMap(painted(builder, random, 60, 255), uv_set=uv_set)
+    builder.add_objects(builder.add_node(), builder.add_mesh(geometry), builder.add_material(texture=texture))
+    builder.lights.sky = builder.lights.ground = (0.7, 0.7, 0.7)
+    builder.views["eye"] = EYE
+    return builder
+
+
+@pytest.mark.parametrize("colored", [False, True])
+@pytest.mark.parametrize("uv_set", [0, 1])
+def test_second_coordinates_and_colours_of_vertices_are_in_the_buffer(
+    drawing_device: rhi.Device, uv_set: int, colored: bool
+) -> None:
+    scene = painted_corners(uv_set=uv_set, colored=colored).build()
+    geometry, *_, last = describe_plan(scene, DeferredPlus(), EYE, SIZE).passes
+    assert last.name == "shading"
+    assert geometry.bytes == SIZE[0] * SIZE[1] * (16 + 4 + 4 * colored)
+    techniques = Forward(), DeferredPlus(), DeferredPlus(multi_pass=True), DeferredPlus(binned=True)
+    forward, *others = draw_each(drawing_device, scene, *techniques, size=SIZE)
+    assert forward[..., :3].std() > 15
+    assert max(find_difference(forward, image) for image in others) <= 3
+    other = draw_each(drawing_device, painted_corners(uv_set=1 - uv_set, colored=colored).build(), Forward(), size=SIZE)
+    assert find_difference(forward, other[0]) > 40

@@ -45,6 +45,7 @@ COMPARED: dict[str, Callable[[], Technique]] = {
     **{name: make for name, make in TECHNIQUES.items() if name != "forward"},
     "inferred": lambda: Inferred(scale=1.0),
     "multi_pass": lambda: DeferredPlus(multi_pass=True),
+    "binned": lambda: DeferredPlus(binned=True),
 }
 SIZE = (120, 90)
 NEAR = Camera.look_at((0, 0, 3), (0, 0, 0)).with_aspect(SIZE[0] / SIZE[1])

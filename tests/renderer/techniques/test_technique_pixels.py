@@ -28,6 +28,7 @@ OTHERS: dict[str, Callable[[], Technique]] = {
     "light_pre_pass, stencil": lambda: LightPrePass(stencil=True),
     "inferred at full size": lambda: Inferred(scale=1.0),
     "deferred_plus, a pass for each material": lambda: DeferredPlus(multi_pass=True),
+    "deferred_plus, lists of pixels": lambda: DeferredPlus(binned=True),
 }
 EYE = Camera.look_at((0, 3, 9), (0, 0.5, 0))
 

@@ -32,6 +32,7 @@ def test_the_report_has_the_steps_of_all_techniques_and_of_culling(
     assert all(row["wrong_pixels"] == 0 for row in rows.values())
     assert list(rows["deferred+", True]["steps"]) == ["geometry", "light lists", "shading"]
     assert "rectangles" in rows["deferred+, multi-pass", False]["steps"]
+    assert {"bins", "resolve"} <= set(rows["deferred+, binned", True]["steps"])
     assert "depth" in rows["clustered forward, depth first", True]["steps"]
     culling = report["culling"]
     assert culling["instances"] >= culling["visible"] == culling["first"] + culling["second"] > 0
