@@ -14,22 +14,6 @@ from interrupts_kit import EXEMPT
 from numpy.typing import NDArray
 
 import rhi
-from rhi import (
-    Access,
-    BlendFactor,
-    BlendFunction,
-    BufferUsage,
-    ColorWrite,
-    CullMode,
-    DepthTest,
-    DepthWrite,
-    Device,
-    Format,
-    Primitive,
-    SamplerDescriptor,
-    Scissor,
-    Viewport,
-)
 from rhi.device.core.ring import Ring
 from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, global_id, vec2, vec4
 
@@ -74,12 +58,12 @@ HALF = np.array([[-1, -1], [1, -1], [-1, 1]], np.float32)
 class House:
     """A device, what the calls use, and the checks."""
 
-    def __init__(self, device: Device, *, warm_up: bool = True) -> None:
+    def __init__(self, device: rhi.Device, *, warm_up: bool = True) -> None:
         self.device = device
-        self.image = device.texture((SIZE, SIZE), Format.RGBA8)
-        self.other = device.texture((SIZE, SIZE), Format.RGBA8)
-        self.samples = device.texture((SIZE, SIZE), Format.RGBA8, samples=4)
-        self.depth = device.texture((SIZE, SIZE), Format.D32F)
+        self.image = device.texture((SIZE, SIZE), rhi.Format.RGBA8)
+        self.other = device.texture((SIZE, SIZE), rhi.Format.RGBA8)
+        self.samples = device.texture((SIZE, SIZE), rhi.Format.RGBA8, samples=4)
+        self.depth = device.texture((SIZE, SIZE), rhi.Format.D32F)
         self.full = device.mesh({"position": FULL})
         self.half = device.mesh({"position": HALF}, np.array([0, 1, 2]))
         self.tints = [device.uniform(Tint(color=color)) for color in ((1, 0, 0, 1), (0, 1, 0, 0.5), (0, 0, 1, 1))]
@@ -91,7 +75,7 @@ class House:
         self.made: list[Any] = []
         with device.record() as self.commands:
             with self.commands.render_pass(self.other, clear=(0, 0, 0, 0)):
-                with self.commands.states(Scissor(2, 2, 4, 4)), self.commands.event("recorded"):
+                with self.commands.states(rhi.Scissor(2, 2, 4, 4)), self.commands.event("recorded"):
                     self.commands.draw(self.flat, self.full, tint=self.tints[0])
         if warm_up:
             self.warm_up()
@@ -123,18 +107,18 @@ class House:
     def picture(self) -> NDArray[Any]:
         """Draw with two programs, changing bindings and states, and a query and a condition."""
         device, (red, green, blue) = self.device, self.tints
-        blend = BlendFunction(BlendFactor.SOURCE_ALPHA, BlendFactor.ONE_MINUS_SOURCE_ALPHA)
+        blend = rhi.BlendFunction(rhi.BlendFactor.SOURCE_ALPHA, rhi.BlendFactor.ONE_MINUS_SOURCE_ALPHA)
         with device.render_pass(self.image, self.depth, clear=(0.1, 0.2, 0.3, 0.4), clear_depth=0.0):
             device.draw(self.flat, self.half, tint=red)
-            with device.states(blend, Scissor(3, 2, 7, 9), DepthTest.OFF):
+            with device.states(blend, rhi.Scissor(3, 2, 7, 9), rhi.DepthTest.OFF):
                 device.draw(self.flat, self.full, tint=green)
-                with device.states(ColorWrite(True, False, True, True)):
+                with device.states(rhi.ColorWrite(True, False, True, True)):
                     device.draw(self.second, self.full, tint=blue)
-            with self.query, device.states(Viewport(0, 0, SIZE / 2, SIZE), DepthTest.OFF):
+            with self.query, device.states(rhi.Viewport(0, 0, SIZE / 2, SIZE), rhi.DepthTest.OFF):
                 device.draw(self.flat, self.half, tint=blue)
             if device.capabilities.shading:
                 with device.conditional(self.query):
-                    with device.states(Scissor(0, 12, 16, 4), DepthTest.OFF):
+                    with device.states(rhi.Scissor(0, 12, 16, 4), rhi.DepthTest.OFF):
                         device.draw(self.second, self.full, tint=red)
         device.dispatch(self.count, 1, out=self.out, numbers=self.numbers)
         if device.capabilities.shading:
@@ -171,7 +155,7 @@ class House:
         core.scopes.end_unheld()  # as the next pass does
         assert list(core.scopes) == []
         assert core.render_pass is None
-        assert core.states.wanted[Scissor] == Scissor.OFF
+        assert core.states.wanted[rhi.Scissor] == rhi.Scissor.OFF
         assert core.open_query is None
         assert not core.condition_open
         for ring in (memory for memory in core.frame_rings if isinstance(memory, Ring)):
@@ -196,7 +180,7 @@ def create_a_filled_buffer(house: House) -> None:
 
 
 def create_a_stream_buffer(house: House) -> None:
-    house.made.append(house.device.buffer(4096, usage=BufferUsage.STREAM))
+    house.made.append(house.device.buffer(4096, usage=rhi.BufferUsage.STREAM))
 
 
 def create_constants(house: House) -> None:
@@ -212,7 +196,7 @@ def create_storage(house: House) -> None:
 
 
 def create_a_texture(house: House) -> None:
-    house.made.append(house.device.texture(np.zeros((4, 4, 4), np.uint8), Format.RGBA8, levels=None))
+    house.made.append(house.device.texture(np.zeros((4, 4, 4), np.uint8), rhi.Format.RGBA8, levels=None))
 
 
 def create_a_mesh(house: House) -> None:
@@ -265,10 +249,10 @@ def draw_a_new_mesh(house: House) -> None:
 
 def change_states(house: House) -> None:
     device = house.device
-    with device.states(CullMode.NONE, ColorWrite.OFF):
+    with device.states(rhi.CullMode.NONE, rhi.ColorWrite.OFF):
         with device.render_pass(house.other):
-            with device.states(Scissor(1, 1, 2, 2), DepthTest.OFF):
-                with device.states(DepthWrite.OFF, Viewport(1, 2, 3, 4)):
+            with device.states(rhi.Scissor(1, 1, 2, 2), rhi.DepthTest.OFF):
+                with device.states(rhi.DepthWrite.OFF, rhi.Viewport(1, 2, 3, 4)):
                     device.draw(house.flat, house.full, tint=house.tints[2])
                 device.draw(house.flat, house.full, tint=house.tints[1])
 
@@ -301,7 +285,7 @@ def draw_transient_data(house: House) -> None:
         tint = device.transient.uniform(Tint(color=(1, 1, 0, 1)))
         vertices = np.zeros(3, [("position", "<f4", 2)])
         device.draw(house.flat, device.transient.mesh(house.flat, vertices, np.array([0, 1, 2])), tint=tint)
-        with device.immediate(house.second, Primitive.QUADS, tint=tint) as quads:
+        with device.immediate(house.second, rhi.Primitive.QUADS, tint=tint) as quads:
             for x, y in ((0, 0), (1, 0), (1, 1), (0, 1)):
                 quads.vertex(position=(x, y))
 
@@ -329,7 +313,7 @@ def grow_a_ring(house: House) -> None:
 
 
 def clear_and_resolve(house: House) -> None:
-    with house.device.states(Scissor(1, 1, 2, 2), ColorWrite.OFF, DepthWrite.OFF):
+    with house.device.states(rhi.Scissor(1, 1, 2, 2), rhi.ColorWrite.OFF, rhi.DepthWrite.OFF):
         with house.device.render_pass(house.samples, clear=(1, 0, 1, 0), resolve=house.other):
             pass
 
@@ -366,9 +350,9 @@ def write_and_read(house: House) -> None:
 
 
 def lock(house: House) -> None:
-    with house.out.lock(Access.READ_WRITE) as numbers:
+    with house.out.lock(rhi.Access.READ_WRITE) as numbers:
         numbers[:] = 3
-    with house.other.lock(Access.WRITE) as texels:
+    with house.other.lock(rhi.Access.WRITE) as texels:
         texels[:] = 3
 
 
@@ -406,7 +390,7 @@ def wait_for_a_fence(house: House) -> None:
 
 
 def bind_another_sampler(house: House) -> None:
-    house.other.sampled(SamplerDescriptor(border=(0, 0, 0, 1)))
+    house.other.sampled(rhi.SamplerDescriptor(border=(0, 0, 0, 1)))
 
 
 CALLS: list[Callable[[House], None]] = [

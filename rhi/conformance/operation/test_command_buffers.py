@@ -11,25 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhi import (
-    AlphaFunction,
-    AlphaReference,
-    AlphaTest,
-    BlendFunction,
-    BufferUsage,
-    ColorWrite,
-    CommandBuffer,
-    CullMode,
-    DepthWrite,
-    Device,
-    Encoder,
-    Format,
-    IndirectDraws,
-    Op,
-    Primitive,
-    Scissor,
-    Texture,
-)
+import rhi
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import require_samples
 from rhi.conformance.shaders import Colored, Tint, Tinted, Weighted
@@ -73,7 +55,7 @@ class Double(Shader):
         self.numbers[i] = 2 * self.numbers[i]
 
 
-def record(device: Device, give: Callable[[CommandBuffer], object]) -> CommandBuffer:
+def record(device: rhi.Device, give: Callable[[rhi.CommandBuffer], object]) -> rhi.CommandBuffer:
     """Return a command buffer with the commands that the function `give` records."""
     with device.record() as commands:
         give(commands)
@@ -88,22 +70,22 @@ def line() -> int:
 # -- passes, copies and clears: on every device ------------------------------------------------------------
 
 
-def test_nothing_is_done_before_the_submission(device: Device) -> None:
-    with device.texture(SIZE, Format.R8) as image:
+def test_nothing_is_done_before_the_submission(device: rhi.Device) -> None:
+    with device.texture(SIZE, rhi.Format.R8) as image:
         commands = record(device, lambda c: clear(c, image))
         assert_same(image.read(), 0)
         device.submit(commands)
         assert_same(image.read(), 255)
 
 
-def clear(encoder: Encoder, image: Texture, value: float = 1.0) -> None:
+def clear(encoder: rhi.Encoder, image: rhi.Texture, value: float = 1.0) -> None:
     """Record a pass that clears."""
     with encoder.render_pass(image, clear=(value, value, value, value)):
         pass
 
 
-def test_a_buffer_is_carried_out_as_often_as_it_is_submitted(device: Device) -> None:
-    with device.texture(SIZE, Format.R8) as image:
+def test_a_buffer_is_carried_out_as_often_as_it_is_submitted(device: rhi.Device) -> None:
+    with device.texture(SIZE, rhi.Format.R8) as image:
         commands = record(device, lambda c: clear(c, image))
         for _ in range(3):
             clear(device, image, 0.0)
@@ -112,8 +94,8 @@ def test_a_buffer_is_carried_out_as_often_as_it_is_submitted(device: Device) -> 
             device.present(image)
 
 
-def test_buffers_are_carried_out_in_the_order_of_submission(device: Device) -> None:
-    with device.texture(SIZE, Format.R8) as image:
+def test_buffers_are_carried_out_in_the_order_of_submission(device: rhi.Device) -> None:
+    with device.texture(SIZE, rhi.Format.R8) as image:
         half, full = (
             record(device, lambda c: clear(c, image, 0.2)),
             record(device, lambda c: clear(c, image, 1.0)),
@@ -128,7 +110,7 @@ def test_buffers_are_carried_out_in_the_order_of_submission(device: Device) -> N
         assert_same(image.read(), 51)
 
 
-def test_an_empty_buffer_does_nothing(device: Device) -> None:
+def test_an_empty_buffer_does_nothing(device: rhi.Device) -> None:
     with device.record() as commands:
         pass
     assert len(commands) == 0
@@ -136,13 +118,13 @@ def test_an_empty_buffer_does_nothing(device: Device) -> None:
     device.submit()
 
 
-def test_clears_copies_and_levels_of_memory_can_be_recorded(device: Device) -> None:
+def test_clears_copies_and_levels_of_memory_can_be_recorded(device: rhi.Device) -> None:
     numbers = np.arange(8, dtype="u4")
     with (
         device.buffer(numbers) as source,
         device.buffer(8, np.dtype("u4")) as target,
-        device.texture((4, 4), Format.RGBA8, levels=2) as image,
-        device.texture((4, 4), Format.RGBA8) as copy,
+        device.texture((4, 4), rhi.Format.RGBA8, levels=2) as image,
+        device.texture((4, 4), rhi.Format.RGBA8) as copy,
     ):
         with device.record() as commands:
             commands.clear(target, 7)
@@ -161,7 +143,7 @@ def test_clears_copies_and_levels_of_memory_can_be_recorded(device: Device) -> N
         assert_same(target.read(), [7, 7, 7, 7, 6, 5, 7, 7])
 
 
-def test_a_clear_without_a_value_is_to_zeros(device: Device) -> None:
+def test_a_clear_without_a_value_is_to_zeros(device: rhi.Device) -> None:
     with device.buffer(np.arange(1, 5, dtype="u4")) as target:
         with device.record() as commands:
             commands.clear(target)
@@ -172,11 +154,11 @@ def test_a_clear_without_a_value_is_to_zeros(device: Device) -> None:
         assert_same(target.read(), 0)
 
 
-def test_samples_can_be_resolved(device: Device) -> None:
+def test_samples_can_be_resolved(device: rhi.Device) -> None:
     require_samples(device, 4)
     with (
-        device.texture(SIZE, Format.RGBA8, samples=4) as source,
-        device.texture(SIZE, Format.RGBA8) as target,
+        device.texture(SIZE, rhi.Format.RGBA8, samples=4) as source,
+        device.texture(SIZE, rhi.Format.RGBA8) as target,
     ):
         with device.record() as commands:
             clear(commands, source, 0.4)
@@ -185,9 +167,9 @@ def test_samples_can_be_resolved(device: Device) -> None:
         assert_same(target.read(), 102)
 
 
-def test_buffers_can_be_recorded_on_several_threads(device: Device) -> None:
-    made: dict[int, CommandBuffer] = {}
-    with device.texture(SIZE, Format.R8, levels=None) as image:
+def test_buffers_can_be_recorded_on_several_threads(device: rhi.Device) -> None:
+    made: dict[int, rhi.CommandBuffer] = {}
+    with device.texture(SIZE, rhi.Format.R8, levels=None) as image:
 
         def work(number: int) -> None:
             with device.record(label=f"thread {number}") as commands:
@@ -206,8 +188,8 @@ def test_buffers_can_be_recorded_on_several_threads(device: Device) -> None:
         assert [int(image.read(level)[0, 0]) for level in range(4)] == [1, 2, 3, 4]
 
 
-def test_commands_know_the_line_that_recorded_them(recording: Device) -> None:
-    with recording.texture(SIZE, Format.R8) as image:
+def test_commands_know_the_line_that_recorded_them(recording: rhi.Device) -> None:
+    with recording.texture(SIZE, rhi.Format.R8) as image:
         with recording.record(label="sun") as commands:
             expected = line() + 1
             with commands.render_pass(image, clear=(1, 0, 0, 0)), commands.event("map"):
@@ -215,20 +197,20 @@ def test_commands_know_the_line_that_recorded_them(recording: Device) -> None:
         since = len(recording.stream)
         recording.submit(commands)
         for stream in (commands.stream, recording.stream[since:]):
-            (begin,) = stream.filter(Op.BEGIN_PASS)
+            (begin,) = stream.filter(rhi.Op.BEGIN_PASS)
             assert begin.site is not None
             assert (begin.site.file, begin.site.line) == (__file__, expected)
             assert begin.labels == ("sun",)
-            assert [command.labels for command in stream.filter(Op.PUSH_LABEL)] == [(), ("sun",)]
+            assert [command.labels for command in stream.filter(rhi.Op.PUSH_LABEL)] == [(), ("sun",)]
 
 
-def test_a_buffer_can_be_submitted_inside_of_labels_and_scopes(recording: Device) -> None:
-    with recording.texture(SIZE, Format.R8) as image:
+def test_a_buffer_can_be_submitted_inside_of_labels_and_scopes(recording: rhi.Device) -> None:
+    with recording.texture(SIZE, rhi.Format.R8) as image:
         commands = record(recording, lambda c: clear(c, image))
         since = len(recording.stream)
-        with recording.event("frame"), recording.states(ColorWrite.OFF):
+        with recording.event("frame"), recording.states(rhi.ColorWrite.OFF):
             recording.submit(commands)
-        (begin,) = recording.stream[since:].filter(Op.BEGIN_PASS)
+        (begin,) = recording.stream[since:].filter(rhi.Op.BEGIN_PASS)
         assert begin.labels == ("frame",)
         assert_same(image.read(), 255)
 
@@ -236,21 +218,23 @@ def test_a_buffer_can_be_submitted_inside_of_labels_and_scopes(recording: Device
 # -- draws -------------------------------------------------------------------------------------------------
 
 
-def scene(encoder: Encoder, device: Device, image: Texture, program: Any, mesh: Any, tints: Any) -> None:
+def scene(encoder: rhi.Encoder, device: rhi.Device, image: rhi.Texture, program: Any, mesh: Any, tints: Any) -> None:
     """Record a pass of eight columns with changing states."""
-    with encoder.render_pass(image, clear=(0.5, 0, 0, 1)), encoder.states(CullMode.NONE):
+    with encoder.render_pass(image, clear=(0.5, 0, 0, 1)), encoder.states(rhi.CullMode.NONE):
         for i in range(8):
-            with encoder.states(ColorWrite(red=i != 2), BlendFunction.ADDITIVE if i % 2 else BlendFunction.OFF):
+            with encoder.states(
+                rhi.ColorWrite(red=i != 2), rhi.BlendFunction.ADDITIVE if i % 2 else rhi.BlendFunction.OFF
+            ):
                 encoder.draw(program, mesh.view(6 * i, 6), tint=tints[i])
 
 
-def draw_plainly(encoder: Encoder, image: Texture, program: Any, mesh: Any, tints: Any) -> None:
+def draw_plainly(encoder: rhi.Encoder, image: rhi.Texture, program: Any, mesh: Any, tints: Any) -> None:
     """Draw with the default states."""
     with encoder.render_pass(image):
         encoder.draw(program, mesh, tint=tints[0])
 
 
-def make_scene(device: Device) -> tuple[Any, ...]:
+def make_scene(device: rhi.Device) -> tuple[Any, ...]:
     """Return a program, a mesh of eight columns, and a tint for each column."""
     tints = device.uniform_array(Tint, 8)
     rows = np.zeros(8, tints.dtype)
@@ -261,9 +245,9 @@ def make_scene(device: Device) -> tuple[Any, ...]:
 
 
 @pixels
-def test_what_is_drawn_later_is_what_is_drawn_at_once(device: Device) -> None:
+def test_what_is_drawn_later_is_what_is_drawn_at_once(device: rhi.Device) -> None:
     parts = make_scene(device)
-    with device.texture(SIZE, Format.RGBA16F) as direct, device.texture(SIZE, Format.RGBA16F) as later:
+    with device.texture(SIZE, rhi.Format.RGBA16F) as direct, device.texture(SIZE, rhi.Format.RGBA16F) as later:
         scene(device, device, direct, *parts)
         commands = record(device, lambda c: scene(c, device, later, *parts))
         assert_same(later.read(), 0)
@@ -273,9 +257,9 @@ def test_what_is_drawn_later_is_what_is_drawn_at_once(device: Device) -> None:
 
 
 @draws
-def test_the_same_commands_are_issued_as_directly(recording: Device) -> None:
+def test_the_same_commands_are_issued_as_directly(recording: rhi.Device) -> None:
     program, mesh, tints = make_scene(recording)
-    with recording.texture(SIZE, Format.RGBA8) as image:
+    with recording.texture(SIZE, rhi.Format.RGBA8) as image:
         scene(recording, recording, image, program, mesh, tints)  # creates resources on first use
         plain = record(recording, lambda c: draw_plainly(c, image, program, mesh, tints))
         recording.submit(plain)  # leaves the default states
@@ -290,21 +274,21 @@ def test_the_same_commands_are_issued_as_directly(recording: Device) -> None:
         draw = commands.stream.draws()[5]
         assert draw.program == program.id
         assert draw.bindings["tint"][:2] == (tints.buffer.id, tints[5].offset)
-        expect(commands.stream).draws(program="Tinted").with_states(CullMode.NONE).exactly(8)
+        expect(commands.stream).draws(program="Tinted").with_states(rhi.CullMode.NONE).exactly(8)
 
 
 @pixels
-def test_a_recorded_draw_draws_its_part_so_many_times(device: Device) -> None:
+def test_a_recorded_draw_draws_its_part_so_many_times(device: rhi.Device) -> None:
     with (
-        device.texture(SIZE, Format.R16F) as image,
+        device.texture(SIZE, rhi.Format.R16F) as image,
         device.mesh(COLUMNS, np.arange(6, dtype="u2")) as mesh,
-        device.mesh(rectangle()[[0, 1, 2, 5]], primitive=Primitive.QUADS) as quad,
+        device.mesh(rectangle()[[0, 1, 2, 5]], primitive=rhi.Primitive.QUADS) as quad,
     ):
         program = device.program(Colored)
         with (
             device.record() as commands,
             commands.render_pass(image),
-            commands.states(BlendFunction.ADDITIVE),
+            commands.states(rhi.BlendFunction.ADDITIVE),
         ):
             for column, instances in ((1, 3), (4, 1), (6, 0), (7, 2)):
                 commands.draw(program, mesh.view(base_vertex=6 * column), instances)
@@ -314,20 +298,20 @@ def test_a_recorded_draw_draws_its_part_so_many_times(device: Device) -> None:
 
 
 @pixels
-def test_states_reach_neither_into_a_buffer_nor_out_of_it(device: Device) -> None:
+def test_states_reach_neither_into_a_buffer_nor_out_of_it(device: rhi.Device) -> None:
     with (
-        device.texture(SIZE, Format.R8) as inside,
-        device.texture(SIZE, Format.R8) as outside,
+        device.texture(SIZE, rhi.Format.R8) as inside,
+        device.texture(SIZE, rhi.Format.R8) as outside,
         device.mesh(rectangle()) as mesh,
     ):
         program = device.program(Colored)
         with device.record() as commands:
             with commands.render_pass(inside, clear=(0, 0, 0, 0)):
                 commands.draw(program, mesh)
-            with commands.render_pass(inside), commands.states(Scissor(0, 0, 1, 1)):
+            with commands.render_pass(inside), commands.states(rhi.Scissor(0, 0, 1, 1)):
                 commands.draw(program, mesh)
         for _ in range(2):
-            with device.states(Scissor(2, 2, 4, 4)):
+            with device.states(rhi.Scissor(2, 2, 4, 4)):
                 device.submit(commands)
                 with device.render_pass(outside, clear=(0, 0, 0, 0)):
                     device.draw(program, mesh)
@@ -338,12 +322,12 @@ def test_states_reach_neither_into_a_buffer_nor_out_of_it(device: Device) -> Non
 
 
 @pixels
-def test_a_draw_after_a_submission_binds_its_own(device: Device) -> None:
+def test_a_draw_after_a_submission_binds_its_own(device: rhi.Device) -> None:
     parts = [device.uniform(Tint(color=(value, 0, 0, 1))) for value in (0.2, 1.0)]
-    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle()) as mesh:
+    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Tinted)
 
-        def draw(encoder: Encoder, tint: Any) -> None:
+        def draw(encoder: rhi.Encoder, tint: Any) -> None:
             with encoder.render_pass(image):
                 encoder.draw(program, mesh, tint=tint)
 
@@ -358,15 +342,15 @@ def test_a_draw_after_a_submission_binds_its_own(device: Device) -> None:
 
 
 @pixels
-def test_contents_are_those_at_the_submission(device: Device) -> None:
+def test_contents_are_those_at_the_submission(device: rhi.Device) -> None:
     with (
-        device.texture(SIZE, Format.R8) as image,
+        device.texture(SIZE, rhi.Format.R8) as image,
         device.mesh(rectangle()) as mesh,
         device.uniform(Tint(color=(0, 0, 0, 1))) as tint,
         device.storage(vec4, 1) as weights,
     ):
         with device.record() as commands:
-            with commands.render_pass(image, clear=(0, 0, 0, 0)), commands.states(BlendFunction.ADDITIVE):
+            with commands.render_pass(image, clear=(0, 0, 0, 0)), commands.states(rhi.BlendFunction.ADDITIVE):
                 commands.draw(device.program(Tinted), mesh, tint=tint)
                 commands.draw(device.program(Weighted), mesh, weights=weights)
         for a, b in ((0.2, 0.4), (0.6, 0.2)):
@@ -377,8 +361,8 @@ def test_contents_are_those_at_the_submission(device: Device) -> None:
 
 
 @pixels
-def test_transient_constants_of_a_buffer_live_as_long_as_it_does(device: Device) -> None:
-    with device.texture(SIZE, Format.R32F) as image, device.mesh(COLUMNS) as mesh:
+def test_transient_constants_of_a_buffer_live_as_long_as_it_does(device: rhi.Device) -> None:
+    with device.texture(SIZE, rhi.Format.R32F) as image, device.mesh(COLUMNS) as mesh:
         program = device.program(Tinted)
         with device.record() as commands, commands.render_pass(image, clear=(-1, 0, 0, 0)):
             for i in range(8):
@@ -395,12 +379,12 @@ def test_transient_constants_of_a_buffer_live_as_long_as_it_does(device: Device)
 
 
 @pixels
-def test_ad_hoc_geometry_can_be_recorded(device: Device) -> None:
+def test_ad_hoc_geometry_can_be_recorded(device: rhi.Device) -> None:
     left, right = rectangle(-1, -1, 0, 1), rectangle(0, -1, 1, 1, color=(0.4, 0, 0, 1))
-    with device.texture(SIZE, Format.R8) as image:
+    with device.texture(SIZE, rhi.Format.R8) as image:
         program = device.program(Colored)
         with device.record() as commands, commands.render_pass(image, clear=(0, 0, 0, 0)):
-            with commands.immediate(program, Primitive.TRIANGLES) as triangles:
+            with commands.immediate(program, rhi.Primitive.TRIANGLES) as triangles:
                 triangles.vertices(left)
             indexed = commands.transient.mesh(program, right[[0, 1, 2, 5]], np.array([0, 1, 2, 0, 2, 3], "u2"))
             commands.draw(program, indexed)
@@ -411,9 +395,9 @@ def test_ad_hoc_geometry_can_be_recorded(device: Device) -> None:
 
 
 @pixels
-def test_transient_things_of_all_kinds_lie_side_by_side(device: Device) -> None:
+def test_transient_things_of_all_kinds_lie_side_by_side(device: rhi.Device) -> None:
     """The size of each kind of allocation isn't a multiple of the alignment of the other kinds."""
-    with device.texture(SIZE, Format.R32F) as image, device.mesh(COLUMNS) as mesh:
+    with device.texture(SIZE, rhi.Format.R32F) as image, device.mesh(COLUMNS) as mesh:
         program, colored = device.program(Tinted), device.program(Colored)
         with device.record() as commands, commands.render_pass(image, clear=(-1, 0, 0, 0)):
             for i in range(0, 8, 2):
@@ -432,16 +416,16 @@ def test_transient_things_of_all_kinds_lie_side_by_side(device: Device) -> None:
 
 
 @pixels
-def test_many_draws_and_indirect_draws_can_be_recorded(device: Device) -> None:
+def test_many_draws_and_indirect_draws_can_be_recorded(device: rhi.Device) -> None:
     with (
-        device.texture(SIZE, Format.R8) as image,
+        device.texture(SIZE, rhi.Format.R8) as image,
         device.mesh(COLUMNS) as mesh,
         device.buffer(np.zeros(5, "u4")) as arguments,
     ):
         program = device.program(Colored)
         with device.record() as commands, commands.render_pass(image, clear=(0, 0, 0, 0)):
             commands.draw_many(program, mesh, mesh.draws([6, 18], 6))
-            commands.draw_indirect(program, mesh, IndirectDraws(arguments, 1))
+            commands.draw_indirect(program, mesh, rhi.IndirectDraws(arguments, 1))
         for column in (0, 6):
             arguments.write(np.array([6, 1, 6 * column, 0, 0], "u4"))
             device.submit(commands)
@@ -449,9 +433,9 @@ def test_many_draws_and_indirect_draws_can_be_recorded(device: Device) -> None:
 
 
 @pixels
-def test_threads_record_draws_of_the_same_mesh_and_program(device: Device) -> None:
-    made: dict[int, CommandBuffer] = {}
-    with device.texture(SIZE, Format.R16F) as image, device.mesh(COLUMNS) as mesh:
+def test_threads_record_draws_of_the_same_mesh_and_program(device: rhi.Device) -> None:
+    made: dict[int, rhi.CommandBuffer] = {}
+    with device.texture(SIZE, rhi.Format.R16F) as image, device.mesh(COLUMNS) as mesh:
         program, start = device.program(Tinted), threading.Barrier(4)
 
         def work(number: int) -> None:
@@ -459,7 +443,7 @@ def test_threads_record_draws_of_the_same_mesh_and_program(device: Device) -> No
             with (
                 device.record() as commands,
                 commands.render_pass(image),
-                commands.states(BlendFunction.ADDITIVE),
+                commands.states(rhi.BlendFunction.ADDITIVE),
             ):
                 for i in (2 * number, 2 * number + 1):
                     tint = commands.transient.uniform(Tint(color=(i + 1, 0, 0, 1)))
@@ -483,11 +467,11 @@ def test_threads_record_draws_of_the_same_mesh_and_program(device: Device) -> No
 
 @pixels
 @pytest.mark.needs("alpha_test")
-def test_the_alpha_test_holds_where_it_was_recorded(device: Device) -> None:
+def test_the_alpha_test_holds_where_it_was_recorded(device: rhi.Device) -> None:
     faint = (1.0, 1.0, 1.0, 0.25)
-    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle(color=faint)) as mesh:
+    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle(color=faint)) as mesh:
         program = device.program(Colored)
-        tested = (AlphaTest.ON, AlphaFunction.GREATER, AlphaReference(0.5))
+        tested = (rhi.AlphaTest.ON, rhi.AlphaFunction.GREATER, rhi.AlphaReference(0.5))
         with device.record() as passing, passing.render_pass(image, clear=(0, 0, 0, 0)):
             passing.draw(program, mesh)
         with (
@@ -506,11 +490,11 @@ def test_the_alpha_test_holds_where_it_was_recorded(device: Device) -> None:
 
 
 @draws
-def test_draws_are_counted_at_each_submission(device: Device) -> None:
-    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle()) as mesh:
+def test_draws_are_counted_at_each_submission(device: rhi.Device) -> None:
+    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)
         device.reset_statistics()
-        with device.record() as commands, commands.render_pass(image), commands.states(CullMode.NONE):
+        with device.record() as commands, commands.render_pass(image), commands.states(rhi.CullMode.NONE):
             commands.draw(program, mesh)
             commands.draw_many(program, mesh, mesh.draws(0, 3))
         assert device.statistics.draws == 0
@@ -522,20 +506,20 @@ def test_draws_are_counted_at_each_submission(device: Device) -> None:
 
 
 @draws
-def test_a_submission_changes_only_the_states_that_its_draws_need(device: Device) -> None:
+def test_a_submission_changes_only_the_states_that_its_draws_need(device: rhi.Device) -> None:
     """A frame that ends with the states that it begins with changes none when it comes again."""
-    opaque = (CullMode.NONE, DepthWrite.OFF)
-    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle()) as mesh:
+    opaque = (rhi.CullMode.NONE, rhi.DepthWrite.OFF)
+    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)
 
-        def draw(*lists: tuple[Any, ...]) -> CommandBuffer:
+        def draw(*lists: tuple[Any, ...]) -> rhi.CommandBuffer:
             with device.record() as commands, commands.render_pass(image, clear=(0, 0, 0, 0)):
                 for states in lists:
                     with commands.states(*states):
                         commands.draw(program, mesh)
             return commands
 
-        def count(*buffers: CommandBuffer) -> list[int]:
+        def count(*buffers: rhi.CommandBuffer) -> list[int]:
             counts = []
             for buffer in buffers:
                 before = device.statistics.hardware_state_changes
@@ -544,7 +528,7 @@ def test_a_submission_changes_only_the_states_that_its_draws_need(device: Device
             return counts
 
         plain, steady, nothing = draw(()), draw(opaque, opaque), draw()
-        mixed, front = draw((), opaque), draw((CullMode.FRONT, DepthWrite.OFF))
+        mixed, front = draw((), opaque), draw((rhi.CullMode.FRONT, rhi.DepthWrite.OFF))
         device.submit(plain)
         assert count(steady, steady, steady) == [2, 0, 0]
         assert count(nothing, steady) == [0, 0], "without draws, states don't matter"
@@ -563,16 +547,16 @@ def test_a_submission_changes_only_the_states_that_its_draws_need(device: Device
 
 @pixels
 @pytest.mark.needs("occlusion_queries")
-def test_a_recorded_query_answers_for_the_latest_submission(device: Device) -> None:
+def test_a_recorded_query_answers_for_the_latest_submission(device: rhi.Device) -> None:
     query = device.occlusion_query()
     with (
-        device.texture(SIZE, Format.R8) as image,
+        device.texture(SIZE, rhi.Format.R8) as image,
         device.mesh(COLUMNS) as mesh,
         device.buffer(5, np.dtype("u4")) as arguments,
     ):
         program = device.program(Colored)
         with device.record() as commands, commands.render_pass(image), commands.query(query):
-            commands.draw_indirect(program, mesh, IndirectDraws(arguments, 1))
+            commands.draw_indirect(program, mesh, rhi.IndirectDraws(arguments, 1))
         assert not query.is_finished
         for count in (6, 18, 0):
             arguments.write(np.array([count, 1, 0, 0, 0], "u4"))
@@ -583,9 +567,9 @@ def test_a_recorded_query_answers_for_the_latest_submission(device: Device) -> N
 
 @pixels
 @pytest.mark.needs("sample_counter")
-def test_a_recorded_query_may_be_emulated(device: Device) -> None:
+def test_a_recorded_query_may_be_emulated(device: rhi.Device) -> None:
     query = device.occlusion_query(emulated=True)
-    with device.texture(SIZE, Format.R8) as image, device.mesh(COLUMNS) as mesh:
+    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(COLUMNS) as mesh:
         program = device.program(Colored)
         with device.record() as commands, commands.render_pass(image):
             with commands.query(query):
@@ -599,18 +583,18 @@ def test_a_recorded_query_may_be_emulated(device: Device) -> None:
 
 @pixels
 @pytest.mark.needs("occlusion_queries", "conditional_rendering")
-def test_a_recorded_condition_asks_its_query_anew(device: Device) -> None:
+def test_a_recorded_condition_asks_its_query_anew(device: rhi.Device) -> None:
     query = device.occlusion_query()
     with (
-        device.texture(SIZE, Format.R8) as first,
-        device.texture(SIZE, Format.R8) as second,
+        device.texture(SIZE, rhi.Format.R8) as first,
+        device.texture(SIZE, rhi.Format.R8) as second,
         device.mesh(rectangle()) as mesh,
         device.buffer(5, np.dtype("u4")) as arguments,
     ):
         program = device.program(Colored)
         with device.record() as commands:
             with commands.render_pass(first), commands.query(query):
-                commands.draw_indirect(program, mesh, IndirectDraws(arguments, 1))
+                commands.draw_indirect(program, mesh, rhi.IndirectDraws(arguments, 1))
             with commands.render_pass(second, clear=(0, 0, 0, 0)), commands.conditional(query):
                 commands.draw(program, mesh)
         for count, expected in ((0, 0), (6, 255), (0, 0)):
@@ -624,7 +608,7 @@ def test_a_recorded_condition_asks_its_query_anew(device: Device) -> None:
 
 
 @compute
-def test_dispatches_can_be_recorded(device: Device) -> None:
+def test_dispatches_can_be_recorded(device: rhi.Device) -> None:
     numbers = np.arange(4, dtype=np.int32)
     with device.storage(int, numbers) as rows, device.buffer(np.array([4, 1, 1], "u4")) as groups:
         with device.record() as commands:
@@ -642,7 +626,7 @@ def test_dispatches_can_be_recorded(device: Device) -> None:
 
 
 @compute
-def test_a_dispatch_after_a_submission_binds_its_own(device: Device) -> None:
+def test_a_dispatch_after_a_submission_binds_its_own(device: rhi.Device) -> None:
     with (
         device.storage(int, 4) as mine,
         device.storage(int, 4) as others,
@@ -660,7 +644,7 @@ def test_a_dispatch_after_a_submission_binds_its_own(device: Device) -> None:
 
 
 @compute
-def test_a_clear_keeps_its_place_among_dispatches(device: Device) -> None:
+def test_a_clear_keeps_its_place_among_dispatches(device: rhi.Device) -> None:
     with device.storage(int, 4) as rows, device.uniform(Shift(amount=5)) as shift:
         with device.record() as commands:
             commands.dispatch(device.program(Add), 4, shift=shift, numbers=rows)
@@ -677,29 +661,30 @@ def test_a_clear_keeps_its_place_among_dispatches(device: Device) -> None:
 
 
 @draws
-def test_a_buffer_gives_back_its_memory_with_the_last_reference(recording: Device) -> None:
-    with recording.texture(SIZE, Format.R8) as image:
+def test_a_buffer_gives_back_its_memory_with_the_last_reference(recording: rhi.Device) -> None:
+    with recording.texture(SIZE, rhi.Format.R8) as image:
         program = recording.program(Colored)
         with recording.record() as commands, commands.render_pass(image):
-            with commands.immediate(program, Primitive.TRIANGLES) as triangles:
+            with commands.immediate(program, rhi.Primitive.TRIANGLES) as triangles:
                 triangles.vertices(corners([(-1, -1), (1, -1), (0, 1)]))
         since = len(recording.stream)
         recording.submit(commands)
         made = {
-            command.values[0] for command in recording.stream[since:].filter([Op.CREATE_BUFFER, Op.CREATE_VERTEX_ARRAY])
+            command.values[0]
+            for command in recording.stream[since:].filter([rhi.Op.CREATE_BUFFER, rhi.Op.CREATE_VERTEX_ARRAY])
         }
         assert len(made) == 2
         del commands
         gc.collect()
         recording.finish()
-        gone = {command.values[0] for command in recording.stream[since:].filter(Op.DESTROY)}
+        gone = {command.values[0] for command in recording.stream[since:].filter(rhi.Op.DESTROY)}
         assert made <= gone
 
 
-def test_memory_that_is_streamed_can_be_used(device: Device) -> None:
+def test_memory_that_is_streamed_can_be_used(device: rhi.Device) -> None:
     data = np.arange(4, dtype="u4")
     with (
-        device.buffer(4, data.dtype, usage=BufferUsage.STREAM) as source,
+        device.buffer(4, data.dtype, usage=rhi.BufferUsage.STREAM) as source,
         device.buffer(4, data.dtype) as target,
     ):
         commands = record(device, lambda c: c.copy_buffer(source, target))

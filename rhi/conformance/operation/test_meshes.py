@@ -8,20 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import rhi
 import rhi.shading as sl
-from rhi import (
-    DRAW,
-    BlendFunction,
-    Buffer,
-    CullMode,
-    Device,
-    Format,
-    IndirectDraws,
-    Mesh,
-    Primitive,
-    Scissor,
-    ValidationError,
-)
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_targets, require_vertex_alignment
 from rhi.conformance.shaders import Colored, Corner, FlatShade
@@ -33,15 +21,15 @@ ROW = (8, 1)
 CENTERS = centers([(i, 0) for i in range(8)], ROW)
 
 
-def drawn_points(device: Device, mesh: Any, instances: int = 1) -> NDArray[Any]:
+def drawn_points(device: rhi.Device, mesh: Any, instances: int = 1) -> NDArray[Any]:
     """Return how often each of 8 texels in a row was drawn."""
-    with device.texture(ROW, Format.R16F) as image:
-        with device.render_pass(image), device.states(BlendFunction.ADDITIVE):
+    with device.texture(ROW, rhi.Format.R16F) as image:
+        with device.render_pass(image), device.states(rhi.BlendFunction.ADDITIVE):
             device.draw(device.program(Colored), mesh, instances)
         return np.asarray(image.read()[0])
 
 
-def vertices_of(mesh: Mesh) -> Buffer:
+def vertices_of(mesh: rhi.Mesh) -> rhi.Buffer:
     """Return the vertex buffer of a mesh."""
     assert mesh.vertices is not None
     return mesh.vertices
@@ -51,58 +39,58 @@ def vertices_of(mesh: Mesh) -> Buffer:
 
 
 @pytest.mark.parametrize(("first", "count"), [(0, 8), (0, 3), (5, 3), (3, 0), (7, 1), (8, 0)])
-def test_a_view_draws_its_vertices_only(device: Device, first: int, count: int) -> None:
+def test_a_view_draws_its_vertices_only(device: rhi.Device, first: int, count: int) -> None:
     expected = np.zeros(8)
     expected[first : first + count] = 1
-    with device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh:
+    with device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh:
         assert_same(drawn_points(device, mesh.view(first, count)), expected)
 
 
 @pytest.mark.parametrize("dtype", ["u2", "u4"])
 @pytest.mark.parametrize(("first", "count"), [(0, 6), (0, 2), (3, 3), (2, 0), (5, 1)])
-def test_a_view_of_indices_draws_its_indices_only(device: Device, first: int, count: int, dtype: str) -> None:
+def test_a_view_of_indices_draws_its_indices_only(device: rhi.Device, first: int, count: int, dtype: str) -> None:
     indices = np.array([7, 0, 3, 3, 5, 1], dtype)
-    with device.mesh(corners(CENTERS), indices, primitive=Primitive.POINTS) as mesh:
+    with device.mesh(corners(CENTERS), indices, primitive=rhi.Primitive.POINTS) as mesh:
         expected = np.bincount(indices[first : first + count], minlength=8)
         assert_same(drawn_points(device, mesh.view(first, count)), expected)
 
 
 @pytest.mark.parametrize("dtype", ["u2", "u4"])
 @pytest.mark.parametrize("base", [0, 1, 4, -2])
-def test_a_base_vertex_is_added_to_each_index(device: Device, base: int, dtype: str) -> None:
+def test_a_base_vertex_is_added_to_each_index(device: rhi.Device, base: int, dtype: str) -> None:
     indices = np.array([2, 3], dtype)
-    with device.mesh(corners(CENTERS), indices, primitive=Primitive.POINTS) as mesh:
+    with device.mesh(corners(CENTERS), indices, primitive=rhi.Primitive.POINTS) as mesh:
         expected = np.bincount(indices.astype(int) + base, minlength=8)
         assert_same(drawn_points(device, mesh.view(base_vertex=base)), expected)
 
 
-def test_a_base_vertex_reaches_what_16_bits_cannot(device: Device) -> None:
+def test_a_base_vertex_reaches_what_16_bits_cannot(device: rhi.Device) -> None:
     rows = corners(np.full((70_000, 2), -3.0))
     rows["position"][69_999, :2] = CENTERS[4]
-    with device.mesh(rows, np.array([65_000], "u2"), primitive=Primitive.POINTS) as mesh:
+    with device.mesh(rows, np.array([65_000], "u2"), primitive=rhi.Primitive.POINTS) as mesh:
         assert_same(drawn_points(device, mesh.view(base_vertex=4_999)), np.arange(8) == 4)
 
 
-def test_a_view_can_have_another_primitive(device: Device) -> None:
+def test_a_view_can_have_another_primitive(device: rhi.Device) -> None:
     rows = corners(centers([(0, 0), (7, 0)], ROW))
-    with device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+    with device.mesh(rows, primitive=rhi.Primitive.POINTS) as mesh:
         assert drawn_points(device, mesh).sum() == 2
-        assert drawn_points(device, mesh.view(primitive=Primitive.LINES)).sum() >= 7
+        assert drawn_points(device, mesh.view(primitive=rhi.Primitive.LINES)).sum() >= 7
 
 
-def test_no_instance_draws_nothing(device: Device) -> None:
-    with device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh:
+def test_no_instance_draws_nothing(device: rhi.Device) -> None:
+    with device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh:
         assert_same(drawn_points(device, mesh, 0), 0)
 
 
-def test_meshes_can_share_buffers(device: Device) -> None:
+def test_meshes_can_share_buffers(device: rhi.Device) -> None:
     with (
         device.buffer(corners(CENTERS)) as vertices,
         device.buffer(np.array([1, 2], "u4")) as one,
         device.buffer(np.array([6], "u2")) as two,
     ):
-        first = device.mesh(vertices, one, primitive=Primitive.POINTS)
-        second = device.mesh(vertices, two, primitive=Primitive.POINTS)
+        first = device.mesh(vertices, one, primitive=rhi.Primitive.POINTS)
+        second = device.mesh(vertices, two, primitive=rhi.Primitive.POINTS)
         assert_same(drawn_points(device, first), np.isin(np.arange(8), (1, 2)))
         assert_same(drawn_points(device, second), np.arange(8) == 6)
         first.destroy()
@@ -110,20 +98,20 @@ def test_meshes_can_share_buffers(device: Device) -> None:
         second.destroy()
 
 
-def test_a_mesh_draws_what_was_written_to_its_buffer_later(device: Device) -> None:
-    with device.mesh(corners(CENTERS[:1]), primitive=Primitive.POINTS) as mesh:
+def test_a_mesh_draws_what_was_written_to_its_buffer_later(device: rhi.Device) -> None:
+    with device.mesh(corners(CENTERS[:1]), primitive=rhi.Primitive.POINTS) as mesh:
         assert_same(drawn_points(device, mesh), np.arange(8) == 0)
         vertices_of(mesh).write(corners(CENTERS[5:6]))
         assert_same(drawn_points(device, mesh), np.arange(8) == 5)
 
 
-def test_a_draw_sees_the_vertices_of_its_time(device: Device) -> None:
+def test_a_draw_sees_the_vertices_of_its_time(device: rhi.Device) -> None:
     """A write after a draw doesn't affect the draw, even if the GPU hasn't executed it yet."""
     with (
-        device.texture(ROW, Format.R16F) as image,
-        device.mesh(corners(CENTERS[:1]), primitive=Primitive.POINTS) as mesh,
+        device.texture(ROW, rhi.Format.R16F) as image,
+        device.mesh(corners(CENTERS[:1]), primitive=rhi.Primitive.POINTS) as mesh,
     ):
-        with device.render_pass(image), device.states(BlendFunction.ADDITIVE):
+        with device.render_pass(image), device.states(rhi.BlendFunction.ADDITIVE):
             for i in range(8):
                 vertices_of(mesh).write(corners(CENTERS[i : i + 1]))
                 device.draw(device.program(Colored), mesh)
@@ -131,21 +119,21 @@ def test_a_draw_sees_the_vertices_of_its_time(device: Device) -> None:
 
 
 @pytest.mark.parametrize("bytes_", [1, 4], ids=["of 49 bytes", "of 52 bytes"])
-def test_fields_that_the_program_does_not_read_are_skipped(device: Device, bytes_: int) -> None:
+def test_fields_that_the_program_does_not_read_are_skipped(device: rhi.Device, bytes_: int) -> None:
     require_vertex_alignment(device, bytes_)
     fields = [("normal", "f4", 3), ("color", "f4", 4), ("id", "u1", bytes_), ("position", "f4", 4), ("uv", "f2", 2)]
     dtype = np.dtype(fields)
     rows = np.zeros(8, dtype)
     plain = corners(CENTERS)
     rows["position"], rows["color"] = plain["position"], plain["color"]
-    with device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+    with device.mesh(rows, primitive=rhi.Primitive.POINTS) as mesh:
         assert_same(drawn_points(device, mesh), 1)
 
 
-def test_arrays_by_name_make_a_mesh(device: Device) -> None:
+def test_arrays_by_name_make_a_mesh(device: rhi.Device) -> None:
     plain = corners(CENTERS)
     arrays = {"position": plain["position"].astype(np.float64), "color": plain["color"]}
-    with device.mesh(arrays, primitive=Primitive.POINTS) as mesh:
+    with device.mesh(arrays, primitive=rhi.Primitive.POINTS) as mesh:
         assert_same(drawn_points(device, mesh), 1)
 
 
@@ -170,7 +158,7 @@ class ShowFloat(sl.Shader):
 
 
 @pytest.mark.parametrize("code", ["f4", "f2", "u1", "i1"])
-def test_a_float_attribute_takes_floats_and_normalised_integers(device: Device, code: str) -> None:
+def test_a_float_attribute_takes_floats_and_normalised_integers(device: rhi.Device, code: str) -> None:
     rng = np.random.default_rng(7)
     values = rng.normal(size=(8, 4)).astype(code) if code[0] == "f" else np.zeros((8, 4), code)
     if code[0] != "f":
@@ -181,8 +169,8 @@ def test_a_float_attribute_takes_floats_and_normalised_integers(device: Device, 
     if code[0] != "f":
         expected = np.maximum(expected / np.iinfo(code).max, -1.0)
     with (
-        device.texture(ROW, Format.RGBA32F) as image,
-        device.mesh({"position": CENTERS, "value": values}, primitive=Primitive.POINTS) as mesh,
+        device.texture(ROW, rhi.Format.RGBA32F) as image,
+        device.mesh({"position": CENTERS, "value": values}, primitive=rhi.Primitive.POINTS) as mesh,
     ):
         with device.render_pass(image):
             device.draw(device.program(ShowFloat), mesh)
@@ -207,25 +195,25 @@ class ShowPair(sl.Shader):
 
 
 @pytest.mark.parametrize("code", ["f4", "f2", "u2", "i2"])
-def test_two_components_take_two(device: Device, code: str) -> None:
+def test_two_components_take_two(device: rhi.Device, code: str) -> None:
     values = (np.linspace(-1, 1, 16) * (1 if code[0] == "f" else 32767)).reshape(8, 2).astype(code)
     expected = values.astype(np.float64)
     if code[0] != "f":
         expected = np.maximum(expected / np.iinfo(code).max, -1.0)
     with (
-        device.texture(ROW, Format.RGBA32F) as image,
-        device.mesh({"position": CENTERS, "pair": values}, primitive=Primitive.POINTS) as mesh,
+        device.texture(ROW, rhi.Format.RGBA32F) as image,
+        device.mesh({"position": CENTERS, "pair": values}, primitive=rhi.Primitive.POINTS) as mesh,
     ):
         with device.render_pass(image):
             device.draw(device.program(ShowPair), mesh)
         assert_near(image.read()[0, :, :2], expected, 1e-6, "conversion in float32")
 
 
-def test_a_vector_may_be_fed_more_components_than_it_reads(device: Device) -> None:
+def test_a_vector_may_be_fed_more_components_than_it_reads(device: rhi.Device) -> None:
     values = np.arange(32, dtype="f4").reshape(8, 4)
     with (
-        device.texture(ROW, Format.RGBA32F) as image,
-        device.mesh({"position": CENTERS, "pair": values}, primitive=Primitive.POINTS) as mesh,
+        device.texture(ROW, rhi.Format.RGBA32F) as image,
+        device.mesh({"position": CENTERS, "pair": values}, primitive=rhi.Primitive.POINTS) as mesh,
     ):
         with device.render_pass(image):
             device.draw(device.program(ShowPair), mesh)
@@ -269,16 +257,16 @@ class ShowIntegers(sl.Shader):
 
 
 @pytest.mark.parametrize("code", ["u4", "u1"])
-def test_integer_attributes_keep_all_their_bits(device: Device, code: str) -> None:
+def test_integer_attributes_keep_all_their_bits(device: rhi.Device, code: str) -> None:
     rng = np.random.default_rng(3)
     unsigned = rng.integers(0, np.iinfo(code).max, (8, 4), endpoint=True).astype(code)
     signed = rng.integers(-(2**31), 2**31, (8, 4)).astype("i4")
     single = rng.integers(0, 2**32, 8).astype("u4")
-    formats = (Format.RGBA32UI, Format.RGBA32I, Format.R32UI)
+    formats = (rhi.Format.RGBA32UI, rhi.Format.RGBA32I, rhi.Format.R32UI)
     require_targets(device, formats)
     targets = [device.texture(ROW, f) for f in formats]
     arrays = {"position": CENTERS, "unsigned": unsigned, "signed": signed, "single": single}
-    with device.mesh(arrays, primitive=Primitive.POINTS) as mesh, device.render_pass(targets):
+    with device.mesh(arrays, primitive=rhi.Primitive.POINTS) as mesh, device.render_pass(targets):
         device.draw(device.program(ShowIntegers), mesh)
     assert_same(targets[0].read()[0], unsigned)
     assert_same(targets[1].read()[0], signed)
@@ -304,13 +292,13 @@ class ShowNarrow(sl.Shader):
         return v.color
 
 
-def test_three_components_and_one_lie_where_the_dtype_says(device: Device) -> None:
+def test_three_components_and_one_lie_where_the_dtype_says(device: rhi.Device) -> None:
     packed = np.zeros(8, np.dtype([("weight", "f4"), ("position", "f4", 3)]))
     padded = np.zeros(8, Narrow.dtype)
     for rows in (packed, padded):
         rows["position"][:, :2], rows["position"][:, 2] = CENTERS, 0.5
         rows["weight"] = np.arange(8)
-        with device.texture(ROW, Format.R32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+        with device.texture(ROW, rhi.Format.R32F) as image, device.mesh(rows, primitive=rhi.Primitive.POINTS) as mesh:
             with device.render_pass(image):
                 device.draw(device.program(ShowNarrow), mesh)
             assert_same(image.read()[0], np.arange(8))
@@ -337,43 +325,43 @@ class ShowInstances(sl.Shader):
         return v.color
 
 
-def instanced(device: Device) -> Any:
+def instanced(device: rhi.Device) -> Any:
     """Return a mesh of one point with eight instances: each covers a texel of its own, with its number plus 1 as the
     color."""
     vertices = {"position": CENTERS[:1]}
     instances = {"offset": CENTERS - CENTERS[0], "shade": np.arange(1.0, 9.0)}
-    return device.mesh(vertices, instances=instances, primitive=Primitive.POINTS)
+    return device.mesh(vertices, instances=instances, primitive=rhi.Primitive.POINTS)
 
 
 @pytest.mark.parametrize("count", [0, 1, 5, 8])
-def test_each_instance_reads_its_element(device: Device, count: int) -> None:
-    with device.texture(ROW, Format.R32F) as image, instanced(device) as mesh:
+def test_each_instance_reads_its_element(device: rhi.Device, count: int) -> None:
+    with device.texture(ROW, rhi.Format.R32F) as image, instanced(device) as mesh:
         with device.render_pass(image):
             device.draw(device.program(ShowInstances), mesh, count)
         assert_same(image.read()[0], np.where(np.arange(8) < count, np.arange(1, 9), 0))
 
 
 @pytest.mark.parametrize("base", [0, 1, 6])
-def test_a_base_instance_says_where_to_begin(device: Device, base: int) -> None:
-    with device.texture(ROW, Format.R32F) as image, instanced(device) as mesh:
+def test_a_base_instance_says_where_to_begin(device: rhi.Device, base: int) -> None:
+    with device.texture(ROW, rhi.Format.R32F) as image, instanced(device) as mesh:
         with device.render_pass(image):
             device.draw(device.program(ShowInstances), mesh.view(base_instance=base), 2)
         numbers = np.arange(8)
         assert_same(image.read()[0], np.where((numbers >= base) & (numbers < base + 2), numbers + 1, 0))
 
 
-def test_instances_of_indexed_meshes_read_their_elements(device: Device) -> None:
+def test_instances_of_indexed_meshes_read_their_elements(device: rhi.Device) -> None:
     vertices = {"position": CENTERS[[3, 0]]}
     instances = {"offset": CENTERS[:4] - CENTERS[0], "shade": np.arange(1.0, 5.0)}
     indices = np.array([0, 1], "u2")
     with (
-        device.texture(ROW, Format.R16F) as image,
-        device.mesh(vertices, indices, instances=instances, primitive=Primitive.POINTS) as mesh,
+        device.texture(ROW, rhi.Format.R16F) as image,
+        device.mesh(vertices, indices, instances=instances, primitive=rhi.Primitive.POINTS) as mesh,
     ):
-        with device.render_pass(image), device.states(BlendFunction.ADDITIVE):
+        with device.render_pass(image), device.states(rhi.BlendFunction.ADDITIVE):
             device.draw(device.program(ShowInstances), mesh.view(base_instance=1, count=1), 3)
         assert_same(image.read()[0], [0, 0, 0, 0, 2, 3, 4, 0])
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(BlendFunction.ADDITIVE):
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.BlendFunction.ADDITIVE):
             device.draw(device.program(ShowInstances), mesh.view(1, 1, base_vertex=-1, base_instance=1), 2)
         assert_same(image.read()[0], [0, 0, 0, 0, 2, 3, 0, 0])
 
@@ -396,15 +384,15 @@ class NumberedDraws(Numbered):
         return FlatShade(clip=v.position, color=color)
 
 
-def numbered(device: Device) -> Any:
+def numbered(device: rhi.Device) -> Any:
     """Return the program of `NumberedDraws`, or of `Numbered` where vertices don't know the index of the draw."""
     return device.program(NumberedDraws if device.capabilities.draw_index else Numbered)
 
 
-def test_a_shader_knows_its_vertex_and_instance(device: Device) -> None:
+def test_a_shader_knows_its_vertex_and_instance(device: rhi.Device) -> None:
     with (
-        device.texture(ROW, Format.RGBA32F) as image,
-        device.mesh(corners(CENTERS), np.array([1, 2, 3], "u2"), primitive=Primitive.POINTS) as mesh,
+        device.texture(ROW, rhi.Format.RGBA32F) as image,
+        device.mesh(corners(CENTERS), np.array([1, 2, 3], "u2"), primitive=rhi.Primitive.POINTS) as mesh,
     ):
         with device.render_pass(image):
             device.draw(numbered(device), mesh.view(1, 2, base_vertex=2, base_instance=10), 3)
@@ -414,10 +402,10 @@ def test_a_shader_knows_its_vertex_and_instance(device: Device) -> None:
         assert_same(image.read()[0, 5], (5, 12, 0, 1))
 
 
-def test_without_indices_vertices_count_from_the_first_of_the_buffer(device: Device) -> None:
+def test_without_indices_vertices_count_from_the_first_of_the_buffer(device: rhi.Device) -> None:
     with (
-        device.texture(ROW, Format.RGBA32F) as image,
-        device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh,
+        device.texture(ROW, rhi.Format.RGBA32F) as image,
+        device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh,
     ):
         with device.render_pass(image):
             device.draw(numbered(device), mesh.view(3, 2))
@@ -436,9 +424,9 @@ class FullTriangle(sl.Shader):
         return v.color
 
 
-def test_a_shader_without_attributes_counts_its_vertices(device: Device) -> None:
-    with device.texture((4, 4), Format.R8) as image, device.mesh(3) as mesh:
-        with device.render_pass(image), device.states(CullMode.NONE):
+def test_a_shader_without_attributes_counts_its_vertices(device: rhi.Device) -> None:
+    with device.texture((4, 4), rhi.Format.R8) as image, device.mesh(3) as mesh:
+        with device.render_pass(image), device.states(rhi.CullMode.NONE):
             device.draw(device.program(FullTriangle), mesh)
         assert_same(image.read(), 255)
 
@@ -446,10 +434,10 @@ def test_a_shader_without_attributes_counts_its_vertices(device: Device) -> None
 # -- many draws in one call --------------------------------------------------------------------------------
 
 
-def test_many_draws_draw_what_each_says(device: Device) -> None:
+def test_many_draws_draw_what_each_says(device: rhi.Device) -> None:
     with (
-        device.texture(ROW, Format.RGBA32F) as image,
-        device.mesh(corners(CENTERS), np.arange(4, dtype="u2"), primitive=Primitive.POINTS) as mesh,
+        device.texture(ROW, rhi.Format.RGBA32F) as image,
+        device.mesh(corners(CENTERS), np.arange(4, dtype="u2"), primitive=rhi.Primitive.POINTS) as mesh,
     ):
         draws = mesh.draws([0, 1, 0], [1, 2, 4], base_vertex=[0, 0, 4], base_instance=[5, 6, 7])
         draws["instances"][1] = 0
@@ -463,10 +451,10 @@ def test_many_draws_draw_what_each_says(device: Device) -> None:
 
 @pytest.mark.needs("draw_index")
 @pytest.mark.parametrize("indices", [None, np.arange(8, dtype="u2")], ids=["plain", "indexed"])
-def test_the_same_draws_in_another_order_have_other_numbers(device: Device, indices: Any) -> None:
+def test_the_same_draws_in_another_order_have_other_numbers(device: rhi.Device, indices: Any) -> None:
     with (
-        device.texture(ROW, Format.RGBA32F) as image,
-        device.mesh(corners(CENTERS), indices, primitive=Primitive.POINTS) as mesh,
+        device.texture(ROW, rhi.Format.RGBA32F) as image,
+        device.mesh(corners(CENTERS), indices, primitive=rhi.Primitive.POINTS) as mesh,
     ):
         for order in ([0, 1, 2], [2, 0, 1], [1], [2, 0, 1]):
             with device.render_pass(image, clear=(0, 0, 0, 0)):
@@ -475,10 +463,10 @@ def test_the_same_draws_in_another_order_have_other_numbers(device: Device, indi
                 assert_same(image.read()[0, first], (first, 0, number, 1))
 
 
-def test_many_draws_without_indices(device: Device) -> None:
+def test_many_draws_without_indices(device: rhi.Device) -> None:
     with (
-        device.texture(ROW, Format.RGBA32F) as image,
-        device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh,
+        device.texture(ROW, rhi.Format.RGBA32F) as image,
+        device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh,
     ):
         with device.render_pass(image):
             device.draw_many(numbered(device), mesh, mesh.draws([6, 0], [2, 1], base_instance=[3, 9]))
@@ -492,28 +480,30 @@ CLIPS = [(0, 0, 3, 1), (2, 0, 4, 1), (-5, -2, 6, 9), (7, 0, 1 << 30, 1), (1, 0, 
 """Rectangles in a row of 8 texels; the last two are empty, or beside it."""
 
 
-@pytest.mark.parametrize("primitive", [Primitive.TRIANGLES, Primitive.QUADS])
+@pytest.mark.parametrize("primitive", [rhi.Primitive.TRIANGLES, rhi.Primitive.QUADS])
 @pytest.mark.parametrize("indexed", [False, True], ids=["plain", "indexed"])
-def test_each_clipped_draw_is_cut_by_its_own_rectangle(device: Device, primitive: Primitive, indexed: bool) -> None:
+def test_each_clipped_draw_is_cut_by_its_own_rectangle(
+    device: rhi.Device, primitive: rhi.Primitive, indexed: bool
+) -> None:
     """As by a scope of `Scissor` around each. The second half of the vertices covers nothing."""
     quad = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], float)
-    shape = quad if primitive is Primitive.QUADS else quad[[0, 1, 2, 0, 2, 3]]
+    shape = quad if primitive is rhi.Primitive.QUADS else quad[[0, 1, 2, 0, 2, 3]]
     count = len(shape)
     rows = corners(np.concatenate([shape + 9, shape]))
     indices = np.arange(2 * count, dtype=np.uint16) if indexed else None
     with (
-        device.texture(ROW, Format.RGBA16F) as image,
-        device.texture(ROW, Format.RGBA16F) as expected,
+        device.texture(ROW, rhi.Format.RGBA16F) as image,
+        device.texture(ROW, rhi.Format.RGBA16F) as expected,
         device.mesh(rows, indices, primitive=primitive) as mesh,
     ):
         program = numbered(device)
         draws = mesh.draws(count, count, base_instance=np.arange(6))
-        with device.states(BlendFunction.ADDITIVE, CullMode.NONE):
+        with device.states(rhi.BlendFunction.ADDITIVE, rhi.CullMode.NONE):
             with device.render_pass(image, clear=(0, 0, 0, 0)):
                 device.draw_clipped(program, mesh, draws, CLIPS)
             with device.render_pass(expected, clear=(0, 0, 0, 0)):
                 for number, clip in enumerate(CLIPS):
-                    with device.states(Scissor(*clip)):
+                    with device.states(rhi.Scissor(*clip)):
                         device.draw(program, mesh.view(count, count, base_instance=number))
         assert image.read()[0, :, 3].tolist() == [2, 1, 2, 1, 1, 1, 0, 1]
         assert_same(image.read(), expected.read())
@@ -522,27 +512,27 @@ def test_each_clipped_draw_is_cut_by_its_own_rectangle(device: Device, primitive
 @pytest.mark.parametrize(
     ("primitive", "indices"),
     [
-        (Primitive.TRIANGLES, [0, 1, 2, 0, 2, 3]),
-        (Primitive.TRIANGLES, [0, 1, 2, 65535, 0, 2, 3, 65535]),
-        (Primitive.TRIANGLE_STRIP, [1, 2, 0, 3]),
-        (Primitive.TRIANGLE_STRIP, [1, 2, 0, 65535, 2, 3, 0]),
+        (rhi.Primitive.TRIANGLES, [0, 1, 2, 0, 2, 3]),
+        (rhi.Primitive.TRIANGLES, [0, 1, 2, 65535, 0, 2, 3, 65535]),
+        (rhi.Primitive.TRIANGLE_STRIP, [1, 2, 0, 3]),
+        (rhi.Primitive.TRIANGLE_STRIP, [1, 2, 0, 65535, 2, 3, 0]),
     ],
     ids=["lists", "lists with restarts", "strips", "strips with restarts"],
 )
 @pytest.mark.parametrize("written_by", ["cpu", "device"])
 def test_clipped_draws_are_assembled_as_others(
-    device: Device, primitive: Primitive, indices: list[int], written_by: str
+    device: rhi.Device, primitive: rhi.Primitive, indices: list[int], written_by: str
 ) -> None:
     """Each of two draws reads the second half of the indices, or the first, from another vertex on."""
-    if primitive is Primitive.TRIANGLES and 65535 in indices and not device.capabilities.list_restart:
+    if primitive is rhi.Primitive.TRIANGLES and 65535 in indices and not device.capabilities.list_restart:
         pytest.skip(f"{device.backend_name} declares no list_restart")
     quad = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], float)
     rows = corners(np.concatenate([quad * (0.25, 1), quad]))
     count = len(indices)
     both = np.array(indices * 2, np.uint16)
     with (
-        device.texture(ROW, Format.RGBA16F) as image,
-        device.texture(ROW, Format.RGBA16F) as expected,
+        device.texture(ROW, rhi.Format.RGBA16F) as image,
+        device.texture(ROW, rhi.Format.RGBA16F) as expected,
         device.mesh(rows, both, primitive=primitive) as mesh,
     ):
         program = numbered(device)
@@ -550,89 +540,89 @@ def test_clipped_draws_are_assembled_as_others(
             device.buffer(both).copy_to(mesh.indices)
         firsts, bases, instances = [count, 0], [4, 0], [2, 3]
         clips = [(1, 0, 3, 1), (2, 0, 6, 1)]
-        with device.states(BlendFunction.ADDITIVE, CullMode.NONE):
+        with device.states(rhi.BlendFunction.ADDITIVE, rhi.CullMode.NONE):
             with device.render_pass(image, clear=(0, 0, 0, 0)):
                 draws = mesh.draws(firsts, count, base_vertex=bases, base_instance=instances)
                 device.draw_clipped(program, mesh, draws, clips)
             with device.render_pass(expected, clear=(0, 0, 0, 0)):
                 for first, base, instance, clip in zip(firsts, bases, instances, clips, strict=True):
                     part = mesh.view(first, count, base_vertex=base, base_instance=instance)
-                    with device.states(Scissor(*clip)):
+                    with device.states(rhi.Scissor(*clip)):
                         device.draw(program, part)
         assert image.read()[0, :, 3].tolist() == [0, 1, 1, 2, 1, 0, 0, 0]
         assert_same(image.read(), expected.read())
 
 
-def test_after_clipped_draws_the_scissor_is_the_one_around_them(device: Device) -> None:
-    with device.texture(ROW, Format.RGBA16F) as image, device.mesh(rectangle()) as mesh:
+def test_after_clipped_draws_the_scissor_is_the_one_around_them(device: rhi.Device) -> None:
+    with device.texture(ROW, rhi.Format.RGBA16F) as image, device.mesh(rectangle()) as mesh:
         program = numbered(device)
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(BlendFunction.ADDITIVE):
-            with device.states(Scissor(4, 0, 2, 1)):
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.BlendFunction.ADDITIVE):
+            with device.states(rhi.Scissor(4, 0, 2, 1)):
                 device.draw_clipped(program, mesh, mesh.draws([0, 0], 6), [(0, 0, 1, 1), (1, 0, 2, 1)])
                 device.draw(program, mesh)
             device.draw(program, mesh)
         assert_same(image.read()[0, :, 3], [2, 2, 2, 1, 2, 2, 1, 1])
 
 
-def test_clipped_draws_of_a_transient_mesh_see_its_vertices(device: Device) -> None:
-    with device.texture(ROW, Format.RGBA32F) as image:
+def test_clipped_draws_of_a_transient_mesh_see_its_vertices(device: rhi.Device) -> None:
+    with device.texture(ROW, rhi.Format.RGBA32F) as image:
         program = numbered(device)
         for first in (0, 2):
-            mesh = device.transient.mesh(program, corners(CENTERS[first:]), primitive=Primitive.POINTS)
+            mesh = device.transient.mesh(program, corners(CENTERS[first:]), primitive=rhi.Primitive.POINTS)
             with device.render_pass(image, clear=(0, 0, 0, 0)):
                 device.draw_clipped(program, mesh, mesh.draws([1, 3], 1), [(0, 0, 8, 1), (0, 0, 3, 1)])
             assert_same(image.read()[0, :, 3], np.arange(8) == first + 1)
 
 
-def test_many_draws_read_the_instances_of_their_base(device: Device) -> None:
-    with device.texture(ROW, Format.R32F) as image, instanced(device) as mesh:
+def test_many_draws_read_the_instances_of_their_base(device: rhi.Device) -> None:
+    with device.texture(ROW, rhi.Format.R32F) as image, instanced(device) as mesh:
         draws = mesh.draws(0, 1, instances=[2, 1, 0], base_instance=[1, 6, 0])
         with device.render_pass(image):
             device.draw_many(device.program(ShowInstances), mesh, draws)
         assert_same(image.read()[0], [0, 2, 3, 0, 0, 0, 7, 0])
         with device.render_pass(image, clear=(0, 0, 0, 0)), device.buffer(draws) as buffer:
-            device.draw_indirect(device.program(ShowInstances), mesh, IndirectDraws(buffer, 3))
+            device.draw_indirect(device.program(ShowInstances), mesh, rhi.IndirectDraws(buffer, 3))
         assert_same(image.read()[0], [0, 2, 3, 0, 0, 0, 7, 0])
 
 
 @pytest.mark.parametrize("dtype", ["u2", "u4"])
-def test_many_draws_add_their_base_vertices(device: Device, dtype: str) -> None:
+def test_many_draws_add_their_base_vertices(device: rhi.Device, dtype: str) -> None:
     indices = np.array([0, 2, 1], dtype)
     with (
-        device.texture(ROW, Format.R16F) as image,
-        device.mesh(corners(CENTERS), indices, primitive=Primitive.POINTS) as mesh,
+        device.texture(ROW, rhi.Format.R16F) as image,
+        device.mesh(corners(CENTERS), indices, primitive=rhi.Primitive.POINTS) as mesh,
     ):
         draws = mesh.draws([0, 1], [2, 2], base_vertex=[5, -1])
-        with device.render_pass(image), device.states(BlendFunction.ADDITIVE):
+        with device.render_pass(image), device.states(rhi.BlendFunction.ADDITIVE):
             device.draw_many(device.program(Colored), mesh, draws)
         assert_same(image.read()[0], [1, 1, 0, 0, 0, 1, 0, 1])
 
 
-def test_no_draws_draw_nothing(device: Device) -> None:
+def test_no_draws_draw_nothing(device: rhi.Device) -> None:
     with (
-        device.texture(ROW, Format.R32F) as image,
-        device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh,
+        device.texture(ROW, rhi.Format.R32F) as image,
+        device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh,
     ):
         with device.render_pass(image):
             device.draw_many(device.program(Colored), mesh, mesh.draws(0, 8)[:0])
         assert_same(image.read(), 0)
 
 
-def test_thousands_of_draws_in_one_call_are_all_drawn(device: Device) -> None:
+def test_thousands_of_draws_in_one_call_are_all_drawn(device: rhi.Device) -> None:
     count = 5000
     with (
-        device.texture(ROW, Format.R16F) as image,
-        device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh,
+        device.texture(ROW, rhi.Format.R16F) as image,
+        device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh,
     ):
-        with device.render_pass(image), device.states(BlendFunction.ADDITIVE):
+        with device.render_pass(image), device.states(rhi.BlendFunction.ADDITIVE):
             device.draw_many(device.program(Colored), mesh, mesh.draws(np.arange(count) % 8, 1))
         assert_same(image.read(), count / 8)
 
 
-def test_the_array_of_draws_may_change_right_after_the_call(device: Device) -> None:
+def test_the_array_of_draws_may_change_right_after_the_call(device: rhi.Device) -> None:
     with (
-        device.texture(ROW, Format.R32F) as image,
-        device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh,
+        device.texture(ROW, rhi.Format.R32F) as image,
+        device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh,
     ):
         draws = mesh.draws(0, 4)
         with device.render_pass(image):
@@ -641,13 +631,13 @@ def test_the_array_of_draws_may_change_right_after_the_call(device: Device) -> N
         assert_same(image.read()[0], np.arange(8) < 4)
 
 
-def test_many_quads_are_drawn_or_refused_but_never_wrong(device: Device) -> None:
+def test_many_quads_are_drawn_or_refused_but_never_wrong(device: rhi.Device) -> None:
     quad = corners([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-    with device.texture(ROW, Format.R8) as image, device.mesh(quad, primitive=Primitive.QUADS) as mesh:
+    with device.texture(ROW, rhi.Format.R8) as image, device.mesh(quad, primitive=rhi.Primitive.QUADS) as mesh:
         with device.render_pass(image):
             try:
                 device.draw_many(device.program(Colored), mesh, mesh.draws())
-            except ValidationError:
+            except rhi.ValidationError:
                 return
         assert_same(image.read(), 255)
 
@@ -655,76 +645,76 @@ def test_many_quads_are_drawn_or_refused_but_never_wrong(device: Device) -> None
 # -- indirect draws ----------------------------------------------------------------------------------------
 
 
-def indirect(device: Device, mesh: Any, arguments: IndirectDraws) -> NDArray[Any]:
-    with device.texture(ROW, Format.R16F) as image:
-        with device.render_pass(image), device.states(BlendFunction.ADDITIVE):
+def indirect(device: rhi.Device, mesh: Any, arguments: rhi.IndirectDraws) -> NDArray[Any]:
+    with device.texture(ROW, rhi.Format.R16F) as image:
+        with device.render_pass(image), device.states(rhi.BlendFunction.ADDITIVE):
             device.draw_indirect(device.program(Colored), mesh, arguments)
         return np.asarray(image.read()[0])
 
 
-def test_an_indirect_draw_reads_its_arguments(device: Device) -> None:
-    with device.mesh(corners(CENTERS), np.arange(8, dtype="u4"), primitive=Primitive.POINTS) as mesh:
-        draws = np.array([(2, 3, 1, 0, 0), (1, 1, 0, 7, 0), (3, 0, 0, 0, 0)], DRAW)
+def test_an_indirect_draw_reads_its_arguments(device: rhi.Device) -> None:
+    with device.mesh(corners(CENTERS), np.arange(8, dtype="u4"), primitive=rhi.Primitive.POINTS) as mesh:
+        draws = np.array([(2, 3, 1, 0, 0), (1, 1, 0, 7, 0), (3, 0, 0, 0, 0)], rhi.DRAW)
         with device.buffer(draws) as buffer:
             expected = np.array([0, 3, 3, 0, 0, 0, 0, 1])
-            assert_same(indirect(device, mesh, IndirectDraws(buffer, 3)), expected)
-            assert_same(indirect(device, mesh, IndirectDraws(buffer, 1)), [0, 3, 3, 0, 0, 0, 0, 0])
-            assert_same(indirect(device, mesh, IndirectDraws(buffer, 1, offset=20)), np.arange(8) == 7)
+            assert_same(indirect(device, mesh, rhi.IndirectDraws(buffer, 3)), expected)
+            assert_same(indirect(device, mesh, rhi.IndirectDraws(buffer, 1)), [0, 3, 3, 0, 0, 0, 0, 0])
+            assert_same(indirect(device, mesh, rhi.IndirectDraws(buffer, 1, offset=20)), np.arange(8) == 7)
 
 
-def test_an_indirect_draw_without_indices_reads_its_arguments(device: Device) -> None:
-    with device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh:
+def test_an_indirect_draw_without_indices_reads_its_arguments(device: rhi.Device) -> None:
+    with device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh:
         with device.buffer(mesh.draws([2, 7], [3, 1], instances=[2, 1])) as buffer:
-            assert_same(indirect(device, mesh, IndirectDraws(buffer, 2)), [0, 0, 2, 2, 2, 0, 0, 1])
+            assert_same(indirect(device, mesh, rhi.IndirectDraws(buffer, 2)), [0, 0, 2, 2, 2, 0, 0, 1])
 
 
-def test_indirect_draws_may_lie_a_stride_apart(device: Device) -> None:
+def test_indirect_draws_may_lie_a_stride_apart(device: rhi.Device) -> None:
     words = np.zeros((3, 8), "u4")
-    with device.mesh(corners(CENTERS), np.arange(8, dtype="u4"), primitive=Primitive.POINTS) as mesh:
+    with device.mesh(corners(CENTERS), np.arange(8, dtype="u4"), primitive=rhi.Primitive.POINTS) as mesh:
         words[:, :5] = [(1, 1, 0, 0, 0), (1, 1, 3, 0, 0), (1, 1, 6, 0, 0)]
         words[:, 5:] = 999
         with device.buffer(np.concatenate([[999, 999], words.reshape(-1)]).astype("u4")) as buffer:
-            arguments = IndirectDraws(buffer, 3, offset=8, stride=32)
+            arguments = rhi.IndirectDraws(buffer, 3, offset=8, stride=32)
             assert_same(indirect(device, mesh, arguments), np.isin(np.arange(8), (0, 3, 6)))
 
 
 @pytest.mark.needs("indirect_count")
 @pytest.mark.parametrize(("stored", "drawn"), [(0, 0), (1, 1), (3, 3), (4, 4), (9, 4)])
-def test_a_count_from_a_buffer_limits_indirect_draws(device: Device, stored: int, drawn: int) -> None:
+def test_a_count_from_a_buffer_limits_indirect_draws(device: rhi.Device, stored: int, drawn: int) -> None:
     with (
-        device.mesh(corners(CENTERS), np.arange(8, dtype="u4"), primitive=Primitive.POINTS) as mesh,
+        device.mesh(corners(CENTERS), np.arange(8, dtype="u4"), primitive=rhi.Primitive.POINTS) as mesh,
         device.buffer(mesh.draws(np.arange(4), 1)) as buffer,
         device.buffer(np.array([77, stored], "u4")) as count,
     ):
-        arguments = IndirectDraws(buffer, 4, count=count, count_offset=4)
+        arguments = rhi.IndirectDraws(buffer, 4, count=count, count_offset=4)
         assert_same(indirect(device, mesh, arguments), np.arange(8) < drawn)
 
 
 @pytest.mark.needs("indirect_count")
-def test_a_count_does_not_linger(device: Device) -> None:
+def test_a_count_does_not_linger(device: rhi.Device) -> None:
     """A draw without a count buffer executes all its draws, even after one with a count buffer."""
     with (
-        device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh,
+        device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh,
         device.buffer(mesh.draws(np.arange(4), 1)) as buffer,
         device.buffer(np.array([1], "u4")) as count,
     ):
-        assert_same(indirect(device, mesh, IndirectDraws(buffer, 4, count=count)), np.arange(8) < 1)
-        assert_same(indirect(device, mesh, IndirectDraws(buffer, 4)), np.arange(8) < 4)
+        assert_same(indirect(device, mesh, rhi.IndirectDraws(buffer, 4, count=count)), np.arange(8) < 1)
+        assert_same(indirect(device, mesh, rhi.IndirectDraws(buffer, 4)), np.arange(8) < 4)
 
 
-def test_arguments_are_read_when_the_draw_is_executed(device: Device) -> None:
+def test_arguments_are_read_when_the_draw_is_executed(device: rhi.Device) -> None:
     """Indirect arguments are read when the draw is executed, not when it is issued: a copy before it takes effect."""
     with (
-        device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh,
+        device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh,
         device.buffer(mesh.draws(3, 2)) as source,
         device.buffer(mesh.draws(0, 8)) as buffer,
     ):
         source.copy_to(buffer)
-        assert_same(indirect(device, mesh, IndirectDraws(buffer, 1)), np.isin(np.arange(8), (3, 4)))
+        assert_same(indirect(device, mesh, rhi.IndirectDraws(buffer, 1)), np.isin(np.arange(8), (3, 4)))
 
 
-def test_a_draw_with_no_vertices_draws_nothing(device: Device) -> None:
-    with device.mesh(rectangle()) as mesh, device.texture((2, 2), Format.R8) as image:
+def test_a_draw_with_no_vertices_draws_nothing(device: rhi.Device) -> None:
+    with device.mesh(rectangle()) as mesh, device.texture((2, 2), rhi.Format.R8) as image:
         with device.render_pass(image):
             device.draw(device.program(Colored), mesh.view(0, 0))
         assert_mask(image.read(), np.zeros((2, 2), bool))

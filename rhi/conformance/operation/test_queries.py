@@ -10,21 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rhi import (
-    ColorWrite,
-    Comparison,
-    CullMode,
-    DepthFunction,
-    DepthWrite,
-    Device,
-    Format,
-    OcclusionQuery,
-    Primitive,
-    Scissor,
-    StencilFront,
-    StencilTest,
-    ValidationError,
-)
+import rhi
 from rhi.conformance.compare import assert_same
 from rhi.conformance.formats import require_point_sizes, require_samples
 from rhi.conformance.patience import comes_true
@@ -39,7 +25,7 @@ SIZE = (16, 16)
 
 
 @pytest.fixture(params=["native", "emulated"])
-def query(device: Device, request: pytest.FixtureRequest) -> Iterator[OcclusionQuery]:
+def query(device: rhi.Device, request: pytest.FixtureRequest) -> Iterator[rhi.OcclusionQuery]:
     """Yield a native and an emulated query, of those that the device supports."""
     emulated = request.param == "emulated"
     wanted = "sample_counter" if emulated else "occlusion_queries"
@@ -51,38 +37,38 @@ def query(device: Device, request: pytest.FixtureRequest) -> Iterator[OcclusionQ
     query.destroy()
 
 
-def count(device: Device, query: OcclusionQuery, rows: Any, *states: Any, **clears: Any) -> int:
+def count(device: rhi.Device, query: rhi.OcclusionQuery, rows: Any, *states: Any, **clears: Any) -> int:
     """Return the visible samples of one draw over a depth buffer cleared to 0.5."""
     with (
-        device.texture(SIZE, Format.R8) as image,
-        device.texture(SIZE, Format.D24S8) as depth,
+        device.texture(SIZE, rhi.Format.R8) as image,
+        device.texture(SIZE, rhi.Format.D24S8) as depth,
         device.mesh(rows) as mesh,
     ):
         with (
             device.render_pass(image, depth, **{"clear_depth": 0.5, "clear_stencil": 0, **clears}),
-            device.states(*states or (CullMode.BACK,)),
+            device.states(*states or (rhi.CullMode.BACK,)),
             query,
         ):
             device.draw(device.program(Colored), mesh)
         return query.wait()
 
 
-def test_a_query_counts_the_texels_that_pass(device: Device, query: OcclusionQuery) -> None:
+def test_a_query_counts_the_texels_that_pass(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     assert count(device, query, texel_rectangle(2, 3, 5, 4, SIZE, depth=0.75)) == 20
 
 
-def test_a_query_counts_nothing_where_everything_is_hidden(device: Device, query: OcclusionQuery) -> None:
+def test_a_query_counts_nothing_where_everything_is_hidden(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     assert count(device, query, rectangle(depth=0.25)) == 0
 
 
-def test_a_query_without_draws_counts_nothing(device: Device, query: OcclusionQuery) -> None:
-    with device.texture(SIZE, Format.R8) as image:
+def test_a_query_without_draws_counts_nothing(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
+    with device.texture(SIZE, rhi.Format.R8) as image:
         with device.render_pass(image), query:
             pass
     assert query.wait() == 0
 
 
-def test_a_query_counts_fragments_drawn_over_each_other(device: Device, query: OcclusionQuery) -> None:
+def test_a_query_counts_fragments_drawn_over_each_other(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     rows = np.concatenate([rectangle(depth=d) for d in (0.6, 0.7, 0.8, 0.7)])
     assert count(device, query, rows) == 3 * 256
 
@@ -92,55 +78,57 @@ PLACE = st.tuples(st.integers(0, 256), st.integers(0, 256))
 
 @settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(points=st.lists(PLACE, min_size=3, max_size=9))
-def test_counts_are_those_of_an_exact_rasteriser(device: Device, query: OcclusionQuery, points: Any) -> None:
+def test_counts_are_those_of_an_exact_rasteriser(device: rhi.Device, query: rhi.OcclusionQuery, points: Any) -> None:
     triangles = np.array(points[: len(points) // 3 * 3]).reshape(-1, 3, 2)
     rows = corners(window_to_clip(triangles.reshape(-1, 2) / SUBTEXELS, SIZE), depth=0.75)
     expected = sum(int(rasterise(triangle, *SIZE).sum()) for triangle in triangles)
-    assert count(device, query, rows, CullMode.NONE, DepthWrite.OFF) == expected
+    assert count(device, query, rows, rhi.CullMode.NONE, rhi.DepthWrite.OFF) == expected
 
 
-@pytest.mark.parametrize("function", [DepthFunction.NEVER, DepthFunction.ALWAYS, DepthFunction.EQUAL])
-def test_a_query_counts_by_the_depth_function(device: Device, query: OcclusionQuery, function: DepthFunction) -> None:
-    expected = {DepthFunction.NEVER: 0, DepthFunction.ALWAYS: 256, DepthFunction.EQUAL: 256}[function]
+@pytest.mark.parametrize("function", [rhi.DepthFunction.NEVER, rhi.DepthFunction.ALWAYS, rhi.DepthFunction.EQUAL])
+def test_a_query_counts_by_the_depth_function(
+    device: rhi.Device, query: rhi.OcclusionQuery, function: rhi.DepthFunction
+) -> None:
+    expected = {rhi.DepthFunction.NEVER: 0, rhi.DepthFunction.ALWAYS: 256, rhi.DepthFunction.EQUAL: 256}[function]
     assert count(device, query, rectangle(depth=0.5), function) == expected
 
 
-def test_a_query_counts_without_color_and_depth_writes(device: Device, query: OcclusionQuery) -> None:
+def test_a_query_counts_without_color_and_depth_writes(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     """Visibility algorithms draw boxes this way, without changing color or depth."""
-    assert count(device, query, rectangle(depth=0.75), ColorWrite.OFF, DepthWrite.OFF) == 256
+    assert count(device, query, rectangle(depth=0.75), rhi.ColorWrite.OFF, rhi.DepthWrite.OFF) == 256
 
 
-def test_a_query_counts_inside_the_scissor(device: Device, query: OcclusionQuery) -> None:
-    assert count(device, query, rectangle(depth=0.75), Scissor(3, 3, 5, 2)) == 10
+def test_a_query_counts_inside_the_scissor(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
+    assert count(device, query, rectangle(depth=0.75), rhi.Scissor(3, 3, 5, 2)) == 10
 
 
-def test_a_query_counts_after_the_stencil_test(device: Device, query: OcclusionQuery) -> None:
-    states = (StencilTest.ON, StencilFront(Comparison.NEVER))
+def test_a_query_counts_after_the_stencil_test(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
+    states = (rhi.StencilTest.ON, rhi.StencilFront(rhi.Comparison.NEVER))
     assert count(device, query, rectangle(depth=0.75), *states) == 0
 
 
-def test_a_query_does_not_count_what_is_discarded(device: Device, query: OcclusionQuery) -> None:
-    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle()) as mesh:
+def test_a_query_does_not_count_what_is_discarded(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
+    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
         with device.render_pass(image), query:
             device.draw(device.program(Checkered), mesh)
         assert query.wait() == 128
 
 
-def test_a_query_does_not_count_clears(device: Device, query: OcclusionQuery) -> None:
+def test_a_query_does_not_count_clears(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     """Other operations between the begin and the end of a query aren't counted either."""
-    with device.texture(SIZE, Format.R8, levels=2) as other, device.texture(SIZE, Format.R8) as image:
+    with device.texture(SIZE, rhi.Format.R8, levels=2) as other, device.texture(SIZE, rhi.Format.R8) as image:
         with device.render_pass(image, clear=(1, 1, 1, 1)), query:
             other.generate_mipmaps()
             other.write(np.ones((16, 16), "u1"))
         assert query.wait() == 0
 
 
-def test_a_query_counts_a_fragment_s_own_depth(device: Device, query: OcclusionQuery) -> None:
+def test_a_query_counts_a_fragment_s_own_depth(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     rows = rectangle(depth=0.9)
     rows["color"][:, 0] = np.where(rows["position"][:, 0] < 0, 0.0, 1.0)
     with (
-        device.texture(SIZE, Format.R8) as image,
-        device.texture(SIZE, Format.D32F) as depth,
+        device.texture(SIZE, rhi.Format.R8) as image,
+        device.texture(SIZE, rhi.Format.D32F) as depth,
         device.mesh(rows) as mesh,
     ):
         with device.render_pass(image, depth, clear_depth=0.5), query:
@@ -148,15 +136,15 @@ def test_a_query_counts_a_fragment_s_own_depth(device: Device, query: OcclusionQ
         assert query.wait() == 128
 
 
-def test_a_query_counts_without_a_depth_buffer(device: Device, query: OcclusionQuery) -> None:
-    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle(-1, -1, 0, 0)) as mesh:
+def test_a_query_counts_without_a_depth_buffer(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
+    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle(-1, -1, 0, 0)) as mesh:
         with device.render_pass(image), query:
             device.draw(device.program(Colored), mesh)
         assert query.wait() == 64
 
 
-def test_a_query_counts_only_what_lies_inside_it(device: Device, query: OcclusionQuery) -> None:
-    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle()) as mesh:
+def test_a_query_counts_only_what_lies_inside_it(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
+    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)
         with device.render_pass(image):
             device.draw(program, mesh)
@@ -168,15 +156,15 @@ def test_a_query_counts_only_what_lies_inside_it(device: Device, query: Occlusio
         assert query.wait() == 512
 
 
-def test_a_query_may_be_used_again(device: Device, query: OcclusionQuery) -> None:
+def test_a_query_may_be_used_again(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     for size in (1, 4, 9, 2):
         assert count(device, query, texel_rectangle(0, 0, size, 1, SIZE, depth=0.75)) == size
 
 
-def test_a_query_begun_before_its_answer_was_there_counts_anew(device: Device, query: OcclusionQuery) -> None:
+def test_a_query_begun_before_its_answer_was_there_counts_anew(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     """The device may still be executing the draws of the earlier begin."""
     size, layers = (512, 512), 40
-    with device.texture(size, Format.R8) as image, device.mesh(np.tile(rectangle(), layers)) as mesh:
+    with device.texture(size, rhi.Format.R8) as image, device.mesh(np.tile(rectangle(), layers)) as mesh:
         for _ in range(5):
             for count in (layers, 1):
                 with device.render_pass(image), query:
@@ -185,9 +173,9 @@ def test_a_query_begun_before_its_answer_was_there_counts_anew(device: Device, q
             assert query.wait() == 512 * 512
 
 
-def test_many_queries_keep_their_own_counts(device: Device, query: OcclusionQuery) -> None:
+def test_many_queries_keep_their_own_counts(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     queries = [device.occlusion_query(emulated=query.emulated) for _ in range(50)]
-    with device.texture(SIZE, Format.R8) as image:
+    with device.texture(SIZE, rhi.Format.R8) as image:
         meshes = [device.mesh(texel_rectangle(0, 0, i % 16, 1 + i // 16, SIZE)) for i in range(50)]
         with device.render_pass(image):
             for each, mesh in zip(queries, meshes, strict=True):
@@ -200,19 +188,19 @@ def test_many_queries_keep_their_own_counts(device: Device, query: OcclusionQuer
             mesh.destroy()
 
 
-def test_an_answer_comes_without_waiting_for_it(device: Device, query: OcclusionQuery) -> None:
+def test_an_answer_comes_without_waiting_for_it(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     """Polling is enough for the query to finish: `end` submits its work."""
-    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle()) as mesh:
+    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
         with device.render_pass(image), query:
             device.draw(device.program(Colored), mesh)
         assert comes_true(lambda: query.is_finished)
         assert query.visible_samples == 256
 
 
-def test_polling_does_not_block(device: Device, query: OcclusionQuery) -> None:
+def test_polling_does_not_block(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     """The work of the query grows until two polls find it unfinished. If polls wait only one of them can, although the
     fence was unfinished before. A device that executes commands at once can't fail this test."""
-    with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
+    with device.texture((1024, 1024), rhi.Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)
         for instances in (4**n for n in range(6)):
             with device.render_pass(image), query:
@@ -229,10 +217,10 @@ def test_polling_does_not_block(device: Device, query: OcclusionQuery) -> None:
             assert not unfinished, f"{polls} polls during {instances} full screens: each of them blocked"
 
 
-def test_an_answer_stays_until_the_next_begin(device: Device, query: OcclusionQuery) -> None:
+def test_an_answer_stays_until_the_next_begin(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     assert count(device, query, rectangle(depth=0.75)) == 256
     assert query.visible_samples == query.visible_samples == query.wait() == 256
-    with device.texture(SIZE, Format.R8) as image, device.render_pass(image):
+    with device.texture(SIZE, rhi.Format.R8) as image, device.render_pass(image):
         query.begin()
         assert not query.is_finished
         query.end()
@@ -240,16 +228,16 @@ def test_an_answer_stays_until_the_next_begin(device: Device, query: OcclusionQu
 
 
 @pytest.mark.parametrize("samples", [2, 4, 8])
-def test_multi_sampled_targets_count_samples(device: Device, query: OcclusionQuery, samples: int) -> None:
+def test_multi_sampled_targets_count_samples(device: rhi.Device, query: rhi.OcclusionQuery, samples: int) -> None:
     """A device that declares a number of samples has as many, not more."""
     require_samples(device, samples)
-    with device.texture(SIZE, Format.R8, samples=samples) as image, device.mesh(rectangle(-1, -1, 0, 0)) as mesh:
+    with device.texture(SIZE, rhi.Format.R8, samples=samples) as image, device.mesh(rectangle(-1, -1, 0, 0)) as mesh:
         with device.render_pass(image), query:
             device.draw(device.program(Colored), mesh)
         assert query.wait() == samples * 64
 
 
-def test_queries_are_counted(device: Device, query: OcclusionQuery) -> None:
+def test_queries_are_counted(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     before = device.statistics.queries
     count(device, query, rectangle())
     count(device, query, rectangle())
@@ -259,10 +247,10 @@ def test_queries_are_counted(device: Device, query: OcclusionQuery) -> None:
 @pytest.mark.needs("occlusion_queries", "sample_counter")
 @settings(max_examples=10, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(points=st.lists(PLACE, min_size=3, max_size=12))
-def test_native_and_emulated_queries_agree(device: Device, points: Any) -> None:
+def test_native_and_emulated_queries_agree(device: rhi.Device, points: Any) -> None:
     rows = corners(window_to_clip(np.array(points[: len(points) // 3 * 3]) / SUBTEXELS, SIZE), depth=0.75)
     native, emulated = device.occlusion_query(), device.occlusion_query(emulated=True)
-    assert count(device, native, rows, CullMode.NONE) == count(device, emulated, rows, CullMode.NONE)
+    assert count(device, native, rows, rhi.CullMode.NONE) == count(device, emulated, rows, rhi.CullMode.NONE)
     native.destroy()
     emulated.destroy()
 
@@ -273,18 +261,18 @@ def test_native_and_emulated_queries_agree(device: Device, points: Any) -> None:
 @pytest.mark.needs("occlusion_queries", "conditional_rendering")
 @pytest.mark.parametrize("inverted", [False, True])
 @pytest.mark.parametrize("depth", [0.25, 0.75], ids=["hidden", "visible"])
-def test_draws_depend_on_the_answer(device: Device, depth: float, inverted: bool) -> None:
+def test_draws_depend_on_the_answer(device: rhi.Device, depth: float, inverted: bool) -> None:
     query = device.occlusion_query()
     seen = (depth == 0.75) is not inverted
     with (
-        device.texture(SIZE, Format.R8) as image,
-        device.texture(SIZE, Format.D32F) as target,
+        device.texture(SIZE, rhi.Format.R8) as image,
+        device.texture(SIZE, rhi.Format.D32F) as target,
         device.mesh(rectangle(depth=depth)) as box,
         device.mesh(rectangle(depth=0.9)) as thing,
     ):
         program = device.program(Colored)
         with device.render_pass(image, target, clear=(0, 0, 0, 0), clear_depth=0.5):
-            with device.states(ColorWrite.OFF, DepthWrite.OFF), query:
+            with device.states(rhi.ColorWrite.OFF, rhi.DepthWrite.OFF), query:
                 device.draw(program, box)
             with device.conditional(query, inverted=inverted):
                 device.draw(program, thing)
@@ -293,9 +281,9 @@ def test_draws_depend_on_the_answer(device: Device, depth: float, inverted: bool
 
 
 @pytest.mark.needs("occlusion_queries", "conditional_rendering")
-def test_draws_after_a_condition_do_not_depend_on_it(device: Device) -> None:
+def test_draws_after_a_condition_do_not_depend_on_it(device: rhi.Device) -> None:
     query = device.occlusion_query()
-    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle()) as mesh:
+    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
         with device.render_pass(image, clear=(0, 0, 0, 0)):
             with query:
                 pass
@@ -310,15 +298,15 @@ def test_draws_after_a_condition_do_not_depend_on_it(device: Device) -> None:
 
 @pytest.mark.needs("occlusion_queries", "shading")
 @pytest.mark.needs("draws")
-def test_an_unfinished_query_has_no_number_yet(device: Device) -> None:
+def test_an_unfinished_query_has_no_number_yet(device: rhi.Device) -> None:
     """Either the answer is available, or reading it raises an error: a 0 never means 'not yet'."""
     query = device.occlusion_query()
-    with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(np.tile(rectangle(), 60)) as mesh:
+    with device.texture((1024, 1024), rhi.Format.RGBA8) as image, device.mesh(np.tile(rectangle(), 60)) as mesh:
         with device.render_pass(image), query:
             device.draw(device.program(Colored), mesh)
         try:
             early = query.visible_samples
-        except ValidationError as error:
+        except rhi.ValidationError as error:
             rule = error.rule
             early = query.wait()
         else:
@@ -328,10 +316,10 @@ def test_an_unfinished_query_has_no_number_yet(device: Device) -> None:
     query.destroy()
 
 
-def test_the_samples_of_large_points_are_counted(device: Device, query: OcclusionQuery) -> None:
+def test_the_samples_of_large_points_are_counted(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     require_point_sizes(device)
     rows = point_rows([(4.5, 8.5), (12.5, 8.5)], SIZE, [5.0, 3.0])
-    with device.texture(SIZE, Format.R8) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rows, primitive=rhi.Primitive.POINTS) as mesh:
         with device.render_pass(image, clear=(0, 0, 0, 0)), query:
             device.draw(device.program(Sized), mesh)
     assert query.wait() == 25 + 9

@@ -21,28 +21,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi import (
-    AlphaFunction,
-    AlphaReference,
-    AlphaTest,
-    AlphaToCoverage,
-    BlendColor,
-    BlendFunction,
-    ColorWrite,
-    DepthBias,
-    DepthFunction,
-    DepthTest,
-    DepthWrite,
-    Format,
-    PolygonOffset,
-    StencilBack,
-    StencilFront,
-    StencilOperation,
-    StencilReadMask,
-    StencilReference,
-    StencilTest,
-    StencilWriteMask,
-)
+import rhi
 from rhi.conformance import reference
 from rhi.conformance.programs.coverage import Covered, clip_corners, find_coverage, list_primitives
 from rhi.conformance.programs.intervals import Float, Interval, Tested, compare
@@ -357,11 +336,11 @@ class _Machine:
             holes = (x + y) % 2 == 0
             kept = kept & Tested(~holes, ~holes)
         floats = ink not in _INTEGER_INKS
-        if floats and states[AlphaTest] is AlphaTest.ON:
-            alpha = Interval.of(np.float64(np.float32(states[AlphaReference].value)))
-            kept = kept & compare(states[AlphaFunction], color[..., 3], alpha)
+        if floats and states[rhi.AlphaTest] is rhi.AlphaTest.ON:
+            alpha = Interval.of(np.float64(np.float32(states[rhi.AlphaReference].value)))
+            kept = kept & compare(states[rhi.AlphaFunction], color[..., 3], alpha)
         shown = Tested(kept.must[..., None] & full.must, kept.may[..., None] & full.may)
-        if floats and context.samples > 1 and states[AlphaToCoverage] is AlphaToCoverage.ON:
+        if floats and context.samples > 1 and states[rhi.AlphaToCoverage] is rhi.AlphaToCoverage.ON:
             whole, some = color.low[..., 3] >= 1.0, color.high[..., 3] > 0.0
             shown = Tested(shown.must & whole[..., None], shown.may & some[..., None])
         # -- tests
@@ -398,7 +377,7 @@ class _Machine:
         format = self._program.images[source.image].format
         if format.is_depth:
             value = read_depth(format, part)
-            texel = decode(Format.R32F, value.widen(6e-8), self._rules)
+            texel = decode(rhi.Format.R32F, value.widen(6e-8), self._rules)
         else:
             texel = decode(format, part, self._rules)
         total = color + texel
@@ -437,13 +416,13 @@ class _Machine:
         if context.effects & Effect.DEPTH:
             new = Interval(np.zeros(new.low.shape), np.full(new.high.shape, float(format.depth_steps or 1)))
         near = always
-        if states[DepthTest] is DepthTest.ON:
-            near = compare(states[DepthFunction], new, old)
+        if states[rhi.DepthTest] is rhi.DepthTest.ON:
+            near = compare(states[rhi.DepthFunction], new, old)
         equal = always
-        if format.has_stencil and states[StencilTest] is StencilTest.ON:
+        if format.has_stencil and states[rhi.StencilTest] is rhi.StencilTest.ON:
             equal = self._stencil(context, covered, stored, here, covers, near)
         passed = covers & equal & near
-        if states[DepthWrite] is DepthWrite.ON:
+        if states[rhi.DepthWrite] is rhi.DepthWrite.ON:
             after = new.unite(passed.may, old, ~passed.must)
             stored.low[here] = after.low[..., None]
             stored.high[here] = after.high[..., None]
@@ -453,10 +432,10 @@ class _Machine:
         self, context: _Context, covered: Covered, stored: _Level, here: Any, covers: Tested, near: Tested
     ) -> Tested:
         states, front = context.states, covered.is_front
-        side = states[StencilFront if front else StencilBack]
+        side = states[rhi.StencilFront if front else rhi.StencilBack]
         reference_, reads, writes = (
             state.front if front else state.back
-            for state in (states[StencilReference], states[StencilReadMask], states[StencilWriteMask])
+            for state in (states[rhi.StencilReference], states[rhi.StencilReadMask], states[rhi.StencilWriteMask])
         )
         old = Interval(stored.stencil_low[here].copy(), stored.stencil_high[here].copy())
         known = old.low == old.high
@@ -464,7 +443,7 @@ class _Machine:
         name = side.function.value
         equal = Tested(np.where(known, exact, name == "always"), np.where(known, exact, name != "never"))
         outcomes = [
-            (~covers.must, StencilOperation.KEEP),
+            (~covers.must, rhi.StencilOperation.KEEP),
             (covers.may & ~equal.must, side.stencil_fail),
             (covers.may & equal.may & ~near.must, side.depth_fail),
             (covers.may & equal.may & near.may, side.both_pass),
@@ -473,7 +452,7 @@ class _Machine:
         for possible, operation in outcomes:
             table = np.array([reference.stencil(operation, value, reference_, writes) for value in range(256)])
             new = table[old.low.astype(np.int64)]
-            changes = operation is not StencilOperation.KEEP
+            changes = operation is not rhi.StencilOperation.KEEP
             least = np.where(known, new, 0.0 if changes else old.low)
             most = np.where(known, new, 255.0 if changes else old.high)
             low = np.where(possible, np.minimum(low, least), low)
@@ -481,8 +460,8 @@ class _Machine:
         stored.stencil_low[here], stored.stencil_high[here] = low, high
         return equal
 
-    def _bias(self, context: _Context, covered: Covered, format: Format) -> Interval:
-        bias, offset = context.states[DepthBias], context.states[PolygonOffset]
+    def _bias(self, context: _Context, covered: Covered, format: rhi.Format) -> Interval:
+        bias, offset = context.states[rhi.DepthBias], context.states[rhi.PolygonOffset]
         z = covered.depth
         if (not bias.units and not offset.slope) or covered.slope < 0:
             return z
@@ -499,7 +478,7 @@ class _Machine:
         return Interval(z.low + low, z.high + high).widen(2e-7)
 
     def _merge_color(
-        self, context: _Context, covered: Covered, number: int, place: Place, format: Format, output: Interval,
+        self, context: _Context, covered: Covered, number: int, place: Place, format: rhi.Format, output: Interval,
         written: Tested,
     ) -> None:  # fmt: skip
         states = context.states
@@ -507,11 +486,11 @@ class _Machine:
         here = (place.layer, covered.rows, covered.columns)
         old = Interval(stored.low[here].copy(), stored.high[here].copy())
         source = output[:, :, None, :]  # for all samples
-        function = states[BlendFunction][number]
+        function = states[rhi.BlendFunction][number]
         if not format.is_integer and not function.is_off:
             below = decode(format, old, self._rules)
             wide = Interval(*(np.broadcast_to(end, below.low.shape) for end in (source.low, source.high)))
-            source = blend(format, function, states[BlendColor], wide, below, self._rules)
+            source = blend(format, function, states[rhi.BlendColor], wide, below, self._rules)
         fresh = encode(format, source, self._rules)
         fresh = Interval(*(np.broadcast_to(end, old.low.shape) for end in (fresh.low, fresh.high)))
         if number < len(context.color_faults) and context.color_faults[number]:
@@ -519,7 +498,7 @@ class _Machine:
             if format.kind in (ChannelKind.UNORM, ChannelKind.SRGB, ChannelKind.SNORM):
                 most = float(reference.largest(format))
                 fresh = fresh.clip(-most if format.kind is ChannelKind.SNORM else 0.0, most)
-        write = states[ColorWrite][number]
+        write = states[rhi.ColorWrite][number]
         mask = np.array([write.red, write.green, write.blue, write.alpha][: format.channels])
         after = fresh.unite(written.may[..., None] & mask, old, ~(written.must[..., None] & mask))
         stored.low[here], stored.high[here] = after.low, after.high
@@ -553,7 +532,7 @@ def _box(values: Float, shape: tuple[int, ...]) -> Float:
     return values
 
 
-def random_texels(format: Format, step: Write) -> NDArray[Any]:
+def random_texels(format: rhi.Format, step: Write) -> NDArray[Any]:
     """Return the texels of a write, (rows, columns, channels) of the format's dtype."""
     rng = np.random.default_rng(step.seed)
     shape = (step.height, step.width, format.channels)

@@ -9,17 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi import (
-    Buffer,
-    Device,
-    IndirectDraws,
-    Mesh,
-    OcclusionQuery,
-    QuerySet,
-    Region,
-    StorageBuffer,
-    Texture,
-)
+import rhi
 from rhi.conformance.programs.coverage import clip_corners
 from rhi.conformance.programs.inks import SHADERS, AddTexels, Move
 from rhi.conformance.programs.interpreter import Result, interpret, random_texels
@@ -67,7 +57,7 @@ class Difference:
         return f"{self.name}: {self.count} differ, first at ({at}): {self.given!r}, not {self.low!r} to {self.high!r}"
 
 
-def check(device: Device, program: Program, rules: Rules = EXACT) -> list[Difference]:
+def check(device: rhi.Device, program: Program, rules: Rules = EXACT) -> list[Difference]:
     """Run a program on a device and return its differences from the interpreter's results."""
     return compare(run(device, program), interpret(program, rules))
 
@@ -90,16 +80,16 @@ def compare(given: list[tuple[str, NDArray[Any]]], allowed: list[Result]) -> lis
     return differences
 
 
-def run(device: Device, program: Program) -> list[tuple[str, NDArray[Any]]]:
+def run(device: rhi.Device, program: Program) -> list[tuple[str, NDArray[Any]]]:
     """Execute a program; return its reads, counts and buffers, and the final contents of its images, each named."""
     with ExitStack() as stack:
         return _Run(device, program, stack).results()
 
 
 class _Run:
-    def __init__(self, device: Device, program: Program, stack: ExitStack) -> None:
+    def __init__(self, device: rhi.Device, program: Program, stack: ExitStack) -> None:
         self._device, self._program, self._stack = device, program, stack
-        self._images: list[Texture] = []
+        self._images: list[rhi.Texture] = []
         for image in program.images:
             texture = device.texture(
                 image.size, image.format, kind=image.kind, layers=image.layers, levels=image.levels,
@@ -107,16 +97,16 @@ class _Run:
             )  # fmt: skip
             self._images.append(stack.enter_context(texture))
         self._shapes = list(program.shapes)
-        self._meshes: dict[tuple[int, tuple[int, int]], Mesh] = {}
-        self._counts: StorageBuffer[uint] = stack.enter_context(device.storage(uint, CELLS))
-        self._reds: StorageBuffer[uint] = stack.enter_context(device.storage(uint, CELLS))
-        self._queries: list[OcclusionQuery] = []
+        self._meshes: dict[tuple[int, tuple[int, int]], rhi.Mesh] = {}
+        self._counts: rhi.StorageBuffer[uint] = stack.enter_context(device.storage(uint, CELLS))
+        self._reds: rhi.StorageBuffer[uint] = stack.enter_context(device.storage(uint, CELLS))
+        self._queries: list[rhi.OcclusionQuery] = []
         for _ in range(program.queries):
             query = device.occlusion_query()
             stack.callback(query.destroy)
             self._queries.append(query)
         self._used: set[int] = set()
-        self._sets: list[QuerySet] = []
+        self._sets: list[rhi.QuerySet] = []
         self._reads: list[tuple[str, NDArray[Any]]] = []
 
     def results(self) -> list[tuple[str, NDArray[Any]]]:
@@ -159,7 +149,7 @@ class _Run:
                 x, y, width, height, layer, layers = step.box
                 images[step.source.image].copy_to(
                     images[step.target.image], level=step.source.level,
-                    region=Region(x, y, width, height, layer, layers), target_level=step.target.level, x=step.x,
+                    region=rhi.Region(x, y, width, height, layer, layers), target_level=step.target.level, x=step.x,
                     y=step.y, layer=step.target.layer,
                 )  # fmt: skip
             case Write():
@@ -198,7 +188,7 @@ class _Run:
                 assert mesh.vertices is not None
                 mesh.vertices.write(_rows(self._shapes[number], frame)[:kept])
 
-    def _mesh(self, number: int, frame: tuple[int, int]) -> Mesh:
+    def _mesh(self, number: int, frame: tuple[int, int]) -> rhi.Mesh:
         """Return the mesh of a shape in a frame; it is made once, before anything is recorded with it."""
         mesh = self._meshes.get((number, frame))
         if mesh is None:
@@ -226,7 +216,7 @@ class _Run:
                 sets += self._draw(encoder, draw)
         self._sets += sets
 
-    def _draw(self, encoder: Encoder, draw: Draw) -> list[QuerySet]:
+    def _draw(self, encoder: Encoder, draw: Draw) -> list[rhi.QuerySet]:
         device = self._device
         program: DeviceProgram[...] = device.program(SHADERS[draw.ink])
         bindings: dict[str, Any] = {}
@@ -237,7 +227,7 @@ class _Run:
         if draw.source is not None and draw.ink in (Ink.LOAD, Ink.LOAD_LAYER):
             bindings["source"] = self._images[draw.source.image]
         mesh = self._mesh(draw.shape, draw.frame)
-        sets: list[QuerySet] = []
+        sets: list[rhi.QuerySet] = []
         with ExitStack() as around:
             around.enter_context(encoder.states(*draw.states))
             if draw.condition is not None:
@@ -255,9 +245,9 @@ class _Run:
                 case Way.MANY:
                     encoder.draw_many(program, mesh, parts, **bindings)
                 case Way.INDIRECT:
-                    arguments: Buffer = device.buffer(parts)
+                    arguments: rhi.Buffer = device.buffer(parts)
                     self._stack.enter_context(arguments)
-                    encoder.draw_indirect(program, mesh, IndirectDraws(arguments, len(parts)), **bindings)
+                    encoder.draw_indirect(program, mesh, rhi.IndirectDraws(arguments, len(parts)), **bindings)
                 case Way.COUNTED:
                     sets.append(device.query_set(len(parts)))
                     self._stack.callback(sets[0].destroy)
@@ -278,7 +268,7 @@ def _rows(shape: Shape, frame: tuple[int, int]) -> NDArray[Any]:
     return rows
 
 
-def _array(mesh: Mesh, parts: tuple[Part, ...]) -> NDArray[Any]:
+def _array(mesh: rhi.Mesh, parts: tuple[Part, ...]) -> NDArray[Any]:
     columns = ([getattr(part, name) for part in parts] for name in ("first", "count", "instances", "base_instance"))
     first, count, instances, base = (np.array(column) for column in columns)
     return mesh.draws(first, count, instances=instances, base_instance=base)

@@ -11,21 +11,6 @@ import pytest
 
 import rhi
 import rhi.shading as sl
-from rhi import (
-    AlphaTest,
-    Device,
-    Format,
-    LineWidth,
-    PolygonMode,
-    ProgramDescriptor,
-    SamplerDescriptor,
-    StencilReadMask,
-    StencilReference,
-    StencilTest,
-    StencilWriteMask,
-    TextureKind,
-    Wrap,
-)
 from rhi.conformance.shaders import Colored, Count
 from rhi.conformance.validation.refusal import refuses
 from rhi.contract.descriptors import Binding, BindingKind
@@ -35,54 +20,54 @@ SIZE = (4, 4)
 
 
 @pytest.fixture
-def image(recording: Device) -> Any:
-    with recording.texture(SIZE, Format.R8) as image:
+def image(recording: rhi.Device) -> Any:
+    with recording.texture(SIZE, rhi.Format.R8) as image:
         yield image
 
 
-def test_a_texture_is_no_larger_than_the_device_says(recording: Device) -> None:
+def test_a_texture_is_no_larger_than_the_device_says(recording: rhi.Device) -> None:
     most = recording.capabilities.max_texture_size
     for size in ((most + 1, 1), (1, most + 1)):
         with refuses(rules.TEXTURE_SIZE, recording):
-            recording.texture(size, Format.R8)
+            recording.texture(size, rhi.Format.R8)
     for size in ((most, 1), (1, most)):
-        recording.texture(size, Format.R8).destroy()
+        recording.texture(size, rhi.Format.R8).destroy()
 
 
-def test_an_array_has_no_more_layers_than_the_device_says(recording: Device) -> None:
+def test_an_array_has_no_more_layers_than_the_device_says(recording: rhi.Device) -> None:
     most = recording.capabilities.max_texture_layers
     with refuses(rules.TEXTURE_SIZE, recording):
-        recording.texture((1, 1), Format.R8, kind=TextureKind.D2_ARRAY, layers=most + 1)
-    recording.texture((1, 1), Format.R8, kind=TextureKind.D2_ARRAY, layers=most).destroy()
+        recording.texture((1, 1), rhi.Format.R8, kind=rhi.TextureKind.D2_ARRAY, layers=most + 1)
+    recording.texture((1, 1), rhi.Format.R8, kind=rhi.TextureKind.D2_ARRAY, layers=most).destroy()
 
 
 @pytest.mark.parametrize("samples", [-1, 0, 1, 2, 3, 4, 5, 8, 16])
-def test_samples_are_of_a_number_that_the_device_has(recording: Device, samples: int) -> None:
+def test_samples_are_of_a_number_that_the_device_has(recording: rhi.Device, samples: int) -> None:
     if samples in recording.capabilities.sample_counts:
-        recording.texture((4, 4), Format.R8, samples=samples).destroy()
+        recording.texture((4, 4), rhi.Format.R8, samples=samples).destroy()
     else:
         with refuses(rules.TEXTURE_SAMPLES, recording):
-            recording.texture((4, 4), Format.R8, samples=samples)
+            recording.texture((4, 4), rhi.Format.R8, samples=samples)
 
 
-def test_numbers_of_samples_ascend_from_1(recording: Device) -> None:
+def test_numbers_of_samples_ascend_from_1(recording: rhi.Device) -> None:
     counts = recording.capabilities.sample_counts
     assert counts[0] == 1
     assert list(counts) == sorted(set(counts) & {1, 2, 4, 8})
 
 
-def test_a_border_is_refused_where_samplers_have_none(recording: Device) -> None:
-    border = SamplerDescriptor(wrap_v=Wrap.BORDER)
+def test_a_border_is_refused_where_samplers_have_none(recording: rhi.Device) -> None:
+    border = rhi.SamplerDescriptor(wrap_v=rhi.Wrap.BORDER)
     if recording.capabilities.border_colors:
         recording.sampler(border)
     else:
         with refuses(rules.DEVICE_CAPABILITY, recording):
             recording.sampler(border)
-    recording.sampler(SamplerDescriptor(border=(1, 1, 1, 1)))
+    recording.sampler(rhi.SamplerDescriptor(border=(1, 1, 1, 1)))
 
 
-@pytest.mark.parametrize("state", [StencilReference, StencilReadMask, StencilWriteMask])
-def test_faces_share_stencil_bytes_where_the_device_has_no_others(recording: Device, state: Any) -> None:
+@pytest.mark.parametrize("state", [rhi.StencilReference, rhi.StencilReadMask, rhi.StencilWriteMask])
+def test_faces_share_stencil_bytes_where_the_device_has_no_others(recording: rhi.Device, state: Any) -> None:
     if recording.capabilities.stencil_per_face:
         with recording.states(state(1, 2)):
             pass
@@ -93,7 +78,7 @@ def test_faces_share_stencil_bytes_where_the_device_has_no_others(recording: Dev
         pass
 
 
-def test_copies_are_aligned_as_the_device_says(recording: Device) -> None:
+def test_copies_are_aligned_as_the_device_says(recording: rhi.Device) -> None:
     alignment = recording.capabilities.copy_alignment
     with recording.buffer(4 * alignment, np.dtype("u1")) as a, recording.buffer(4 * alignment, np.dtype("u1")) as b:
         a.copy_to(b, size=alignment, offset=alignment, target_offset=2 * alignment)
@@ -106,20 +91,20 @@ def test_copies_are_aligned_as_the_device_says(recording: Device) -> None:
                     a.copy_to(b, **copy)
 
 
-def test_a_sampler_is_no_more_anisotropic_than_the_device_says(recording: Device) -> None:
+def test_a_sampler_is_no_more_anisotropic_than_the_device_says(recording: rhi.Device) -> None:
     most = recording.capabilities.max_anisotropy
     with refuses(rules.DEVICE_CAPABILITY, recording):
-        recording.sampler(SamplerDescriptor(max_anisotropy=most + 0.5))
-    with recording.texture((1, 1), Format.RGBA8) as texture:
+        recording.sampler(rhi.SamplerDescriptor(max_anisotropy=most + 0.5))
+    with recording.texture((1, 1), rhi.Format.RGBA8) as texture:
         with refuses(rules.DEVICE_CAPABILITY, recording):
-            texture.sampled(SamplerDescriptor(max_anisotropy=most + 0.5))
-    recording.sampler(SamplerDescriptor(max_anisotropy=most))
+            texture.sampled(rhi.SamplerDescriptor(max_anisotropy=most + 0.5))
+    recording.sampler(rhi.SamplerDescriptor(max_anisotropy=most))
 
 
-def test_a_copy_between_a_texture_and_a_buffer_is_aligned_as_the_device_says(recording: Device) -> None:
+def test_a_copy_between_a_texture_and_a_buffer_is_aligned_as_the_device_says(recording: rhi.Device) -> None:
     limits = recording.capabilities
     offset, row = max(4, limits.copy_offset_alignment), max(4, limits.copy_row_alignment)
-    with recording.texture((1, 3), Format.RGBA8) as texture, recording.buffer(8 * (offset + row)) as buffer:
+    with recording.texture((1, 3), rhi.Format.RGBA8) as texture, recording.buffer(8 * (offset + row)) as buffer:
         if not limits.texture_buffer_copies:
             with refuses(rules.DEVICE_CAPABILITY, recording):
                 texture.copy_to_buffer(buffer)
@@ -134,13 +119,13 @@ def test_a_copy_between_a_texture_and_a_buffer_is_aligned_as_the_device_says(rec
         texture.copy_from_buffer(buffer, offset=offset, row_bytes=row)
 
 
-def test_formats_that_the_device_lacks_are_refused(recording: Device) -> None:
+def test_formats_that_the_device_lacks_are_refused(recording: rhi.Device) -> None:
     for format in recording.capabilities.unsupported_formats:
         with refuses(rules.DEVICE_CAPABILITY, recording):
             recording.texture((4, 4), format)
 
 
-def test_formats_that_cannot_be_drawn_to_are_refused(recording: Device) -> None:
+def test_formats_that_cannot_be_drawn_to_are_refused(recording: rhi.Device) -> None:
     lacking = recording.capabilities.unrenderable_formats - recording.capabilities.unsupported_formats
     for format in lacking:
         with recording.texture(SIZE, format) as texture, refuses(rules.PASS_TARGET, recording):
@@ -148,9 +133,11 @@ def test_formats_that_cannot_be_drawn_to_are_refused(recording: Device) -> None:
 
 
 @pytest.mark.parametrize(
-    ("format", "limit", "each"), [(Format.R8, "max_color_targets", 1), (Format.RGBA32F, "max_target_bytes", 16)]
+    ("format", "limit", "each"), [(rhi.Format.R8, "max_color_targets", 1), (rhi.Format.RGBA32F, "max_target_bytes", 16)]
 )
-def test_targets_are_no_more_than_the_device_says(recording: Device, format: Format, limit: str, each: int) -> None:
+def test_targets_are_no_more_than_the_device_says(
+    recording: rhi.Device, format: rhi.Format, limit: str, each: int
+) -> None:
     most = getattr(recording.capabilities, limit) // each
     targets = [recording.texture(SIZE, format) for _ in range(most + 1)]
     with refuses(rules.DEVICE_CAPABILITY, recording):
@@ -160,12 +147,12 @@ def test_targets_are_no_more_than_the_device_says(recording: Device, format: For
         target.destroy()
 
 
-def test_states_that_the_device_lacks_are_refused(recording: Device) -> None:
+def test_states_that_the_device_lacks_are_refused(recording: rhi.Device) -> None:
     capabilities = recording.capabilities
     for state, lacking in (
-        (AlphaTest.ON, not capabilities.alpha_test),
-        (StencilTest.ON, not capabilities.stencil),
-        (PolygonMode.LINE, not capabilities.wireframe),
+        (rhi.AlphaTest.ON, not capabilities.alpha_test),
+        (rhi.StencilTest.ON, not capabilities.stencil),
+        (rhi.PolygonMode.LINE, not capabilities.wireframe),
     ):
         if lacking:
             with refuses(rules.STATE_CAPABILITY, recording), recording.states(state):
@@ -173,16 +160,16 @@ def test_states_that_the_device_lacks_are_refused(recording: Device) -> None:
         else:
             with recording.states(state):
                 pass
-    with recording.states(AlphaTest.OFF):
+    with recording.states(rhi.AlphaTest.OFF):
         pass
 
 
-def test_lines_are_as_wide_as_the_device_says_and_no_wider(recording: Device) -> None:
+def test_lines_are_as_wide_as_the_device_says_and_no_wider(recording: rhi.Device) -> None:
     most = recording.capabilities.max_line_width
     for width in (1.0, most):
-        with recording.states(LineWidth(width)):
+        with recording.states(rhi.LineWidth(width)):
             pass
-    with refuses(rules.STATE_CAPABILITY, recording), recording.states(LineWidth(most + 0.5)):
+    with refuses(rules.STATE_CAPABILITY, recording), recording.states(rhi.LineWidth(most + 0.5)):
         pass
 
 
@@ -254,7 +241,7 @@ class Kept(sl.Shader):
     ],
 )
 def test_programs_need_a_device_that_has_what_they_use(
-    recording: Device, shader: type[sl.Shader], feature: str
+    recording: rhi.Device, shader: type[sl.Shader], feature: str
 ) -> None:
     if float(getattr(recording.capabilities, feature)) > (1.0 if feature == "max_point_size" else 0.0):
         recording.program(shader).destroy()
@@ -265,7 +252,7 @@ def test_programs_need_a_device_that_has_what_they_use(
 
 @pytest.mark.needs("compute")
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_groups_are_no_more_than_the_device_says(recording: Device, axis: int) -> None:
+def test_groups_are_no_more_than_the_device_says(recording: rhi.Device, axis: int) -> None:
     groups = [1, 1, 1]
     groups[axis] = recording.capabilities.max_dispatch[axis] + 1
     with recording.storage(sl.uint, 1) as total, refuses(rules.DISPATCH_SIZE, recording):
@@ -273,7 +260,7 @@ def test_groups_are_no_more_than_the_device_says(recording: Device, axis: int) -
 
 
 @pytest.mark.needs("compute")
-def test_groups_are_no_more_in_all_than_the_device_says(recording: Device) -> None:
+def test_groups_are_no_more_in_all_than_the_device_says(recording: rhi.Device) -> None:
     """Drivers that count them in 32 bits end the process, or run what is left: of 2³² groups none. That the most are
     taken is shown by a null device with the same limits, which doesn't execute them for hours."""
     rows = recording.capabilities.max_dispatch_groups >> 16
@@ -294,8 +281,8 @@ def test_groups_are_no_more_in_all_than_the_device_says(recording: Device) -> No
     ],
     ids=lambda value: value.name.lower() if isinstance(value, BindingKind) else "",
 )
-def test_bindings_are_no_more_than_the_device_says(recording: Device, kind: BindingKind, limit: str) -> None:
-    def program(count: int) -> ProgramDescriptor:
+def test_bindings_are_no_more_than_the_device_says(recording: rhi.Device, kind: BindingKind, limit: str) -> None:
+    def program(count: int) -> rhi.ProgramDescriptor:
         bindings = tuple(Binding(f"b{i}", kind, i, False, None, 16) for i in range(count))
         return replace(sl.compile_shader(Colored), bindings=bindings)
 
@@ -306,7 +293,7 @@ def test_bindings_are_no_more_than_the_device_says(recording: Device, kind: Bind
 
 
 @pytest.mark.needs("compute")
-def test_a_work_group_shares_no_more_than_the_device_says(recording: Device) -> None:
+def test_a_work_group_shares_no_more_than_the_device_says(recording: rhi.Device) -> None:
     most = recording.capabilities.max_shared_bytes // 4
 
     class Sharing(sl.Shader):
@@ -323,13 +310,13 @@ def test_a_work_group_shares_no_more_than_the_device_says(recording: Device) -> 
         recording.program(Sharing)
 
 
-def test_timing_needs_timestamps(recording: Device) -> None:
+def test_timing_needs_timestamps(recording: rhi.Device) -> None:
     if not recording.capabilities.timestamps:
         with refuses(rules.DEVICE_CAPABILITY, recording):
             recording.timing = True
 
 
-def test_an_emulated_query_needs_a_counter(recording: Device) -> None:
+def test_an_emulated_query_needs_a_counter(recording: rhi.Device) -> None:
     if recording.capabilities.sample_counter:
         recording.occlusion_query(emulated=True).destroy()
     else:
@@ -337,7 +324,7 @@ def test_an_emulated_query_needs_a_counter(recording: Device) -> None:
             recording.occlusion_query(emulated=True)
 
 
-def test_an_emulated_set_needs_a_counter(recording: Device) -> None:
+def test_an_emulated_set_needs_a_counter(recording: rhi.Device) -> None:
     if recording.capabilities.sample_counter:
         recording.query_set(2, emulated=True).destroy()
     else:
@@ -346,7 +333,7 @@ def test_an_emulated_set_needs_a_counter(recording: Device) -> None:
 
 
 @pytest.mark.needs("sample_counter", "conditional_rendering")
-def test_a_condition_needs_a_native_query(recording: Device, image: Any) -> None:
+def test_a_condition_needs_a_native_query(recording: rhi.Device, image: Any) -> None:
     query = recording.occlusion_query(emulated=True)
     with recording.render_pass(image):
         with query:

@@ -13,19 +13,6 @@ from hypothesis import strategies as st
 from testing_kit import Corner, House, Light
 
 import rhi
-from rhi import (
-    BlendFunction,
-    ColorWrite,
-    CullMode,
-    DepthBias,
-    DepthFunction,
-    Device,
-    Encoder,
-    Format,
-    FrontFace,
-    Op,
-    Primitive,
-)
 from rhi.backends.null import Faults, NullBackend, SimulatedBackend, Simulation, create_backend
 from rhi.commands.recorder import CommandMethods
 from rhi.conformance.compare import assert_same
@@ -36,8 +23,8 @@ from rhi.trace import load, replay, save
 # -- random programs ---------------------------------------------------------------------------------------
 
 STATES = (
-    CullMode.NONE, CullMode.FRONT, DepthBias(-2.0), ColorWrite(red=False), BlendFunction.ADDITIVE,
-    BlendFunction.ALPHA.at(1), DepthFunction.ALWAYS,
+    rhi.CullMode.NONE, rhi.CullMode.FRONT, rhi.DepthBias(-2.0), rhi.ColorWrite(red=False), rhi.BlendFunction.ADDITIVE,
+    rhi.BlendFunction.ALPHA.at(1), rhi.DepthFunction.ALWAYS,
 )  # fmt: skip
 DRAW = st.tuples(
     st.lists(st.sampled_from(STATES), unique_by=type, max_size=3),
@@ -48,14 +35,14 @@ DRAW = st.tuples(
 PASS = st.tuples(st.booleans(), st.booleans(), st.text("ab", max_size=2), st.lists(DRAW, max_size=6))
 
 
-def give(encoder: Encoder, house: House, passes: list[Any]) -> None:
+def give(encoder: rhi.Encoder, house: House, passes: list[Any]) -> None:
     """A random frame."""
     for clears, shadow, label, draws in passes:
         target = {"depth": house.map} if shadow else {"color": house.image, "depth": house.depth}
         with encoder.event(label), encoder.render_pass(**target, clear_depth=0 if clears else None):
             for states, roof, first, instances in draws:
                 mesh = (house.roof if roof else house.walls).view(first)
-                with encoder.states(*states, FrontFace.CLOCKWISE):
+                with encoder.states(*states, rhi.FrontFace.CLOCKWISE):
                     if shadow:
                         encoder.draw(house.shadow, mesh, instances, light=house.light)
                     else:
@@ -87,14 +74,14 @@ def test_a_submitted_frame_sends_the_commands_of_an_immediate_one(passes: list[A
 # -- faults ------------------------------------------------------------------------------------------------
 
 
-def shadow_pass(encoder: Encoder, house: House) -> None:
+def shadow_pass(encoder: rhi.Encoder, house: House) -> None:
     with (
         encoder.event("sun"),
         encoder.render_pass(depth=house.map, clear_depth=0),
-        encoder.states(CullMode.FRONT),
+        encoder.states(rhi.CullMode.FRONT),
     ):
         encoder.draw(house.shadow, house.walls, light=encoder.transient.uniform(Light(offset=(1, 2, 3, 4))))
-        with encoder.immediate(house.shadow, Primitive.TRIANGLES, light=house.light) as triangles:
+        with encoder.immediate(house.shadow, rhi.Primitive.TRIANGLES, light=house.light) as triangles:
             triangles.vertices(np.zeros(3, Corner.dtype))
 
 
@@ -164,7 +151,7 @@ class Flaky(CommandMethods):
 ])  # fmt: skip
 def test_after_a_call_that_failed_the_device_and_the_buffer_go_on(method: str, after: int, recorded: bool) -> None:
     flaky = Flaky()
-    with Device(rhi.Recorder(flaky) if recorded else flaky) as device:
+    with rhi.Device(rhi.Recorder(flaky) if recorded else flaky) as device:
         house = House(device)
         null = device.backend_as(NullBackend)
         with device.record() as commands:
@@ -205,11 +192,11 @@ def test_a_submission_is_part_of_a_trace(tmp_path: Any) -> None:
         assert device.backend_as(NullBackend).statistics.draws == 4
 
 
-def test_watch_sees_the_work_of_a_submission(null_device: Device) -> None:
+def test_watch_sees_the_work_of_a_submission(null_device: rhi.Device) -> None:
     house = House(null_device)
     with null_device.record() as commands, commands.render_pass(depth=house.map):
         for _ in range(5):
-            with commands.states(CullMode.NONE, DepthBias(-1.0)):
+            with commands.states(rhi.CullMode.NONE, rhi.DepthBias(-1.0)):
                 commands.draw(house.shadow, house.walls, light=house.light)
     with watch(null_device) as work:
         null_device.submit(commands)
@@ -229,19 +216,19 @@ def test_a_simulated_gpu_takes_submissions_without_a_hazard() -> None:
         assert not device.backend_as(SimulatedBackend).hazards
 
 
-def test_recorded_commands_can_be_asserted_on_before_submission(null_device: Device) -> None:
+def test_recorded_commands_can_be_asserted_on_before_submission(null_device: rhi.Device) -> None:
     house = House(null_device)
     with null_device.record(label="sun") as commands:
         shadow_pass(commands, house)
     assert len(commands) == len(commands.stream) > 5
-    expect(commands.stream).draws(program="Shadow").within("sun").with_states(CullMode.FRONT).exactly(2)
+    expect(commands.stream).draws(program="Shadow").within("sun").with_states(rhi.CullMode.FRONT).exactly(2)
     assert "sun" in repr(null_device.record(label="sun"))
 
 
 # -- life --------------------------------------------------------------------------------------------------
 
 
-def test_a_buffer_keeps_no_mesh_and_meshes_keep_no_buffer(null_device: Device) -> None:
+def test_a_buffer_keeps_no_mesh_and_meshes_keep_no_buffer(null_device: rhi.Device) -> None:
     house = House(null_device)
     with null_device.record() as commands, commands.render_pass(depth=house.map):
         view = house.walls.view(0, 3)
@@ -256,7 +243,7 @@ def test_a_buffer_keeps_no_mesh_and_meshes_keep_no_buffer(null_device: Device) -
     assert kept() is None
 
 
-def test_a_buffer_that_was_never_submitted_leaves_nothing_behind(null_device: Device) -> None:
+def test_a_buffer_that_was_never_submitted_leaves_nothing_behind(null_device: rhi.Device) -> None:
     house = House(null_device)
     before = len(null_device.stream)
     with null_device.record() as commands:
@@ -264,13 +251,13 @@ def test_a_buffer_that_was_never_submitted_leaves_nothing_behind(null_device: De
     del commands
     gc.collect()
     null_device.finish()
-    assert not null_device.stream[before:].filter([Op.CREATE_BUFFER, Op.CREATE_VERTEX_ARRAY, Op.DESTROY])
+    assert not null_device.stream[before:].filter([rhi.Op.CREATE_BUFFER, rhi.Op.CREATE_VERTEX_ARRAY, rhi.Op.DESTROY])
 
 
-def test_two_buffers_made_before_the_first_submission_serve_one_mesh(null_device: Device) -> None:
+def test_two_buffers_made_before_the_first_submission_serve_one_mesh(null_device: rhi.Device) -> None:
     house = House(null_device)
 
-    def draw(encoder: Encoder) -> None:
+    def draw(encoder: rhi.Encoder) -> None:
         with encoder.render_pass(depth=house.map):
             encoder.draw(house.shadow, house.walls, light=house.light)
 
@@ -282,16 +269,16 @@ def test_two_buffers_made_before_the_first_submission_serve_one_mesh(null_device
     before = len(null_device.stream)
     null_device.submit(*buffers, *buffers)
     draw(null_device)
-    made = null_device.stream[before:].filter(Op.CREATE_VERTEX_ARRAY)
+    made = null_device.stream[before:].filter(rhi.Op.CREATE_VERTEX_ARRAY)
     assert len(made) == 2  # one for each, made before they knew of each other
     house.walls.destroy()
     null_device.finish()
-    gone = {command.values[0] for command in null_device.stream.filter(Op.DESTROY)}
+    gone = {command.values[0] for command in null_device.stream.filter(rhi.Op.DESTROY)}
     assert {command.values[0] for command in made} <= gone
 
 
-def test_the_device_s_own_image_comes_from_a_submission(null_device: Device) -> None:
-    image = null_device.texture((4, 4), Format.R8)
+def test_the_device_s_own_image_comes_from_a_submission(null_device: rhi.Device) -> None:
+    image = null_device.texture((4, 4), rhi.Format.R8)
     with null_device.record() as commands, commands.render_pass(image, clear=(1, 0, 0, 0)):
         pass
     null_device.submit(commands)

@@ -9,23 +9,6 @@ import pytest
 from testing_kit import Corner, House, Tint
 
 import rhi
-from rhi import (
-    AlphaFunction,
-    AlphaTest,
-    BlendFactor,
-    BlendFunction,
-    ColorWrite,
-    Comparison,
-    CullMode,
-    DepthFunction,
-    DepthTest,
-    DepthWrite,
-    Scissor,
-    StencilBack,
-    StencilFront,
-    StencilTest,
-    Viewport,
-)
 from rhi.testing import why_nothing
 
 
@@ -52,34 +35,34 @@ def possible(command: rhi.Command) -> list[str]:
     return [cause.what for cause in why_nothing(command) if not cause.certain]
 
 
-KEEP = BlendFunction(BlendFactor.ZERO, BlendFactor.ONE)
-NEVER = (StencilFront(Comparison.NEVER), StencilBack(Comparison.NEVER))
+KEEP = rhi.BlendFunction(rhi.BlendFactor.ZERO, rhi.BlendFactor.ONE)
+NEVER = (rhi.StencilFront(rhi.Comparison.NEVER), rhi.StencilBack(rhi.Comparison.NEVER))
 
 
 def test_a_plain_draw_has_only_suspicions(house) -> None:
     command = draw(house)
     assert certain(command) == []
     assert possible(command) == ["CullMode", "DepthFunction"]
-    assert certain(draw(house, CullMode.NONE, DepthFunction.ALWAYS)) == []
+    assert certain(draw(house, rhi.CullMode.NONE, rhi.DepthFunction.ALWAYS)) == []
     assert possible(house.device.stream.draws()[-1]) == []
 
 
 @pytest.mark.parametrize(
     ("states", "cause"),
     [
-        ((Scissor(0, 0, 0, 8),), "Scissor"),
-        ((Scissor(0, 0, 8, 0),), "Scissor"),
-        ((Scissor(64, 0, 8, 8),), "Scissor"),
-        ((Scissor(0, 48, 8, 8),), "Scissor"),
-        ((Scissor(-8, 0, 8, 8),), "Scissor"),
-        ((Scissor(0, 0, 8, 8), Viewport(8, 0, 8, 8)), "Scissor"),
-        ((Viewport(0, 0, 0, 8),), "Viewport"),
-        ((Viewport(64, 0, 8, 8),), "Viewport"),
-        ((ColorWrite.OFF, DepthWrite.OFF), "ColorWrite"),
-        ((KEEP, DepthWrite.OFF), "BlendFunction"),
-        ((DepthFunction.NEVER,), "DepthFunction"),
-        ((DepthFunction.LESS,), "DepthFunction"),
-        ((AlphaTest.ON, AlphaFunction.NEVER), "AlphaFunction"),
+        ((rhi.Scissor(0, 0, 0, 8),), "Scissor"),
+        ((rhi.Scissor(0, 0, 8, 0),), "Scissor"),
+        ((rhi.Scissor(64, 0, 8, 8),), "Scissor"),
+        ((rhi.Scissor(0, 48, 8, 8),), "Scissor"),
+        ((rhi.Scissor(-8, 0, 8, 8),), "Scissor"),
+        ((rhi.Scissor(0, 0, 8, 8), rhi.Viewport(8, 0, 8, 8)), "Scissor"),
+        ((rhi.Viewport(0, 0, 0, 8),), "Viewport"),
+        ((rhi.Viewport(64, 0, 8, 8),), "Viewport"),
+        ((rhi.ColorWrite.OFF, rhi.DepthWrite.OFF), "ColorWrite"),
+        ((KEEP, rhi.DepthWrite.OFF), "BlendFunction"),
+        ((rhi.DepthFunction.NEVER,), "DepthFunction"),
+        ((rhi.DepthFunction.LESS,), "DepthFunction"),
+        ((rhi.AlphaTest.ON, rhi.AlphaFunction.NEVER), "AlphaFunction"),
     ],
 )
 def test_states_that_let_nothing_through_are_certain(house, states, cause: str) -> None:
@@ -89,18 +72,18 @@ def test_states_that_let_nothing_through_are_certain(house, states, cause: str) 
 @pytest.mark.parametrize(
     "states",
     [
-        (Scissor(63, 47, 8, 8),),
-        (Scissor(-7, 0, 8, 8),),
-        (Scissor(0, 0, 9, 8), Viewport(8, 0, 8, 8)),
-        (Viewport(63, 47, 8, 8),),
-        (ColorWrite.OFF,),  # depth is written
-        (ColorWrite(False, False, False, True), DepthWrite.OFF),
+        (rhi.Scissor(63, 47, 8, 8),),
+        (rhi.Scissor(-7, 0, 8, 8),),
+        (rhi.Scissor(0, 0, 9, 8), rhi.Viewport(8, 0, 8, 8)),
+        (rhi.Viewport(63, 47, 8, 8),),
+        (rhi.ColorWrite.OFF,),  # depth is written
+        (rhi.ColorWrite(False, False, False, True), rhi.DepthWrite.OFF),
         (KEEP,),
-        (DepthFunction.NEVER, DepthTest.OFF),
-        (DepthFunction.GREATER,),
-        (AlphaTest.ON,),
-        (AlphaFunction.NEVER,),
-        (StencilTest.ON, *NEVER[:1]),
+        (rhi.DepthFunction.NEVER, rhi.DepthTest.OFF),
+        (rhi.DepthFunction.GREATER,),
+        (rhi.AlphaTest.ON,),
+        (rhi.AlphaFunction.NEVER,),
+        (rhi.StencilTest.ON, *NEVER[:1]),
     ],
 )
 def test_states_that_let_something_through_are_not(house, states) -> None:
@@ -108,12 +91,12 @@ def test_states_that_let_something_through_are_not(house, states) -> None:
 
 
 def test_a_stencil_test_that_never_passes_is_certain(house) -> None:
-    assert certain(draw(house, StencilTest.ON, *NEVER)) == ["StencilFront"]
+    assert certain(draw(house, rhi.StencilTest.ON, *NEVER)) == ["StencilFront"]
 
 
 def test_depth_cleared_to_the_wrong_end_is_certain(house) -> None:
     assert certain(draw(house, clear_depth=1.0)) == ["DepthFunction"]
-    assert certain(draw(house, DepthFunction.LESS, clear_depth=1.0)) == []
+    assert certain(draw(house, rhi.DepthFunction.LESS, clear_depth=1.0)) == []
 
 
 def test_counts_of_nothing_are_certain(house) -> None:
@@ -122,7 +105,7 @@ def test_counts_of_nothing_are_certain(house) -> None:
 
 
 def test_a_pass_without_color_and_depth_writes_keeps_nothing(house) -> None:
-    assert certain(draw(house, DepthWrite.OFF, color=False)) == ["DepthWrite"]
+    assert certain(draw(house, rhi.DepthWrite.OFF, color=False)) == ["DepthWrite"]
     assert certain(draw(house, color=False)) == []
 
 
@@ -175,6 +158,6 @@ def test_only_draws_can_be_asked_about(house) -> None:
 
 
 def test_certain_causes_come_first_and_read_as_sentences(house) -> None:
-    causes = why_nothing(draw(house, Scissor(0, 0, 0, 0)))
+    causes = why_nothing(draw(house, rhi.Scissor(0, 0, 0, 0)))
     assert [cause.certain for cause in causes] == sorted((cause.certain for cause in causes), reverse=True)
     assert str(causes[0]) == "certain: the scissor is empty: Scissor(x=0, y=0, width=0, height=0)"

@@ -8,25 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhi import (
-    BlendColor,
-    BlendFactor,
-    BlendFunction,
-    ColorWrite,
-    Comparison,
-    CullMode,
-    DepthBias,
-    Device,
-    Format,
-    Scissor,
-    StencilBack,
-    StencilFront,
-    StencilOperation,
-    StencilReference,
-    TextureKind,
-    ValidationError,
-    Viewport,
-)
+import rhi
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored, TexturedVarying, TexturedVertex
 from rhi.conformance.shapes import rectangle
@@ -37,8 +19,8 @@ from rhi.shading import Image2D, Shader, Texture2D, image, ivec2, vec4
 SIZE = (4, 4)
 
 
-def test_passes_do_not_nest(recording: Device) -> None:
-    with recording.texture(SIZE, Format.R8) as one, recording.texture(SIZE, Format.R8) as two:
+def test_passes_do_not_nest(recording: rhi.Device) -> None:
+    with recording.texture(SIZE, rhi.Format.R8) as one, recording.texture(SIZE, rhi.Format.R8) as two:
         with recording.render_pass(one, clear=(0, 0, 0, 0)):
             with refuses(rules.PASS_NESTED, recording), recording.render_pass(two, clear=(1, 1, 1, 1)):
                 pass
@@ -49,50 +31,50 @@ def test_passes_do_not_nest(recording: Device) -> None:
         assert_same(two.read(), 0)
 
 
-def test_a_pass_needs_a_target(recording: Device) -> None:
+def test_a_pass_needs_a_target(recording: rhi.Device) -> None:
     with refuses(rules.PASS_EMPTY, recording):
         recording.render_pass()
     with refuses(rules.PASS_EMPTY, recording):
         recording.render_pass([])
 
 
-def test_a_target_is_a_texture(recording: Device) -> None:
+def test_a_target_is_a_texture(recording: rhi.Device) -> None:
     with recording.buffer(4) as buffer:
         for wrong in (buffer, "image", 3):
             with refuses(rules.PASS_TARGET, recording):
                 recording.render_pass(wrong)  # type: ignore[arg-type]
 
 
-def test_a_color_target_has_a_color_format(recording: Device) -> None:
-    with recording.texture(SIZE, Format.D32F) as depth:
+def test_a_color_target_has_a_color_format(recording: rhi.Device) -> None:
+    with recording.texture(SIZE, rhi.Format.D32F) as depth:
         with refuses(rules.PASS_TARGET, recording):
             recording.render_pass(depth)
         recording.render_pass(depth=depth)
 
 
-def test_a_depth_target_has_a_depth_format(recording: Device) -> None:
-    with recording.texture(SIZE, Format.R32F) as image:
+def test_a_depth_target_has_a_depth_format(recording: rhi.Device) -> None:
+    with recording.texture(SIZE, rhi.Format.R32F) as image:
         with refuses(rules.PASS_TARGET, recording):
             recording.render_pass(depth=image)
         recording.render_pass(image)
 
 
-def test_a_texture_is_one_target_at_a_time(recording: Device) -> None:
-    with recording.texture(SIZE, Format.R8) as image:
+def test_a_texture_is_one_target_at_a_time(recording: rhi.Device) -> None:
+    with recording.texture(SIZE, rhi.Format.R8) as image:
         with refuses(rules.PASS_TARGET, recording):
             recording.render_pass([image, image])
-    with recording.texture(SIZE, Format.R8, kind=TextureKind.D2_ARRAY, layers=2) as image:
+    with recording.texture(SIZE, rhi.Format.R8, kind=rhi.TextureKind.D2_ARRAY, layers=2) as image:
         with refuses(rules.PASS_TARGET, recording):
             recording.render_pass([image.at(layer=1), image.at(layer=1)])
         recording.render_pass([image.at(layer=0), image.at(layer=1)])
 
 
 @pytest.mark.parametrize("other", [(4, 5), (5, 4), (8, 8)], ids=str)
-def test_targets_have_one_size(recording: Device, other: tuple[int, int]) -> None:
+def test_targets_have_one_size(recording: rhi.Device, other: tuple[int, int]) -> None:
     with (
-        recording.texture(SIZE, Format.R8) as image,
-        recording.texture(other, Format.R8) as second,
-        recording.texture(other, Format.D32F, levels=None) as depth,
+        recording.texture(SIZE, rhi.Format.R8) as image,
+        recording.texture(other, rhi.Format.R8) as second,
+        recording.texture(other, rhi.Format.D32F, levels=None) as depth,
     ):
         with refuses(rules.PASS_SIZE, recording):
             recording.render_pass([image, second])
@@ -103,11 +85,11 @@ def test_targets_have_one_size(recording: Device, other: tuple[int, int]) -> Non
             recording.render_pass(image, depth.at(level=1))
 
 
-def test_targets_have_one_number_of_samples(recording: Device) -> None:
+def test_targets_have_one_number_of_samples(recording: rhi.Device) -> None:
     with (
-        recording.texture(SIZE, Format.R8, samples=2) as image,
-        recording.texture(SIZE, Format.D32F) as depth,
-        recording.texture(SIZE, Format.D32F, samples=2) as fitting,
+        recording.texture(SIZE, rhi.Format.R8, samples=2) as image,
+        recording.texture(SIZE, rhi.Format.D32F) as depth,
+        recording.texture(SIZE, rhi.Format.D32F, samples=2) as fitting,
     ):
         with refuses(rules.PASS_SAMPLES, recording):
             recording.render_pass(image, depth)
@@ -127,8 +109,8 @@ def test_targets_have_one_number_of_samples(recording: Device) -> None:
     ],
     ids=str,
 )
-def test_a_clear_is_four_finite_numbers_per_target(recording: Device, clear: Any) -> None:
-    with recording.texture(SIZE, Format.R8) as image:
+def test_a_clear_is_four_finite_numbers_per_target(recording: rhi.Device, clear: Any) -> None:
+    with recording.texture(SIZE, rhi.Format.R8) as image:
         with refuses(rules.PASS_CLEAR, recording):
             recording.render_pass(image, clear=clear)
         recording.render_pass(image, clear=(0, 0, 0, 0))
@@ -139,11 +121,11 @@ def test_a_clear_is_four_finite_numbers_per_target(recording: Device, clear: Any
 
 @pytest.mark.parametrize(
     ("format", "clear", "wrong", "least", "most"),
-    [(Format.D32F, "clear_depth", each, 0.0, 1.0) for each in (-0.001, 1.001, float("nan"))]
-    + [(Format.D24S8, "clear_stencil", each, 0, 255) for each in (-1, 256)],
+    [(rhi.Format.D32F, "clear_depth", each, 0.0, 1.0) for each in (-0.001, 1.001, float("nan"))]
+    + [(rhi.Format.D24S8, "clear_stencil", each, 0, 255) for each in (-1, 256)],
 )
 def test_a_clear_of_depth_is_0_to_1_and_of_stencil_a_byte(
-    recording: Device, format: Format, clear: str, wrong: float, least: float, most: float
+    recording: rhi.Device, format: rhi.Format, clear: str, wrong: float, least: float, most: float
 ) -> None:
     with recording.texture(SIZE, format) as depth:
         with refuses(rules.PASS_CLEAR, recording):
@@ -152,22 +134,22 @@ def test_a_clear_of_depth_is_0_to_1_and_of_stencil_a_byte(
             recording.render_pass(depth=depth, **{clear: fitting})  # type: ignore[arg-type]
 
 
-def test_a_depth_clear_needs_a_depth_target(recording: Device) -> None:
-    with recording.texture(SIZE, Format.R8) as image, refuses(rules.PASS_CLEAR, recording):
+def test_a_depth_clear_needs_a_depth_target(recording: rhi.Device) -> None:
+    with recording.texture(SIZE, rhi.Format.R8) as image, refuses(rules.PASS_CLEAR, recording):
         recording.render_pass(image, clear_depth=0.0)
 
 
-def test_a_stencil_clear_needs_stencil(recording: Device) -> None:
-    with recording.texture(SIZE, Format.D32F) as depth, refuses(rules.PASS_CLEAR, recording):
+def test_a_stencil_clear_needs_stencil(recording: rhi.Device) -> None:
+    with recording.texture(SIZE, rhi.Format.D32F) as depth, refuses(rules.PASS_CLEAR, recording):
         recording.render_pass(depth=depth, clear_stencil=0)
 
 
-def test_a_resolve_fits_its_target(recording: Device) -> None:
+def test_a_resolve_fits_its_target(recording: rhi.Device) -> None:
     with (
-        recording.texture(SIZE, Format.RGBA8, samples=2) as image,
-        recording.texture(SIZE, Format.RGBA8) as fitting,
-        recording.texture((8, 8), Format.RGBA8) as larger,
-        recording.texture(SIZE, Format.RGBA16F) as other,
+        recording.texture(SIZE, rhi.Format.RGBA8, samples=2) as image,
+        recording.texture(SIZE, rhi.Format.RGBA8) as fitting,
+        recording.texture((8, 8), rhi.Format.RGBA8) as larger,
+        recording.texture(SIZE, rhi.Format.RGBA16F) as other,
     ):
         for wrong in (larger, other, image):
             with refuses(rules.PASS_TARGET, recording):
@@ -180,17 +162,17 @@ def test_a_resolve_fits_its_target(recording: Device) -> None:
         recording.render_pass(image, resolve=[None])
 
 
-def test_a_target_destroyed_before_its_pass_opens_is_refused(recording: Device) -> None:
-    image = recording.texture(SIZE, Format.R8)
+def test_a_target_destroyed_before_its_pass_opens_is_refused(recording: rhi.Device) -> None:
+    image = recording.texture(SIZE, rhi.Format.R8)
     prepared = recording.render_pass(image)
     image.destroy()
     with refuses(rules.RESOURCE_DESTROYED, recording), prepared:
         pass
 
 
-def test_a_resolve_destroyed_before_its_pass_opens_is_refused(recording: Device) -> None:
-    with recording.texture(SIZE, Format.R8, samples=2) as image:
-        single = recording.texture(SIZE, Format.R8)
+def test_a_resolve_destroyed_before_its_pass_opens_is_refused(recording: rhi.Device) -> None:
+    with recording.texture(SIZE, rhi.Format.R8, samples=2) as image:
+        single = recording.texture(SIZE, rhi.Format.R8)
         prepared = recording.render_pass(image, resolve=single)
         with prepared:
             pass
@@ -217,7 +199,7 @@ class Textured(Shader):
 class Stored(Shader):
     """An image written by fragments."""
 
-    target: Image2D = image(Format.RGBA8)
+    target: Image2D = image(rhi.Format.RGBA8)
 
     def vertex(self, v: TexturedVertex) -> TexturedVarying:
         return TexturedVarying(clip=v.position, uv=v.uv)
@@ -235,10 +217,10 @@ def places() -> Any:
     return rows
 
 
-def test_a_pass_does_not_sample_its_target(recording: Device) -> None:
+def test_a_pass_does_not_sample_its_target(recording: rhi.Device) -> None:
     with (
-        recording.texture(SIZE, Format.RGBA8, levels=2) as image,
-        recording.texture(SIZE, Format.RGBA8) as other,
+        recording.texture(SIZE, rhi.Format.RGBA8, levels=2) as image,
+        recording.texture(SIZE, rhi.Format.RGBA8) as other,
         recording.mesh(places()) as mesh,
     ):
         program = recording.program(Textured)
@@ -253,10 +235,10 @@ def test_a_pass_does_not_sample_its_target(recording: Device) -> None:
                 recording.draw(program, mesh, source=image)
 
 
-def test_a_pass_does_not_store_to_its_target(recording: Device) -> None:
+def test_a_pass_does_not_store_to_its_target(recording: rhi.Device) -> None:
     with (
-        recording.texture(SIZE, Format.RGBA8) as image,
-        recording.texture(SIZE, Format.RGBA8) as other,
+        recording.texture(SIZE, rhi.Format.RGBA8) as image,
+        recording.texture(SIZE, rhi.Format.RGBA8) as other,
         recording.mesh(places()) as mesh,
     ):
         program = recording.program(Stored)
@@ -269,91 +251,94 @@ def test_a_pass_does_not_store_to_its_target(recording: Device) -> None:
 # -- states ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("wrong", ["CullMode.NONE", 3, None, {}, Format.R8], ids=str)
-def test_a_scope_takes_states_only(recording: Device, wrong: Any) -> None:
-    with refuses(rules.STATE_TYPE, recording), recording.states(CullMode.NONE, wrong):
+@pytest.mark.parametrize("wrong", ["CullMode.NONE", 3, None, {}, rhi.Format.R8], ids=str)
+def test_a_scope_takes_states_only(recording: rhi.Device, wrong: Any) -> None:
+    with refuses(rules.STATE_TYPE, recording), recording.states(rhi.CullMode.NONE, wrong):
         pass
-    with recording.states(CullMode.NONE):
+    with recording.states(rhi.CullMode.NONE):
         pass
 
 
-def test_a_scope_sets_a_state_once(recording: Device) -> None:
-    with refuses(rules.STATE_DUPLICATE, recording), recording.states(CullMode.NONE, CullMode.FRONT):
+def test_a_scope_sets_a_state_once(recording: rhi.Device) -> None:
+    with refuses(rules.STATE_DUPLICATE, recording), recording.states(rhi.CullMode.NONE, rhi.CullMode.FRONT):
         pass
     with (
         refuses(rules.STATE_DUPLICATE, recording),
-        recording.states(ColorWrite.OFF.at(1), ColorWrite.ON.at(1)),
+        recording.states(rhi.ColorWrite.OFF.at(1), rhi.ColorWrite.ON.at(1)),
     ):
         pass
-    with recording.states(ColorWrite.OFF.at(1), ColorWrite.ON.at(2)):
+    with recording.states(rhi.ColorWrite.OFF.at(1), rhi.ColorWrite.ON.at(2)):
         pass
 
 
-def test_a_refused_scope_leaves_no_trace(recording: Device) -> None:
+def test_a_refused_scope_leaves_no_trace(recording: rhi.Device) -> None:
     before = recording.statistics
     with (
         refuses(rules.STATE_DUPLICATE, recording),
-        recording.states(Scissor(0, 0, 1, 1), CullMode.NONE, CullMode.NONE),
+        recording.states(rhi.Scissor(0, 0, 1, 1), rhi.CullMode.NONE, rhi.CullMode.NONE),
     ):
         pass
     after = recording.statistics
     assert after.software_state_changes == before.software_state_changes
-    with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
+    with recording.texture(SIZE, rhi.Format.R8) as image, recording.mesh(rectangle()) as mesh:
         with recording.render_pass(image):
             recording.draw(recording.program(Colored), mesh)
     states = recording.stream.draws()[-1].states
-    assert states[Scissor] == Scissor.OFF
-    assert states[CullMode] == CullMode.BACK
+    assert states[rhi.Scissor] == rhi.Scissor.OFF
+    assert states[rhi.CullMode] == rhi.CullMode.BACK
 
 
 @pytest.mark.parametrize(
     ("wrong", "fitting"),
     [
-        (lambda: Viewport(0, 0, -1, 1), lambda: Viewport(0, 0, 0, 1)),
-        (lambda: Viewport(float("nan"), 0, 1, 1), lambda: Viewport(-4, 0, 1, 1)),
-        (lambda: Viewport(0, 0, 1, 1, -0.1), lambda: Viewport(0, 0, 1, 1, 0.0)),
-        (lambda: Viewport(0, 0, 1, 1, 0, 1.1), lambda: Viewport(0, 0, 1, 1, 1, 0)),
-        (lambda: Scissor(0, 0, -1, 0), lambda: Scissor(0, 0, 0, 0)),
-        (lambda: Scissor(0, 0, 0, -1), lambda: Scissor(-9, -9, 0, 0)),
-        (lambda: StencilReference(256), lambda: StencilReference(255)),
-        (lambda: StencilReference(0, -1), lambda: StencilReference(0, 0)),
-        (lambda: DepthBias(float("inf")), lambda: DepthBias(-1e6)),
-        (lambda: BlendColor(float("nan")), lambda: BlendColor(-1.0, 2.0)),
-        (lambda: BlendFunction.ALPHA.at(8), lambda: BlendFunction.ALPHA.at(7)),
-        (lambda: ColorWrite.OFF.at(-1), lambda: ColorWrite.OFF.at(0)),
-        (lambda: ColorWrite.OFF.at(True), lambda: ColorWrite.OFF.at(np.int64(1))),
-        (lambda: ColorWrite(1), lambda: ColorWrite(np.bool_(True))),
-        (lambda: Scissor(0.5, 0, 1, 1), lambda: Scissor(np.int32(5), 0, 1, 1)),
-        (lambda: Scissor(0, 0, 4 / 2, 1), lambda: Scissor(0, 0, 4 // 2, 1)),
-        (lambda: Viewport(0, 0, 1e30, 10), lambda: Viewport(0, 0, 16_384, 10)),
-        (lambda: Viewport(0, 0, 10, 16_385), lambda: Viewport(-32_767, 32_767.0, 10, 0.5)),
-        (lambda: Viewport(-32_768, 0, 10, 10), lambda: Viewport(np.float32(0.5), 0, 10, 10)),
-        (lambda: StencilFront(1), lambda: StencilFront(Comparison.LESS)),
-        (lambda: StencilBack(depth_fail=Comparison.LESS), lambda: StencilBack(depth_fail=StencilOperation.KEEP)),
-        (lambda: BlendFunction("one"), lambda: BlendFunction(BlendFactor.ONE)),
-        (lambda: BlendFunction(source_alpha=1), lambda: BlendFunction(source_alpha=BlendFactor.ONE)),
+        (lambda: rhi.Viewport(0, 0, -1, 1), lambda: rhi.Viewport(0, 0, 0, 1)),
+        (lambda: rhi.Viewport(float("nan"), 0, 1, 1), lambda: rhi.Viewport(-4, 0, 1, 1)),
+        (lambda: rhi.Viewport(0, 0, 1, 1, -0.1), lambda: rhi.Viewport(0, 0, 1, 1, 0.0)),
+        (lambda: rhi.Viewport(0, 0, 1, 1, 0, 1.1), lambda: rhi.Viewport(0, 0, 1, 1, 1, 0)),
+        (lambda: rhi.Scissor(0, 0, -1, 0), lambda: rhi.Scissor(0, 0, 0, 0)),
+        (lambda: rhi.Scissor(0, 0, 0, -1), lambda: rhi.Scissor(-9, -9, 0, 0)),
+        (lambda: rhi.StencilReference(256), lambda: rhi.StencilReference(255)),
+        (lambda: rhi.StencilReference(0, -1), lambda: rhi.StencilReference(0, 0)),
+        (lambda: rhi.DepthBias(float("inf")), lambda: rhi.DepthBias(-1e6)),
+        (lambda: rhi.BlendColor(float("nan")), lambda: rhi.BlendColor(-1.0, 2.0)),
+        (lambda: rhi.BlendFunction.ALPHA.at(8), lambda: rhi.BlendFunction.ALPHA.at(7)),
+        (lambda: rhi.ColorWrite.OFF.at(-1), lambda: rhi.ColorWrite.OFF.at(0)),
+        (lambda: rhi.ColorWrite.OFF.at(True), lambda: rhi.ColorWrite.OFF.at(np.int64(1))),
+        (lambda: rhi.ColorWrite(1), lambda: rhi.ColorWrite(np.bool_(True))),
+        (lambda: rhi.Scissor(0.5, 0, 1, 1), lambda: rhi.Scissor(np.int32(5), 0, 1, 1)),
+        (lambda: rhi.Scissor(0, 0, 4 / 2, 1), lambda: rhi.Scissor(0, 0, 4 // 2, 1)),
+        (lambda: rhi.Viewport(0, 0, 1e30, 10), lambda: rhi.Viewport(0, 0, 16_384, 10)),
+        (lambda: rhi.Viewport(0, 0, 10, 16_385), lambda: rhi.Viewport(-32_767, 32_767.0, 10, 0.5)),
+        (lambda: rhi.Viewport(-32_768, 0, 10, 10), lambda: rhi.Viewport(np.float32(0.5), 0, 10, 10)),
+        (lambda: rhi.StencilFront(1), lambda: rhi.StencilFront(rhi.Comparison.LESS)),
+        (
+            lambda: rhi.StencilBack(depth_fail=rhi.Comparison.LESS),
+            lambda: rhi.StencilBack(depth_fail=rhi.StencilOperation.KEEP),
+        ),
+        (lambda: rhi.BlendFunction("one"), lambda: rhi.BlendFunction(rhi.BlendFactor.ONE)),
+        (lambda: rhi.BlendFunction(source_alpha=1), lambda: rhi.BlendFunction(source_alpha=rhi.BlendFactor.ONE)),
     ],
 )
-def test_a_state_s_numbers_are_checked_when_it_is_made(recording: Device, wrong: Any, fitting: Any) -> None:
+def test_a_state_s_numbers_are_checked_when_it_is_made(recording: rhi.Device, wrong: Any, fitting: Any) -> None:
     with refuses(rules.STATE_VALUE, recording):
         wrong()
     fitting()
 
 
-def test_scopes_nest_up_to_the_stack_s_depth(recording: Device) -> None:
+def test_scopes_nest_up_to_the_stack_s_depth(recording: rhi.Device) -> None:
     """One scope too many is refused, and all the others end as if it had never been."""
-    scope, opened = recording.states(CullMode.NONE), 0
+    scope, opened = recording.states(rhi.CullMode.NONE), 0
     with ExitStack() as stack:
         try:
             for _ in range(1000):
                 stack.enter_context(scope)
                 opened += 1
-        except ValidationError as error:
+        except rhi.ValidationError as error:
             full = error.rule
         assert full is rules.CONTAINER_FULL
-        with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
+        with recording.texture(SIZE, rhi.Format.R8) as image, recording.mesh(rectangle()) as mesh:
             with recording.render_pass(image):
                 recording.draw(recording.program(Colored), mesh)
     assert opened >= 200
-    with recording.states(CullMode.FRONT):
+    with recording.states(rhi.CullMode.FRONT):
         pass

@@ -8,18 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from rhi import (
-    BlendFunction,
-    ColorWrite,
-    DepthTest,
-    DepthWrite,
-    Device,
-    Format,
-    Mesh,
-    Program,
-    State,
-    Texture,
-)
+import rhi
 from rhi.backends.cl.memory import buffers, planes
 from rhi.backends.cl.memory import pools as memory
 from rhi.conformance.compare import assert_same
@@ -50,24 +39,24 @@ def fills(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
 class Scene:
     """Two targets, and a mesh that covers them."""
 
-    image: Texture
-    depth: Texture
-    mesh: Mesh
-    program: Program[...]
+    image: rhi.Texture
+    depth: rhi.Texture
+    mesh: rhi.Mesh
+    program: rhi.Program[...]
 
 
 @pytest.fixture
-def scene(device: Device) -> Iterator[Scene]:
+def scene(device: rhi.Device) -> Iterator[Scene]:
     program = device.program(Colored)
     with (
-        device.texture(SIZE, Format.RGBA8) as image,
-        device.texture(SIZE, Format.D32F) as depth,
+        device.texture(SIZE, rhi.Format.RGBA8) as image,
+        device.texture(SIZE, rhi.Format.D32F) as depth,
         device.mesh(rectangle()) as mesh,
     ):
         yield Scene(image, depth, mesh, program)
 
 
-def test_draws_clear_what_they_draw_into(device: Device, scene: Scene, fills: list[bytes]) -> None:
+def test_draws_clear_what_they_draw_into(device: rhi.Device, scene: Scene, fills: list[bytes]) -> None:
     with device.render_pass(scene.image, scene.depth, clear=RED, clear_depth=0.25):
         device.draw(scene.program, scene.mesh)
     assert fills == []
@@ -75,11 +64,11 @@ def test_draws_clear_what_they_draw_into(device: Device, scene: Scene, fills: li
 
 @pytest.mark.parametrize(
     ("states", "filled"),
-    [((DepthTest.OFF, DepthWrite.OFF), np.float32(0.25).tobytes()), ((ColorWrite.OFF,), b"\xff\0\0\xff")],
+    [((rhi.DepthTest.OFF, rhi.DepthWrite.OFF), np.float32(0.25).tobytes()), ((rhi.ColorWrite.OFF,), b"\xff\0\0\xff")],
     ids=["depth", "color"],
 )
 def test_what_no_draw_of_the_pass_draws_into_is_filled(
-    device: Device, scene: Scene, fills: list[bytes], states: tuple[State, ...], filled: bytes
+    device: rhi.Device, scene: Scene, fills: list[bytes], states: tuple[rhi.State, ...], filled: bytes
 ) -> None:
     with (
         device.render_pass(scene.image, scene.depth, clear=RED, clear_depth=0.25),
@@ -89,16 +78,16 @@ def test_what_no_draw_of_the_pass_draws_into_is_filled(
     assert fills == [filled]
 
 
-def test_a_clear_to_minus_zero_is_none_to_zero(device: Device) -> None:
-    with device.texture(SIZE, Format.R32F) as image:
+def test_a_clear_to_minus_zero_is_none_to_zero(device: rhi.Device) -> None:
+    with device.texture(SIZE, rhi.Format.R32F) as image:
         for zero in (0.0, -0.0):
             with device.render_pass(image, clear=(zero, 0, 0, 0)):
                 pass
             assert (np.signbit(image.read()) == np.signbit(zero)).all()
 
 
-def test_a_clear_is_done_although_its_draws_fail(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
+def test_a_clear_is_done_although_its_draws_fail(device: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    with device.texture(SIZE, rhi.Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)
 
         def fail(pool: object, size: int) -> int:
@@ -114,17 +103,17 @@ def test_a_clear_is_done_although_its_draws_fail(device: Device, monkeypatch: py
         assert_same(image.read(), 255)
 
 
-def test_a_clear_is_done_once(device: Device) -> None:
+def test_a_clear_is_done_once(device: rhi.Device) -> None:
     """The second draw is a batch of its own and reads what the first one left."""
     with (
-        device.texture(SIZE, Format.RGBA8) as image,
-        device.texture(SIZE, Format.D32F) as depth,
+        device.texture(SIZE, rhi.Format.RGBA8) as image,
+        device.texture(SIZE, rhi.Format.D32F) as depth,
         device.mesh(rectangle(-1, -1, 0, 1, depth=0.75)) as left,
         device.mesh(rectangle(0, -1, 1, 1, depth=0.5)) as right,
     ):
         with device.render_pass(image, depth, clear=RED, clear_depth=0.25):
             device.draw(device.program(Colored), left)
-            with device.states(BlendFunction.ADDITIVE):
+            with device.states(rhi.BlendFunction.ADDITIVE):
                 device.draw(device.program(Colored), right)
         assert_same(image.read(), 255)
         assert_same(depth.read()[:, :75], 0.75)
