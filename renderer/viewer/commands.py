@@ -29,6 +29,7 @@ NEXT: Final = "next"
 """The word for the choice after the present one."""
 _SPEED: Final = 1.5  # how many times as fast a step is
 _WIDEST: Final = 1 << 20  # pixels
+_SMALLEST, _LARGEST = 16, 16384  # pixels of a picture's side
 _CAPTURED: Final = 60  # frames, which nothing else is shown meanwhile
 _FADE: Final = 0.3  # seconds from one clip to another
 _LONGEST: Final = 1e9  # seconds, or metres in one; of more, frames and metres can't be told apart
@@ -221,6 +222,14 @@ def parse_place(text: str) -> tuple[int, int]:
     if max(x, y) > _WIDEST:
         raise ValueError(text)
     return x, y
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Parse `1280x720` as a width and a height in pixels, 16 to 16,384 each."""
+    width, height = (parse_number(number) for number in text.lower().split("x"))
+    if not _SMALLEST <= min(width, height) <= max(width, height) <= _LARGEST:
+        raise ValueError(text)
+    return width, height
 
 
 def parse_seconds(text: str) -> float:

@@ -40,6 +40,7 @@ class ViewerScreen:
         self.end_after: int | None = None
         self._is_closed = False
         viewer.stage.renderer.show = screen.show
+        viewer.set_size = self._set_size
         loop = find_loop(screen.canvas)
         if loop is not None:
 
@@ -71,6 +72,11 @@ class ViewerScreen:
             canvas.close()
         elif viewer.is_moving or self.end_after is not None:
             canvas.request_draw()
+
+    def _set_size(self, size: tuple[int, int]) -> None:
+        """Ask the canvas for so many physical pixels. What it can give is the size of the next frames."""
+        ratio = self.screen.canvas.get_pixel_ratio()
+        self.screen.canvas.set_logical_size(*(side / ratio for side in size))
 
     def close(self) -> None:
         """Destroy the viewer and close the screen. A second call does nothing."""

@@ -20,7 +20,7 @@ from renderer.scene import Camera, Scene
 from renderer.scene.files import parse_path, read_text
 from renderer.viewer import hot_reload
 from renderer.viewer.command_table import CommandTable, Parameter, ViewerCommand
-from renderer.viewer.commands import make_commands, parse_place, parse_seconds, switch
+from renderer.viewer.commands import make_commands, parse_place, parse_seconds, parse_size, switch
 from renderer.viewer.console import Console
 from renderer.viewer.hot_reload import SavedFiles
 from renderer.viewer.interface import InterfaceLayer, Shown
@@ -46,6 +46,7 @@ class Viewer:
         stage: the scene, its camera and what draws it. saved: exchanges what is saved, while it watches.
         commands: what `run` understands. console: see `Console`.
         clock: returns the time in seconds. has_keys: whether the keys are listed. is_over: whether it was told to quit.
+        set_size: draws the next frames in so many physical pixels; on a screen, asks its canvas for them.
     """
 
     def __init__(
@@ -64,6 +65,7 @@ class Viewer:
         self.clock = clock
         self._interface = InterfaceLayer(device, font)
         self.stage = ViewerStage(device, scene, size, look or Look(), begin, [self._interface], self.say)
+        self.set_size: Callable[[tuple[int, int]], object] = lambda size: self.resize(size, self._ratio)
         self.saved = SavedFiles(self.stage, self.say)
         of_files = hot_reload.make_commands(self.saved, self.stage)
         self.commands = CommandTable([*make_commands(self.stage), *of_files, *self._list_own()])
@@ -199,6 +201,14 @@ class Viewer:
 
         names = Parameter("COMMAND", words=lambda: [one.name for one in self.commands], is_optional=True)
         yield ViewerCommand("help", "say what a command does, or all of them", describe, (names,))
+
+        def resize(size: tuple[int, int] | None = None) -> str:
+            if size is not None:
+                self.set_size(size)
+            return "{} x {} pixels".format(*(size or self.stage.renderer.size))
+
+        sizes = Parameter("WIDTHxHEIGHT", parse_size, is_optional=True)
+        yield ViewerCommand("size", "draw pictures of this size in pixels, or say what it is", resize, (sizes,))
 
         def pick(place: tuple[int, int] | None = None) -> str:
             width, height = self.stage.renderer.size

@@ -70,6 +70,19 @@ def test_an_event_is_seen_in_the_picture_of_the_frame_after_it() -> None:
     assert (pictures[3] == pictures[4]).all()
 
 
+@pytest.mark.parametrize("ratio", [1.0, 2.0])
+def test_a_command_sets_the_size_of_the_canvas_in_physical_pixels(shown: ViewerScreen, ratio: float) -> None:
+    shown.screen.canvas.set_pixel_ratio(ratio)
+    assert shown.viewer.run("size 128x64") == ("128 x 64 pixels", False)
+    tick(shown)
+    assert shown.screen.size == shown.viewer.stage.renderer.size == (128, 64)
+    assert shown.viewer.run("size") == ("128 x 64 pixels", False)
+    for wrong in ("15x64", "128", "128x64x3", "20000x64", "axb"):
+        assert shown.viewer.run(f"size {wrong}")[1]
+    tick(shown)
+    assert shown.screen.size == (128, 64)
+
+
 def test_frames_are_drawn_while_something_moves_and_only_then(
     shown: ViewerScreen, monkeypatch: pytest.MonkeyPatch
 ) -> None:
