@@ -19,6 +19,8 @@ import pytest
 from hypothesis import HealthCheck, settings
 from screens_kit import Display, open_display
 
+from rhi.backends.cl.pocl.cache import choose_folder
+
 settings.register_profile(
     "repeatable",
     derandomize=True,
@@ -30,6 +32,7 @@ settings.register_profile("exploring", settings.get_profile("repeatable"), deran
 settings.register_profile("nightly", settings.get_profile("exploring"))
 settings.load_profile("repeatable")
 
+choose_folder()  # PoCL asks once for its folder, and some tests begin it without rhi
 os.environ.setdefault("RHI_SLOW_ANISOTROPY", "1")  # no pixel of the tests takes long
 
 NIGHTLY_FACTOR = 20

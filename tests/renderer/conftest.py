@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -22,6 +26,14 @@ def open_device(name: str, **options: Any) -> Iterator[rhi.Device]:
         pytest.skip(f"no {name} device here: {error.given or error.rule.sentence}")
     with device:
         yield device
+
+
+def run_with_quick_kernels(cache: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run `compare` in a process of its own, whose cache has no optimised kernels: PoCL asks once where it is."""
+    environment = {name: value for name, value in os.environ.items() if name != "POCL_CACHE_DIR"}
+    environment |= {"RHI_CACHE": str(cache), "RHI_KERNELS": "quick"}
+    command = [sys.executable, "-m", "renderer", "compare", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import rhi
-from renderer.cli import main, options
+from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.content import load_scene
 from renderer.lab.comparison import (
@@ -33,7 +33,7 @@ from renderer.lab.comparison import (
 )
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Shot
-from tests.renderer.conftest import open_device
+from tests.renderer.conftest import open_device, run_with_quick_kernels
 
 COLUMNS: dict[str, Column] = {"ratio": ratio(), "speed": ratio(inverse=True)}
 
@@ -248,16 +248,12 @@ def test_a_device_that_records_keeps_the_commands_of_the_latest_run_only() -> No
         pytest.param("deferred-plus grid:count=1,lights=0 --frames 1 --size 32x18", marks=pytest.mark.nightly),
     ],
 )
-def test_each_comparison_says_which_kernels_cl_ran(
-    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("RHI_KERNELS", "quick")
-    monkeypatch.setenv("RHI_CACHE", str(tmp_path))  # which has no optimised ones
+def test_each_comparison_says_which_kernels_cl_ran(command: str, tmp_path: Path) -> None:
     with open_device("cl"):  # or the test is skipped
-        assert main(["compare", *command.split(), "--backend", "cl", "--json"]) == 0
-    out, err = capsys.readouterr()
-    assert {row["kernels"] for row in json.loads(out)["rows"]} == {"quick"}
-    assert "RHI_KERNELS=optimised" in err
+        pass
+    ran = run_with_quick_kernels(tmp_path, *command.split(), "--backend", "cl", "--json")
+    assert {row["kernels"] for row in json.loads(ran.stdout)["rows"]} == {"quick"}
+    assert "RHI_KERNELS=optimised" in ran.stderr
 
 
 @pytest.mark.parametrize(("ran", "is_noted"), [("quick", True), ("quick, then optimised", True), ("optimised", False)])
