@@ -9,7 +9,7 @@ own. An instance has its parent's shader.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -32,11 +32,17 @@ class OwnShader:
 
     shader: type[Any]
     parameters: type[Any]
-    fields: Mapping[str, np.dtype[Any]] = field(init=False)
 
-    def __post_init__(self) -> None:
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """The type of a row of the parameters."""
         dtype: np.dtype[Any] = np.dtype(np.int32) if self.parameters is int else self.parameters.dtype
-        object.__setattr__(self, "fields", {name: dtype[name] for name in dtype.names or ()})
+        return dtype
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The names of the parameters."""
+        return self.dtype.names or ()
 
     @property
     def textures(self) -> Mapping[str, bool]:
@@ -46,14 +52,14 @@ class OwnShader:
 
     def make_row(self, values: Mapping[str, Any], call: str) -> NDArray[Any]:
         """Create the row () of the parameters with these values."""
-        row = np.zeros((), np.int32 if self.parameters is int else self.parameters.dtype)
-        for name, dtype in self.fields.items():
+        row = np.zeros((), self.dtype)
+        for name in self.fields:
             value = values.get(name, -1 if name in self.textures else self.shader.parameter_defaults.get(name))
             if value is None:
                 refuse(
                     rules.BAD_MATERIAL, f"{call}({name}=...)", "nothing", f"a value: {self.shader.__name__} needs it"
                 )
-            row[name] = _read(value, dtype, f"{call}({name}=...)")
+            row[name] = _read(value, self.dtype[name], f"{call}({name}=...)")
         return row
 
 
@@ -120,9 +126,9 @@ class MaterialTable:
         found.extend(row for row in range(material + 1, len(self)) if self._parents[row] in found)
         return found
 
-    def add(self, values: Mapping[str, Any], parent: int, shader: OwnShader | None) -> int:
-        """Add a material, whose textures are given by their rows, and return its id."""
-        number, self.shaders = self.check(values, parent, shader)
+    def add(self, values: Mapping[str, Any], parent: int, number: int, shaders: list[OwnShader]) -> int:
+        """Add a material, whose textures are given by their rows, with what `check` has returned; return its id."""
+        self.shaders = shaders
         self._parents.append(parent)
         self._own.append(dict(values))
         self._shader.append(number)
@@ -150,12 +156,10 @@ class MaterialTable:
         """Create the materials (k,) of `MATERIAL`, and for each of `shaders` the parameters (k,) of all materials,
         which are 0 where they have another shader; (0,) of a shader without parameters."""
         materials = np.zeros(len(self), MATERIAL)
-        parameters = tuple(
-            np.zeros(0, np.int32) if one.parameters is int else np.zeros(len(self), one.parameters.dtype)
-            for one in self.shaders
-        )
+        parameters = tuple(np.zeros(len(self) if one.fields else 0, one.dtype) for one in self.shaders)
         for material in range(len(self)):
-            self._write(material, None, materials, parameters)
+            materials[material], own = self._make_row(material, "add_material")
+            self._write_own(material, own, parameters)
         return materials, parameters
 
     def change(
@@ -170,32 +174,24 @@ class MaterialTable:
         instances."""
         before, changed = self._own[material], self.find_instances(material)
         check_names(own, self.find_shader(material), call)
-        rows = [self._make_row(row, call) for row in changed]
+        known = [self._make_row(row, call) for row in changed]
         self._own[material] = own
         try:
-            for row in changed:
-                self._make_row(row, call)
+            made = [self._make_row(row, call) for row in changed]
         except BaseException:
             self._own[material] = before
             raise
-        for row, known in zip(changed, rows, strict=True):
-            self._write(row, known, materials, parameters)
+        for row, (old, _), (new, new_own) in zip(changed, known, made, strict=True):
+            for name in MATERIAL.names or ():
+                if not np.array_equal(new[name], old[name]):
+                    materials[name][row] = new[name]
+            self._write_own(row, new_own, parameters)
 
     def _make_row(self, material: int, call: str) -> tuple[NDArray[Any], NDArray[Any] | None]:
         return _make(self.find_values(material), self._shader[material], self.find_shader(material), call)
 
-    def _write(
-        self,
-        material: int,
-        known: tuple[NDArray[Any], NDArray[Any] | None] | None,
-        materials: NDArray[Any],
-        parameters: tuple[NDArray[Any], ...],
-    ) -> None:
-        """Write a material's rows, or only what differs from those that are `known`."""
-        standard, own = self._make_row(material, "add_material")
-        for name in MATERIAL.names or ():
-            if known is None or not np.array_equal(standard[name], known[0][name]):
-                materials[name][material] = standard[name]
+    def _write_own(self, material: int, own: NDArray[Any] | None, parameters: tuple[NDArray[Any], ...]) -> None:
+        """Write a material's row of parameters, if its shader has any."""
         if own is not None and own.dtype.names:
             parameters[self._shader[material] - 1][material] = own
 

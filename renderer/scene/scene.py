@@ -506,10 +506,10 @@ class SceneBuilder:
             if known is not None and texture != TextureMap(texture.image, sampler=texture.sampler):
                 call, given = f"add_material({name}=...)", "a transform or a second set of coordinates"
                 refuse(rules.BAD_MATERIAL, call, given, "textures as they are, in a material with a shader of its own")
-        self._table.check({**values, **dict.fromkeys(maps, 0)}, parent, own)
+        number, shaders = self._table.check({**values, **dict.fromkeys(maps, 0)}, parent, own)
         for name, (texture, is_color) in maps.items():
             values[name] = self._textures.add(texture, is_color=is_color)
-        return self._table.add(values, parent, own)
+        return self._table.add(values, parent, number, shaders)
 
     def add_node(self, local: ArrayLike | None = None, parent: int = -1, dynamic: bool = False, name: str = "") -> int:
         """Add one node with a local transform (4, 4), by default the identity, and return its id."""

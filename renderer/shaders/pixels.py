@@ -12,10 +12,10 @@ it is exact in floats where depth is coarse (1 - d for d above 1/2), so that not
 
 from __future__ import annotations
 
-from rhi.shading import FullScreen, Struct, Uniform, abs, function, mat3, vec2, vec3, vec4
+import rhi.shading as sl
 
 
-class PixelRays(Struct):
+class PixelRays(sl.Struct):
     """The rays of a view's pixels: what is d along the view in the pixel at (x, y) is at
     `across @ (x, y, 1) * w + along * d + start`, relative to the eye. The width w of the view is d with a perspective
     lens and 1 with a parallel one: `lens.y - lens.w * d`. A nearness n is a distance of
@@ -25,41 +25,49 @@ class PixelRays(Struct):
     `farthest` its depth.
     """
 
-    across: mat3
-    along: vec3
-    start: vec3
-    size: vec2
-    forward: vec3
+    across: sl.mat3
+    along: sl.vec3
+    start: sl.vec3
+    size: sl.vec2
+    forward: sl.vec3
     far: float
     farthest: float
-    lens: vec4
+    lens: sl.vec4
 
 
-@function
+@sl.function
 def nearness_of(rays: PixelRays, depth: float) -> float:
     """Return the distance of a depth from the farthest one, which is that of pixels without a surface: 0."""
-    return abs(depth - rays.farthest)
+    return sl.abs(depth - rays.farthest)
 
 
-@function
+@sl.function
 def distance_at(rays: PixelRays, nearness: float) -> float:
     """Return how far along the view something of this nearness is."""
     return (rays.lens.x - rays.lens.y * nearness) / (rays.lens.z - rays.lens.w * nearness)
 
 
-@function
-def place_pixel(rays: PixelRays, pixel: vec2, distance: float) -> vec3:
+@sl.function
+def place_pixel(rays: PixelRays, pixel: sl.vec2, distance: float) -> sl.vec3:
     """Return the position relative to the eye, along the world's axes, of what is `distance` along the view at `pixel`:
     a `fragment_coordinate()`, or a texel plus a half."""
     width = rays.lens.y - rays.lens.w * distance
-    return rays.across @ vec3(pixel, 1.0) * width + (rays.along * distance + rays.start)
+    return rays.across @ sl.vec3(pixel, 1.0) * width + (rays.along * distance + rays.start)
 
 
-class BackgroundScreen(FullScreen):
+class PixelShader(sl.Shader):
+    """The base of shaders that are run for a pixel: that of the fragment, unless a derived shader has another."""
+
+    def find_pixel(self) -> sl.ivec2:
+        """Return the pixel."""
+        return sl.ivec2(sl.fragment_coordinate().xy)
+
+
+class BackgroundScreen(sl.FullScreen):
     """The base of shaders whose fragments are all pixels of a view, at the depth of its background. So a depth test
     tells the pixels that have a surface."""
 
-    rays: Uniform[PixelRays]
+    rays: sl.Uniform[PixelRays]
 
     def screen_depth(self) -> float:
         return self.rays.farthest

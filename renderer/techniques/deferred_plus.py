@@ -149,27 +149,26 @@ class DeferredPlus:
         if not can_pack(needs):
             return cluster_passes(needs)
         lists = (list_pass(needs, CLUSTERS),) if list_lamps(needs) else ()
-        has_own = Effect.MATERIAL_SHADERS in needs.effects
+        found: dict[str, Pass[Frame]] = {}  # what finds the pixels of materials, by its contents
         if self.binned:
-            found = [bins_pass()]
+            found = {"bins": bins_pass()}
         elif self.multi_pass:
-            found = [ids_pass(), rectangles_pass()]
-        else:
-            found = [ids_pass(by_shader=True)] if has_own else []
-        colors = ["vertex_colors"] if Effect.VERTEX_COLORS in needs.effects else []
-        reads = ["packed", "depth", *colors, *(["light lists"] if lists else []), *(one.writes[0] for one in found)]
+            found = {"material ids": ids_pass(), "rectangles": rectangles_pass()}
+        elif Effect.MATERIAL_SHADERS in needs.effects:
+            found = {"material ids": ids_pass(by_shader=True)}
+        colors = ("vertex_colors",) if Effect.VERTEX_COLORS in needs.effects else ()
         # A pass can't read the depth that it tests. Others test `material ids`.
         copied = () if found else (Target("depth copy", DEPTH_FORMAT),)
         shading = Pass(
             "shading",
             self._shade,
             "evaluates each pixel's material and its light",
-            reads=tuple(one if isinstance(one, str) else one.name for one in reads),
+            reads=("packed", "depth", *colors, *(("light lists",) if lists else ()), *found),
             writes=(Target("lit", LIGHT_FORMAT),) if self.binned else (needs.image, *copied),
         )
         shown = (resolve_pass(needs, _show, "shows what was shaded", ("lit", "depth")),) if self.binned else ()
         lighting = by_cells(CLUSTERS) if lists else FORWARD
-        return (packed_pass(needs), *lists, *found, shading, *shown, *finish_image(needs, lighting))
+        return (packed_pass(needs), *lists, *found.values(), shading, *shown, *finish_image(needs, lighting))
 
     def _shade(self, frame: Frame) -> None:
         targets, has_lamps = frame.targets, bool(list_lamps(frame.needs))
@@ -192,7 +191,7 @@ class DeferredPlus:
                     depth=targets["material ids"],
                     clear=clear,
                     states=(DepthFunction.EQUAL,),
-                    switches={**switches, "shader": max(number, 0)},
+                    switches={**switches, "shader": number},
                 )
                 clear = None
             return
@@ -207,10 +206,9 @@ def _shade_bins(frame: Frame, own: dict[str, Any], switches: dict[str, Any]) -> 
     bins = frame.view.workspace(PixelBins)
     given = {**own, "pixels": bins.pixels, "ranges": bins.ranges, "lit": frame.targets["lit"].image(0)}
     for number, bases, parameters in list_shaders(frame):
-        shader = max(number, 0)
-        program: Program[...] = frame.program(find_variant(frame, *bases, PackedBins, **switches, shader=shader))
+        program: Program[...] = frame.program(find_variant(frame, *bases, PackedBins, **switches, shader=number))
         bindings = bind(frame, program, {**given, **parameters})
-        frame.device.dispatch_indirect(program, bins.groups, shader * DispatchGroups.dtype.itemsize, **bindings)
+        frame.device.dispatch_indirect(program, bins.groups, number * DispatchGroups.dtype.itemsize, **bindings)
 
 
 def _show(frame: Frame) -> None:

@@ -169,7 +169,7 @@ def shade_exactly(renderer: Renderer, camera: Camera, seconds: float = 0.0) -> E
     shape, chunks = objects.shape, []
     number_of = renderer.resources.scene.materials["shader"][renderer.resources.scene.objects.material]
     for number, shader, bindings in traced.shaders:
-        own = np.flatnonzero(number_of[pairs[:, 0]] == number) if number >= 0 else np.arange(len(pairs))
+        own = np.flatnonzero(number_of[pairs[:, 0]] == number)
         run = sl.run_vertex(shader, vertices[corners], instance_index=triangles[:, :1], dtype=np.float64, **bindings)
         chunks += [(own[begin : begin + _CHUNK], run, shader, bindings) for begin in range(0, len(own), _CHUNK)]
     levels, positions = np.zeros((*shape, 3)), np.zeros((*shape, 3))

@@ -234,11 +234,11 @@ def make_turned() -> Sights:
     mirrored = builder.add_node(multiply(translation((1.0, 0.9, 0.0)), scaling((-1.0, 1.0, 1.0))))
     twice = builder.add_node(multiply(translation((-2.0, 0.0, 0.5)), scaling((1.2, -0.5, 0.8))), mirrored)
     bumps = builder.add_image(_BUMPS)
-    for node, shape, maps in (
-        (skewed, "sphere", {}), (mirrored, "torus", {}), (twice, "cone", {}),
-        (mirrored, "box", {"normal_texture": bumps}),
+    for node, shape, normals in (
+        (skewed, "sphere", -1), (mirrored, "torus", -1), (twice, "cone", -1),
+        (mirrored, "box", bumps),
     ):  # fmt: skip
-        metal = builder.add_material(base_color=(0.8, 0.6, 0.4), metallic=0.6, roughness=0.5, **maps)  # type: ignore[arg-type]
+        metal = builder.add_material(base_color=(0.8, 0.6, 0.4), metallic=0.6, roughness=0.5, normal_texture=normals)
         builder.add_objects(node, builder.add_mesh(_SHAPES[shape]), metal)
     sheet = builder.add_node(
         multiply(translation((2.4, 1.0, 0.5)), multiply(rotation((1, 0, 0), 1.2), scaling((-1, 1, 1))))

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
+import rhi.shading as sl
 from renderer import rules
 from renderer.frame import Frame, Needs, Pass
 from renderer.lights.culling.cells import CellGrid, cell_index
@@ -19,12 +20,11 @@ from renderer.lights.culling.grid import LightGrid
 from renderer.lights.culling.kernels import LightCounts
 from renderer.lights.culling.table import find_sphere_test
 from renderer.lights.culling.volumes import WORD
-from renderer.shaders.pixels import PixelRays
+from renderer.shaders.pixels import PixelRays, PixelShader
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying
 from renderer.techniques.parts.scene_shader import ForwardShader, LampShader
 from renderer.techniques.parts.variants import Lighting, explain_lamps
 from rhi import Device, refuse
-from rhi.shading import Storage, Uniform, broadcast_first, dot, fragment_coordinate, ivec2, ivec3, uint, vec3
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ CLUSTERS: Final = LightCells(64, 24)
 """Clusters: tiles of 64 × 64 pixels in 24 depth slices (Olsson, Billeter and Assarsson 2012)."""
 
 
-class CellReader(LampShader):
+class CellReader(LampShader, PixelShader):
     """The base of shaders that are lit by the lights of a cell.
 
     Pixels that a device shades together, such as the lanes of a work-item, go through their cells, one after
@@ -73,17 +73,17 @@ class CellReader(LampShader):
     lean = True
     has_gaps = True
 
-    grid: Uniform[CellGrid]
-    light_rows: Storage[int]
-    light_masks: Storage[uint]
-    light_counts: Uniform[LightCounts]
+    grid: sl.Uniform[CellGrid]
+    light_rows: sl.Storage[int]
+    light_masks: sl.Storage[sl.uint]
+    light_counts: sl.Uniform[LightCounts]
 
-    def celllight(self, surface: SurfacePoint, distance: float) -> vec3:
+    def celllight(self, surface: SurfacePoint, distance: float) -> sl.vec3:
         """Return the light of the lamps of the pixel's cell at this distance along the view."""
         cell = self.find_cell(distance)
-        color = vec3(0.0)
+        color = sl.vec3(0.0)
         while True:
-            shared = broadcast_first(cell)
+            shared = sl.broadcast_first(cell)
             if cell == shared:
                 color = self.lamplight(surface, self.find_cell_lights(shared))
                 break
@@ -93,22 +93,18 @@ class CellReader(LampShader):
         """Return the pixel's cell at this distance along the view."""
         return cell_index(self.grid, self.find_pixel(), distance)
 
-    def find_pixel(self) -> ivec2:
-        """Return the pixel that is lit."""
-        return ivec2(fragment_coordinate().xy)
-
-    def find_cell_lights(self, cell: int) -> ivec3:
+    def find_cell_lights(self, cell: int) -> sl.ivec3:
         """Return where the point lights of a cell begin in the light rows, where they end and the spot lights begin,
         and where those end.
 
         A list for which there is no room is the cell's bits in the masks. Their places are negative, counted from the
         masks' end.
         """
-        places = ivec3(self.light_rows[2 * cell], self.light_rows[2 * cell + 1], self.light_rows[2 * cell + 2])
+        places = sl.ivec3(self.light_rows[2 * cell], self.light_rows[2 * cell + 1], self.light_rows[2 * cell + 2])
         if places.z > len(self.light_rows):
             counts = self.light_counts
             begin = WORD * (cell * counts.words - len(self.light_masks))
-            return ivec3(begin, begin + WORD * counts.point_words, begin + WORD * counts.words)
+            return sl.ivec3(begin, begin + WORD * counts.point_words, begin + WORD * counts.words)
         return places
 
     def find_row(self, place: int) -> int:
@@ -116,7 +112,7 @@ class CellReader(LampShader):
         if place >= 0:
             return self.light_rows[place]
         bit = place + WORD * len(self.light_masks)
-        if ((self.light_masks[bit // WORD] >> uint(bit % WORD)) & uint(1)) == uint(0):
+        if ((self.light_masks[bit // WORD] >> sl.uint(bit % WORD)) & sl.uint(1)) == sl.uint(0):
             return -1
         light = bit % (WORD * self.light_counts.words)
         points = WORD * self.light_counts.point_words
@@ -147,10 +143,10 @@ def bind_lists(frame: Frame, cells: LightLists) -> dict[str, Any]:
 class LitByCells(CellReader, ForwardShader):
     """Lights a fragment by the lights of its cell instead of those of its object."""
 
-    rays: Uniform[PixelRays]
+    rays: sl.Uniform[PixelRays]
 
-    def lamplight_at(self, surface: SurfacePoint, v: SurfaceVarying) -> vec3:
-        return self.celllight(surface, dot(v.position, self.rays.forward))
+    def lamplight_at(self, surface: SurfacePoint, v: SurfaceVarying) -> sl.vec3:
+        return self.celllight(surface, sl.dot(v.position, self.rays.forward))
 
 
 def by_cells(cells: LightLists) -> Lighting:

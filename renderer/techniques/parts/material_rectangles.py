@@ -296,8 +296,10 @@ def draw_rectangles(
     device, found = frame.device, frame.view.workspace(MaterialRectangles)
     bound = {**own, "rectangles": found.rectangles}
     drawn = []
-    for number, bases, parameters in list_shaders(frame):
-        program: Program[...] = frame.program(find_variant(frame, *bases, shader, **switches, shader=number))
+    shaders = list_shaders(frame)
+    for number, bases, parameters in shaders:
+        only = number if len(shaders) > 1 else -1
+        program: Program[...] = frame.program(find_variant(frame, *bases, shader, **switches, shader=only))
         drawn.append((program, bind(frame, program, bound | parameters)))
     states = CullMode.NONE, DepthTest.ON, DepthWrite.OFF, DepthFunction.EQUAL
     ids, clear = frame.targets["material ids"], frame.background

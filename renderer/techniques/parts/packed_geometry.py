@@ -40,7 +40,7 @@ from renderer.shaders.encodings import (
 )
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.materials import MaterialShader
-from renderer.shaders.pixels import PixelRays
+from renderer.shaders.pixels import PixelRays, PixelShader
 from renderer.shaders.structs import SurfaceInput, SurfaceVarying
 from renderer.techniques.parts.geometry_buffer import decode_texel, encode_texel
 from renderer.techniques.parts.scene_shader import SceneShader
@@ -133,7 +133,7 @@ class PackedColors(PackedTextures):
         return ColoredWords(packed=self.pack(v), vertex_colors=colors)
 
 
-class PackedReader(MaterialShader):
+class PackedReader(MaterialShader, PixelShader):
     """The base of shaders that evaluate the materials of the packed geometry buffer, pixel by pixel. Textures are
     filtered as they would have been when the geometry was drawn."""
 
@@ -141,10 +141,6 @@ class PackedReader(MaterialShader):
     packed: sl.UintTexture2D
     vertex_colors: sl.UintTexture2D
     depth: sl.Texture2D
-
-    def find_pixel(self) -> sl.ivec2:
-        """Return the pixel that is evaluated."""
-        return sl.ivec2(sl.fragment_coordinate().xy)
 
     def read_input(self, position: sl.vec3) -> SurfaceInput:
         """Return the point of the pixel's surface, which is at `position`."""

@@ -152,14 +152,14 @@ def bind_programs(
 
 
 def list_shaders(frame: Frame) -> list[tuple[int, tuple[type[Any], ...], dict[str, Any]]]:
-    """Return the shaders of materials that objects have: their numbers, further bases of a variant, and bindings. If
-    all have the renderer's, it has the number -1; otherwise 0, whether or not any object has it."""
+    """Return the shaders of materials that objects have: their numbers, further bases of a variant, and bindings. The
+    renderer's is the first, whether or not any object has it."""
     resources = frame.resources
-    scene, own = resources.scene, []
-    for number, (one, values) in enumerate(zip(scene.shaders, resources.parameters, strict=True), 1):
+    listed: list[tuple[int, tuple[type[Any], ...], dict[str, Any]]] = [(0, (), {})]
+    for number, (one, values) in enumerate(zip(resources.scene.shaders, resources.parameters, strict=True), 1):
         if resources.has_shader(number):
-            own.append((number, (one.shader,), {"parameters": values.buffer}))
-    return [(0 if own else -1, (), {}), *own]
+            listed.append((number, (one.shader,), {"parameters": values.buffer}))
+    return listed
 
 
 def scene_pass(
