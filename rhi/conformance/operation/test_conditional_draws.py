@@ -22,10 +22,10 @@ from rhi import (
     QuerySet,
     ValidationError,
 )
-from rhi.conformance.shaders import Colored, Corner, FlatShade
+from rhi.conformance.shaders import Colored, Corner, Flat, FlatShade
 from rhi.conformance.shapes import texel_rectangle
 from rhi.errors import rules
-from rhi.shading import Shader, draw_index, instance_index, vec4
+from rhi.shading import draw_index, instance_index, vec4
 
 pytestmark = [
     pytest.mark.recorded_too,
@@ -39,15 +39,12 @@ HIDDEN = [1, 2, 5, 6, 7, 12]
 SEEN = [column for column in range(COLUMNS) if column not in HIDDEN]
 
 
-class Numbered(Shader):
+class Numbered(Flat):
     """Draws the draw index as red and the instance index as green, in sixteenths."""
 
     def vertex(self, v: Corner) -> FlatShade:
         color = vec4(float(draw_index()) / 16.0, float(instance_index()) / 16.0, 1.0, 1.0)
         return FlatShade(clip=v.position, color=color)
-
-    def fragment(self, v: FlatShade) -> vec4:
-        return v.color
 
 
 @pytest.fixture

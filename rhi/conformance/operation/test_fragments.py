@@ -20,7 +20,7 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_blendable, require_samples
-from rhi.conformance.shaders import Checkered, Colored, Corner, DepthFromColor, Shade
+from rhi.conformance.shaders import Checkered, Colored, Corner, DepthFromColor, Shade, Shaded, Smooth
 from rhi.conformance.shapes import centers, corners, rectangle
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
@@ -43,13 +43,10 @@ def test_a_discarded_fragment_writes_neither_color_nor_depth(device: Device) -> 
         assert_mask(depth.read(), BOARD)
 
 
-class CountFragments(sl.Shader):
+class CountFragments(Shaded):
     """Counts the fragments that run."""
 
     total: sl.StorageRW[sl.uint]
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> sl.vec4:
         sl.atomic_add(self.total[0], sl.uint(1))
@@ -62,14 +59,11 @@ class CountEarly(CountFragments):
     early_depth = True
 
 
-class CountDiscarding(sl.Shader):
+class CountDiscarding(Shaded):
     """Counts before and after it discards half of the fragments."""
 
     early_depth = True
     total: sl.StorageRW[sl.uint]
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> sl.vec4:
         sl.atomic_add(self.total[0], sl.uint(1))
@@ -253,13 +247,10 @@ def test_an_indirect_draw_reads_arguments_and_count_that_a_dispatch_wrote(device
     assert DRAW_UNINDEXED.itemsize == 20
 
 
-class Sampled(sl.Shader):
+class Sampled(Shaded):
     """Reads the texel below each fragment."""
 
     source: sl.Texture2D
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> sl.vec4:
         return self.source.load(sl.ivec2(sl.fragment_coordinate().xy)) + v.color
@@ -279,13 +270,10 @@ def test_a_pass_reads_what_the_pass_before_drew(device: Device) -> None:
         assert_same(one.read()[..., 0], 20 / 32)
 
 
-class Fill(sl.Shader):
+class Fill(Shaded):
     """Writes each fragment's number to storage."""
 
     out: sl.StorageRW[sl.uint]
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> sl.vec4:
         at = sl.ivec2(sl.fragment_coordinate().xy)
@@ -320,11 +308,8 @@ def test_a_dispatch_reads_what_fragments_wrote(device: Device) -> None:
         assert_same(total.read(), 64 * 65 // 2)
 
 
-class WaterfallAtEdges(sl.Shader):
+class WaterfallAtEdges(Shaded):
     """Goes through the columns that are shaded together, of which some are shaded for derivatives only."""
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> sl.vec4:
         column = int(sl.fragment_coordinate().x)
@@ -354,16 +339,13 @@ def test_a_loop_over_what_fragments_broadcast_ends_at_the_edges_of_triangles(dev
     assert_same(drawn[covered, 1], np.ones(covered.sum()))
 
 
-class FromMemory(sl.Shader):
+class FromMemory(Smooth):
     """Reads positions from storage by vertex index."""
 
     points: sl.Storage[sl.vec4]
 
     def vertex(self) -> Shade:
         return Shade(clip=self.points[sl.vertex_index()], color=sl.vec4(1.0))
-
-    def fragment(self, v: Shade) -> sl.vec4:
-        return v.color
 
 
 def test_a_vertex_stage_reads_storage(device: Device) -> None:

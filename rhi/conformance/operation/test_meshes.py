@@ -12,7 +12,7 @@ import rhi
 import rhi.shading as sl
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_targets, require_vertex_alignment
-from rhi.conformance.shaders import Colored, Corner, FlatShade
+from rhi.conformance.shaders import Colored, Corner, Flat, FlatShade
 from rhi.conformance.shapes import centers, corners, rectangle
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
@@ -147,14 +147,11 @@ class Probe(sl.Struct):
     value: sl.vec4
 
 
-class ShowFloat(sl.Shader):
+class ShowFloat(Flat):
     """Draws the attribute as a color."""
 
     def vertex(self, v: Probe) -> FlatShade:
         return FlatShade(clip=sl.vec4(v.position, 0.5, 1.0), color=v.value)
-
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
 
 @pytest.mark.parametrize("code", ["f4", "f2", "u1", "i1"])
@@ -184,14 +181,11 @@ class Pair(sl.Struct):
     pair: sl.vec2
 
 
-class ShowPair(sl.Shader):
+class ShowPair(Flat):
     """Draws two components as a color."""
 
     def vertex(self, v: Pair) -> FlatShade:
         return FlatShade(clip=sl.vec4(v.position, 0.5, 1.0), color=sl.vec4(v.pair, 0.0, 1.0))
-
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
 
 @pytest.mark.parametrize("code", ["f4", "f2", "u2", "i2"])
@@ -282,14 +276,11 @@ class Narrow(sl.Struct):
     weight: float
 
 
-class ShowNarrow(sl.Shader):
+class ShowNarrow(Flat):
     """Draws points at three-component positions, with a one-component color."""
 
     def vertex(self, v: Narrow) -> FlatShade:
         return FlatShade(clip=sl.vec4(v.position, 1.0), color=sl.vec4(v.weight))
-
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
 
 def test_three_components_and_one_lie_where_the_dtype_says(device: rhi.Device) -> None:
@@ -315,14 +306,11 @@ class Instanced(sl.Struct):
     shade: float
 
 
-class ShowInstances(sl.Shader):
+class ShowInstances(Flat):
     """Draws a point, moved by the instance's offset."""
 
     def vertex(self, v: Instanced) -> FlatShade:
         return FlatShade(clip=sl.vec4(v.position + v.offset, 0.5, 1.0), color=sl.vec4(v.shade))
-
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
 
 def instanced(device: rhi.Device) -> Any:
@@ -366,14 +354,11 @@ def test_instances_of_indexed_meshes_read_their_elements(device: rhi.Device) -> 
         assert_same(image.read()[0], [0, 0, 0, 0, 2, 3, 0, 0])
 
 
-class Numbered(sl.Shader):
+class Numbered(Flat):
     """Writes the indices of the vertex and instance."""
 
     def vertex(self, v: Corner) -> FlatShade:
         return FlatShade(clip=v.position, color=sl.vec4(float(sl.vertex_index()), float(sl.instance_index()), 0.0, 1.0))
-
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
 
 class NumberedDraws(Numbered):
@@ -412,16 +397,13 @@ def test_without_indices_vertices_count_from_the_first_of_the_buffer(device: rhi
         assert_same(image.read()[0, 3:5], [(3, 0, 0, 1), (4, 0, 0, 1)])
 
 
-class FullTriangle(sl.Shader):
+class FullTriangle(Flat):
     """Covers the whole target with one triangle, from vertex numbers alone."""
 
     def vertex(self) -> FlatShade:
         x = float(sl.vertex_index() % 2) * 4.0 - 1.0
         y = float(sl.vertex_index() // 2) * 4.0 - 1.0
         return FlatShade(clip=sl.vec4(x, y, 0.5, 1.0), color=sl.vec4(1.0))
-
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
 
 def test_a_shader_without_attributes_counts_its_vertices(device: rhi.Device) -> None:

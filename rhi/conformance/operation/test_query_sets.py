@@ -27,7 +27,7 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_same
 from rhi.conformance.patience import comes_true
-from rhi.conformance.shaders import Colored, Corner, FlatShade, Shade
+from rhi.conformance.shaders import Colored, Corner, FlatShade, Shade, Smooth
 from rhi.conformance.shapes import rectangle, texel_rectangle
 from rhi.errors import rules
 from rhi.shading import Shader, StorageRW, atomic_add, draw_index, instance_index, uint, vec4
@@ -375,15 +375,12 @@ def test_counted_draws_are_drawn(device: Device, queries: QuerySet, image: Any) 
         assert_same(pixels[:, 8:], 255)
 
 
-class Doubled(Shader):
+class Doubled(Smooth):
     """Draws everything at twice the height."""
 
     def vertex(self, v: Corner) -> Shade:
         p = v.position
         return Shade(clip=vec4(p.x, 1.0 - 2.0 * (1.0 - p.y), p.z, p.w), color=v.color)
-
-    def fragment(self, v: Shade) -> vec4:
-        return v.color
 
 
 def test_each_call_has_its_own_program_and_mesh(device: Device, queries: QuerySet, bars: Mesh, image: Any) -> None:

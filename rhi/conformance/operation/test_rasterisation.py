@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rhi import BlendFunction, CullMode, Device, Format, FrontFace, Scissor, State, Viewport
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.reference import SUBTEXELS, rasterise, rasterise_within
-from rhi.conformance.shaders import Bare, Colored, Corner
+from rhi.conformance.shaders import Bare, Colored, Corner, Positions
 from rhi.conformance.shapes import VertexRows, corners, rectangle, texel_rectangle, window_to_clip
 from rhi.shading import NoPerspective, Shader, Struct, front_facing, vec4
 
@@ -148,11 +148,8 @@ def test_back_faces_are_culled_by_default(device: Device) -> None:
             assert_same(image.read(), expected)
 
 
-class Faces(Shader):
+class Faces(Positions):
     """Draws front faces white and back faces gray."""
-
-    def vertex(self, v: Corner) -> Bare:
-        return Bare(clip=v.position)
 
     def fragment(self, v: Bare) -> vec4:
         if front_facing():

@@ -27,9 +27,9 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_same
 from rhi.conformance.reference import compare, stencil
-from rhi.conformance.shaders import Colored, Corner, Shade
+from rhi.conformance.shaders import Colored, Shade, Shaded
 from rhi.conformance.shapes import VertexRows, rectangle
-from rhi.shading import Shader, discard, fragment_coordinate, vec4
+from rhi.shading import discard, fragment_coordinate, vec4
 
 pytestmark = pytest.mark.needs("draws", "shading", "stencil")
 
@@ -202,11 +202,8 @@ def test_a_stencil_mask_cuts_out_what_is_drawn_through_it(device: Device) -> Non
         assert_same(image.read(), expected)
 
 
-class Checkered(Shader):
+class Checkered(Shaded):
     """Discards every other fragment of a row."""
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> vec4:
         if int(fragment_coordinate().x) % 2 == 1:
