@@ -10,7 +10,7 @@ from refused_shaders import Everything, Shift
 
 import rhi.shading as sl
 from rhi import Access, Comparison, Device, Format, SamplerDescriptor, TextureKind
-from rhi.conformance.shaders import Bare, Corner, Tint
+from rhi.conformance.shaders import Tint
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
 from rhi.errors import rules
@@ -52,11 +52,6 @@ def kit(recording: Device) -> Any:
         *(kit.bindings[name] for name in ("tint", "weights", "albedo")),
     ):
         thing.destroy()
-
-
-def test_the_control_draws(kit: Kit) -> None:
-    with kit.device.render_pass(kit.image):
-        kit.draw()
 
 
 @pytest.mark.parametrize("name", ["tint", "weights", "albedo", "shadow", "target"])
@@ -189,27 +184,3 @@ def test_a_uniform_in_a_buffer_must_be_aligned_and_large_enough(kit: Kit) -> Non
                 kit.draw(tint=UniformRange(buffer.id, offset, size, Tint, buffer))
         kit.draw(tint=UniformRange(buffer.id, alignment, 16, Tint, buffer))
     buffer.destroy()
-
-
-def test_a_refused_draw_leaves_the_bindings_of_the_one_before(kit: Kit) -> None:
-    with kit.device.render_pass(kit.image):
-        kit.draw()
-        with refuses(rules.BINDING_TYPE, kit.device):
-            kit.draw(tint=kit.bindings["tint"], albedo=3)
-        since = len(kit.device.stream)
-        kit.draw()
-        assert [command.op.name for command in kit.device.stream[since:]][-1] == "DRAW"
-
-
-class Self(sl.Shader):
-    """A binding that a call with keywords can't give."""
-
-    self: sl.Uniform[Tint]
-
-    def vertex(this, v: Corner) -> Bare:  # noqa: N805
-        return Bare(clip=v.position * this.self.color)
-
-
-def test_a_binding_cannot_be_called_what_no_keyword_can_be(recording: Device) -> None:
-    with refuses(rules.BINDING_NAME, recording):
-        recording.program(Self)
