@@ -33,12 +33,6 @@ def test_only_what_was_signalled_is_waited_for(recording: Device, ahead: int) ->
 # -- queries -----------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def image(recording: Device) -> Any:
-    with recording.texture(SIZE, Format.R8) as image:
-        yield image
-
-
 def test_queries_do_not_nest(recording: Device, image: Any) -> None:
     one, two = recording.occlusion_query(), recording.occlusion_query()
     with recording.render_pass(image):
