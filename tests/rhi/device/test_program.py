@@ -7,7 +7,6 @@ import pytest
 from null_kit import Camera, Kit, Object, hand_made_program
 
 import rhi
-from rhi.contract.descriptors import Binding, BindingKind
 
 Op = rhi.Op
 BINDS = (Op.BIND_PROGRAM, Op.BIND_UNIFORM)
@@ -100,14 +99,6 @@ def test_a_number_of_instances_reaches_the_backend(kit: Kit, instances: int) -> 
     given = kit.ops(Op.DRAW)[0]["instances"]
     assert given == instances
     assert type(given) is int
-
-
-@pytest.mark.parametrize("name", ["class", "self"])
-def test_a_binding_whose_name_is_no_keyword_argument_is_refused(kit: Kit, name: str) -> None:
-    with pytest.raises(rhi.ValidationError) as caught:
-        kit.device.program(hand_made_program("bad", Binding(name, BindingKind.UNIFORM, 0, False, Camera, 16)))
-    assert caught.value.rule.id == "binding-name"
-    kit.device.program(hand_made_program("good", Binding("mesh", BindingKind.UNIFORM, 0, False, Camera, 16)))
 
 
 def test_the_same_class_gives_the_same_program(kit: Kit) -> None:

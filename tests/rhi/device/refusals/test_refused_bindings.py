@@ -6,6 +6,7 @@ import re
 from typing import Any
 
 import pytest
+from null_kit import Camera, hand_made_program
 from refused_shaders import Everything, Shift
 
 import rhi.shading as sl
@@ -13,6 +14,7 @@ from rhi import Access, Comparison, Device, Format, SamplerDescriptor, TextureKi
 from rhi.conformance.shaders import Tint
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
+from rhi.contract.descriptors import Binding, BindingKind
 from rhi.errors import rules
 
 SIZE = (4, 4)
@@ -184,3 +186,11 @@ def test_a_uniform_in_a_buffer_must_be_aligned_and_large_enough(kit: Kit) -> Non
                 kit.draw(tint=UniformRange(buffer.id, offset, size, Tint, buffer))
         kit.draw(tint=UniformRange(buffer.id, alignment, 16, Tint, buffer))
     buffer.destroy()
+
+
+@pytest.mark.parametrize("name", ["class", "self"])
+def test_a_binding_cannot_be_called_what_no_keyword_can_be(recording: Device, name: str) -> None:
+    bad, good = (Binding(each, BindingKind.UNIFORM, 0, False, Camera, 16) for each in (name, "mesh"))
+    with refuses(rules.BINDING_NAME, recording):
+        recording.program(hand_made_program("bad", bad))
+    recording.program(hand_made_program("good", good))
