@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,9 @@ from rhi import (
     Device,
     Format,
     IndirectDraws,
+    Mesh,
     Primitive,
+    Texture,
 )
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_blendable, require_samples
@@ -31,12 +34,14 @@ SIZE = (8, 8)
 BOARD = np.indices((8, 8)).sum(axis=0) % 2 == 0
 
 
-def test_a_discarded_fragment_writes_neither_color_nor_depth(device: Device) -> None:
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.texture(SIZE, Format.D32F) as depth,
-        device.mesh(rectangle()) as mesh,
-    ):
+@pytest.fixture
+def image(device: Device) -> Iterator[Texture]:
+    with device.texture(SIZE, Format.R8) as image:
+        yield image
+
+
+def test_a_discarded_fragment_writes_neither_color_nor_depth(device: Device, image: Texture, mesh: Mesh) -> None:
+    with device.texture(SIZE, Format.D32F) as depth:
         with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0):
             device.draw(device.program(Checkered), mesh)
         assert_mask(image.read(), BOARD)
@@ -74,12 +79,8 @@ class CountDiscarding(Shaded):
         return v.color
 
 
-def test_every_covered_texel_runs_one_fragment(device: Device) -> None:
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.mesh(rectangle(-1, 0, 0, 1)) as mesh,
-        device.storage(sl.uint, 1) as total,
-    ):
+def test_every_covered_texel_runs_one_fragment(device: Device, image: Texture) -> None:
+    with device.mesh(rectangle(-1, 0, 0, 1)) as mesh, device.storage(sl.uint, 1) as total:
         with device.render_pass(image):
             device.draw(device.program(CountFragments), mesh, total=total)
         assert_same(total.read(), 16)
@@ -130,13 +131,10 @@ def test_with_early_depth_hidden_fragments_have_none(device: Device) -> None:
 
 
 @pytest.mark.needs("early_depth")
-def test_with_early_depth_a_discarded_fragment_has_already_written_depth(device: Device) -> None:
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.texture(SIZE, Format.D32F) as depth,
-        device.mesh(rectangle()) as mesh,
-        device.storage(sl.uint, 2) as total,
-    ):
+def test_with_early_depth_a_discarded_fragment_has_already_written_depth(
+    device: Device, image: Texture, mesh: Mesh
+) -> None:
+    with device.texture(SIZE, Format.D32F) as depth, device.storage(sl.uint, 2) as total:
         with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0):
             device.draw(device.program(CountDiscarding), mesh, total=total)
         assert_same(total.read(), [64, 32])
@@ -144,14 +142,10 @@ def test_with_early_depth_a_discarded_fragment_has_already_written_depth(device:
         assert_same(depth.read(), 0.5)
 
 
-def test_a_fragment_s_own_depth_replaces_the_triangle_s(device: Device) -> None:
+def test_a_fragment_s_own_depth_replaces_the_triangle_s(device: Device, image: Texture) -> None:
     rows = rectangle(depth=0.1)
     rows["color"][:, 0] = np.where(rows["position"][:, 0] < 0, 0.0, 1.0)
-    with (
-        device.texture(SIZE, Format.D32F) as depth,
-        device.texture(SIZE, Format.R8) as image,
-        device.mesh(rows) as mesh,
-    ):
+    with device.texture(SIZE, Format.D32F) as depth, device.mesh(rows) as mesh:
         with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5):
             device.draw(device.program(DepthFromColor), mesh)
         ramp = np.broadcast_to((np.arange(8) + 0.5) / 8, (8, 8))
@@ -295,13 +289,8 @@ class Sum(sl.Shader):
 
 
 @pytest.mark.needs("compute")
-def test_a_dispatch_reads_what_fragments_wrote(device: Device) -> None:
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.mesh(rectangle()) as mesh,
-        device.storage(sl.uint, 64) as values,
-        device.storage(sl.uint, 1) as total,
-    ):
+def test_a_dispatch_reads_what_fragments_wrote(device: Device, image: Texture, mesh: Mesh) -> None:
+    with device.storage(sl.uint, 64) as values, device.storage(sl.uint, 1) as total:
         with device.render_pass(image), device.states(ColorWrite.OFF):
             device.draw(device.program(Fill), mesh, out=values)
         device.dispatch(device.program(Sum), 1, values=values, total=total)
