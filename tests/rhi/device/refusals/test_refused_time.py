@@ -123,8 +123,9 @@ def test_conditions_do_not_nest(recording: Device, image: Any) -> None:
 def test_a_command_s_arguments_have_names(recording: Device) -> None:
     recording.signal()
     command = recording.stream.filter(Op.SIGNAL)[-1]
-    with refuses(rules.COMMAND_ARGUMENT):
+    with refuses(rules.COMMAND_ARGUMENT) as refusal:
         _ = command["colour"]
+    assert refusal.error.allowed == "value"
     with refuses(rules.COMMAND_ARGUMENT):
         recording.stream.filter(Op.SIGNAL, colour=3)
     with refuses(rules.COMMAND_ARGUMENT):
