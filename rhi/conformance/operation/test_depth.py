@@ -179,13 +179,6 @@ def test_depth_is_kept_between_passes(device: Device) -> None:
         assert_same(depth.read(), 0.75)
 
 
-def test_depth_clears_ignore_the_write_state(device: Device) -> None:
-    with device.texture(SIZE, Format.D32F) as depth:
-        with device.states(DepthWrite.OFF), device.render_pass(depth=depth, clear_depth=0.75):
-            pass
-        assert_same(depth.read(), 0.75)
-
-
 def test_depth_is_interpolated_linearly_in_the_window(device: Device) -> None:
     ramp = rectangle(depth=0.5)
     ramp["position"][:, 2] = np.where(ramp["position"][:, 0] < 0, 0.0, 1.0)

@@ -16,6 +16,7 @@ from rhi import (
     ColorWrite,
     CullMode,
     DepthFunction,
+    DepthWrite,
     Device,
     Format,
     Mesh,
@@ -33,7 +34,9 @@ from rhi.conformance.shapes import centers, corners, rectangle
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
 SIZE = (8, 8)
-HOSTILE = (Scissor(0, 0, 1, 1), ColorWrite.OFF, CullMode.FRONT, DepthFunction.NEVER, BlendFunction.ADDITIVE)
+HOSTILE = (
+    Scissor(0, 0, 1, 1), ColorWrite.OFF, DepthWrite.OFF, CullMode.FRONT, DepthFunction.NEVER, BlendFunction.ADDITIVE,
+)  # fmt: skip
 """States that would break a copy that is implemented as a draw."""
 
 

@@ -208,13 +208,6 @@ def test_a_scissor_ends_with_its_scope(device: Device) -> None:
         assert_same(image.read(), np.where(np.arange(16) < 8, 2, 1)[None, :])
 
 
-def test_clears_ignore_the_scissor(device: Device) -> None:
-    with device.texture(SIZE, Format.RGBA8) as image:
-        with device.states(Scissor(0, 0, 1, 1)), device.render_pass(image, clear=(1, 1, 1, 1)):
-            pass
-        assert_same(image.read(), 255)
-
-
 def test_a_scissor_holds_for_targets_of_other_sizes(device: Device) -> None:
     """A scissor that is kept across passes is measured from the top of each target."""
     with device.mesh(rectangle()) as mesh, device.states(Scissor(0, 0, 2, 1)):
