@@ -140,10 +140,7 @@ def test_a_face_is_culled_by_its_winding(device: Device, cull: CullMode, front: 
 def test_back_faces_are_culled_by_default(device: Device) -> None:
     with device.texture((2, 2), Format.R8) as image:
         for winding, expected in ((1, 255), (-1, 0)):
-            with (
-                device.mesh(rectangle()[::winding]) as mesh,
-                device.render_pass(image, clear=(0, 0, 0, 0)),
-            ):
+            with device.mesh(rectangle()[::winding]) as mesh, device.render_pass(image, clear=(0, 0, 0, 0)):
                 device.draw(device.program(Colored), mesh)
             assert_same(image.read(), expected)
 

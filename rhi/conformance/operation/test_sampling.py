@@ -145,10 +145,7 @@ def test_integers_are_read_as_they_are(device: Device, format: Format) -> None:
     shader, element = cast(
         "tuple[Any, Any]", (LoadUint, sl.uvec4) if format.kind is ChannelKind.UINT else (LoadInt, sl.ivec4)
     )
-    with (
-        device.texture(squeezed(format, data), format) as texture,
-        device.storage(element, 8) as results,
-    ):
+    with device.texture(squeezed(format, data), format) as texture, device.storage(element, 8) as results:
         device.dispatch(device.program(shader), (4, 2), source=texture, results=results)
         assert_same(results.read(), expected)
 

@@ -338,10 +338,7 @@ def test_alpha_becomes_coverage(device: Device, alpha: float) -> None:
         device.texture((8, 8), Format.RGBA16F) as target,
         device.mesh(rectangle(color=(1, 1, 1, alpha))) as mesh,
     ):
-        with (
-            device.render_pass(image, clear=(0, 0, 0, 0), resolve=target),
-            device.states(AlphaToCoverage.ON),
-        ):
+        with device.render_pass(image, clear=(0, 0, 0, 0), resolve=target), device.states(AlphaToCoverage.ON):
             device.draw(device.program(Colored), mesh)
         covered = target.read()[..., 0].mean()
     assert_near(covered, alpha, 0.25 if alpha == 0.5 else 0.0, "which samples are covered is left to the device")

@@ -32,10 +32,7 @@ def drawn(
 ) -> NDArray[Any]:
     """Return the image of one draw without culling."""
     rows = corners(positions, color)
-    with (
-        device.texture(SIZE, Format.RGBA8) as image,
-        device.mesh(rows, indices, primitive=primitive) as mesh,
-    ):
+    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(rows, indices, primitive=primitive) as mesh:
         with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
             device.draw(device.program(FlatColored), mesh)
         return image.read()

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import rhi.shading as sl
-from rhi import (
-    Format,
-)
+from rhi import Format
 from rhi.conformance.shaders import Positions, Tint
 
 

@@ -110,15 +110,7 @@ def test_a_closed_device_records_nothing(backend: str) -> None:
 # -- both ends ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        "pass",
-        "states",
-        "event",
-        "condition",
-    ],
-)
+@pytest.mark.parametrize("kind", ["pass", "states", "event", "condition"])
 def test_a_buffer_ends_with_nothing_open(recording: Device, kind: str, image: rhi.Texture) -> None:
     if kind == "condition":
         query = recording.occlusion_query()

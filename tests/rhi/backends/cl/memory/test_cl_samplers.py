@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 from cl_kit import ClKit, describe_program
 
-from rhi.contract.descriptors import (
-    Binding,
-    BindingKind,
-    SamplerDescriptor,
-    TextureDescriptor,
-    TextureKind,
-)
+from rhi.contract.descriptors import Binding, BindingKind, SamplerDescriptor, TextureDescriptor, TextureKind
 from rhi.contract.formats import Format
 from rhi.shading.ir.texture_words import LEVEL_WORDS, LevelWord, Stored, Word, describe_texture
 
@@ -20,10 +14,7 @@ kernel void show(global const uchar *texels, global const int *description, glob
     for (int i = 0; i < count; ++i) words[i] = description[i];
 }
 """
-SHOWN = (
-    Binding("source", BindingKind.TEXTURE, 0),
-    Binding("words", BindingKind.STORAGE, 0, True, None, 4),
-)
+SHOWN = (Binding("source", BindingKind.TEXTURE, 0), Binding("words", BindingKind.STORAGE, 0, True, None, 4))
 IMAGE = SHOW.replace("const uchar", "uchar")
 IMAGES = (Binding("source", BindingKind.IMAGE, 0, True), SHOWN[1])
 

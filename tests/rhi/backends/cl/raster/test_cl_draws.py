@@ -125,10 +125,7 @@ def test_a_draw_that_fails_leaves_its_batch_as_it_was(device: Device, wrong: Any
 
 def test_indices_that_change_between_draws_name_other_vertices(device: Device) -> None:
     rows = np.concatenate([rectangle(-1, -1, 0, 1), rectangle(0, -1, 1, 1)])
-    with (
-        device.texture((2, 1), Format.RGBA8) as image,
-        device.mesh(rows, np.arange(6, dtype="u4")) as mesh,
-    ):
+    with device.texture((2, 1), Format.RGBA8) as image, device.mesh(rows, np.arange(6, dtype="u4")) as mesh:
         for first, expected in ((0, [255, 0]), (6, [0, 255])):
             mesh.data.index_buffer.write(np.arange(first, first + 6, dtype="u4"))
             with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(DepthWrite.OFF):
