@@ -20,7 +20,6 @@ from rhi import (
     Device,
     Format,
     Mesh,
-    Op,
     Primitive,
     QuerySet,
     ValidationError,
@@ -401,24 +400,7 @@ def test_queries_and_draws_are_counted(device: Device, queries: QuerySet, bars: 
     assert (after.queries - before.queries, after.draws - before.draws) == (3, 4)
 
 
-# -- recorded as commands ----------------------------------------------------------------------------------
-
-
-@pytest.mark.needs("occlusion_queries")
-def test_a_recording_shows_each_query_and_draw(recording: Device) -> None:
-    queries = recording.query_set(8)
-    with recording.texture(SIZE, Format.RGBA8) as image, recording.mesh(BARS) as mesh:
-        before = len(recording.stream)
-        with recording.render_pass(image):
-            recording.draw_counted(recording.program(Colored), mesh, parts(mesh, 3, 4, 5), queries, [6, 6, 2])
-        wanted = {Op.BEGIN_QUERY, Op.DRAW, Op.END_QUERY}
-        commands = [command for command in recording.stream[before:] if command.op in wanted]
-    begin, draw, end = Op.BEGIN_QUERY, Op.DRAW, Op.END_QUERY
-    assert [command.op for command in commands] == [begin, draw, draw, end, begin, draw, end]
-    assert [c["query"] for c in commands if c.op is not draw] == [queries.ids[row] for row in (6, 6, 2, 2)]
-    assert [c["first"] for c in commands if c.op is draw] == [18, 24, 30]
-    assert all(command.site is not None and command.site.file == __file__ for command in commands)
-    queries.destroy()
+# -- in command buffers --------------------------------------------------------------------------------------
 
 
 def test_a_recorded_set_answers_for_the_latest_submission(
