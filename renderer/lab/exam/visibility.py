@@ -53,12 +53,7 @@ def look_alike(number: int, device: Device) -> Found:
 def _compare(device: Device, image: CullingImage) -> tuple[dict[str, list[int]], dict[str, bool]]:
     scene = image.scene()
     with Uncut(device, scene, image.shots(scene), image.size) as uncut:
-        wrong = {}
-        for name in list_algorithms(device):
-            if name in NAMES:
-                algorithm = make_visibility(name, scene, device)
-                wrong[name] = uncut.count_wrong_pixels(algorithm)
-                algorithm.destroy()
+        wrong = {name: uncut.try_algorithm(name) for name in list_algorithms(device) if name in NAMES}
     return wrong, uncut.holds
 
 
@@ -103,9 +98,7 @@ def answer_late(device: Device) -> Found:
                 if name not in ASKING:
                     continue
                 with late_answers(latency):
-                    algorithm = make_visibility(name, city, device)
-                    count = sum(uncut.count_wrong_pixels(algorithm))
-                    algorithm.destroy()
+                    count = sum(uncut.try_algorithm(name))
                 wrong[f"{name}, after {latency} looks"] = count
                 total += count
     return Found(total, wrong, uncut.holds)
@@ -115,9 +108,7 @@ def ask_in_one_batch(device: Device) -> Found:
     """Let CHC++ ask for all at once."""
     city = make_city()
     with Uncut(device, city, along("ground", *range(800, 812, 2))(city)) as uncut:
-        algorithm = ChcPlusPlus(city, device, VisibilitySettings(batch=100_000))
-        wrong = uncut.count_wrong_pixels(algorithm)
-        algorithm.destroy()
+        wrong = uncut.try_algorithm("chc_plus_plus", batch=100_000)
     return Found(sum(wrong), {"wrong pixels by frame": wrong}, uncut.holds)
 
 
@@ -131,9 +122,7 @@ def ask_with_a_threshold(device: Device) -> Found:
             wrong = {}
             for threshold in (0, 10):
                 with late_answers(0):
-                    algorithm = make_visibility(name, city, device, VisibilitySettings(threshold=threshold))
-                    wrong[threshold] = uncut.count_wrong_pixels(algorithm)
-                    algorithm.destroy()
+                    wrong[threshold] = uncut.try_algorithm(name, threshold=threshold)
                 numbers[f"{name}, {threshold} samples"] = wrong[threshold]
             total += sum(wrong[0])
             holds[f"{name} loses little with 10"] = 0 < max(wrong[10]) < _FAR_SMALLER * SIZE[0] * SIZE[1]

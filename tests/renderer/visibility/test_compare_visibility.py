@@ -159,7 +159,7 @@ def test_progress_is_shown_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setattr(sys, "stderr", stream)
         clock = itertools.count(step=10.0)  # a frame takes long: work of less than a second shows nothing
         monkeypatch.setattr("tqdm.std.time", lambda clock=clock: next(clock))
-        assert list(show_progress(range(3), 3, "compare")) == [0, 1, 2]
+        assert list(show_progress(range(3), "compare")) == [0, 1, 2]
         assert ("compare" in stream.getvalue()) is shown
 
 
