@@ -10,16 +10,7 @@ import numpy as np
 
 from renderer.lab.exam.case import Case, Found, Picture
 from renderer.lab.exam.late import late_answers
-from renderer.lab.exam.scenes import (
-    IMAGES,
-    SIZE,
-    CullingImage,
-    Uncut,
-    along,
-    draw_with,
-    make_city,
-    teleport,
-)
+from renderer.lab.exam.scenes import IMAGES, SIZE, CullingImage, Uncut, along, draw_with, make_city, teleport
 from renderer.renderer import Renderer
 from renderer.visibility import ALGORITHMS, ChcPlusPlus, VisibilitySettings, list_algorithms, make_visibility
 from renderer.visibility.queries.chc_plus_plus import STAYS_HIDDEN, choose_size

@@ -21,16 +21,7 @@ from renderer.cli import main
 from renderer.cli.accuracy import list_left_out
 from renderer.cli.executors import SerialExecutor, make_executor
 from renderer.content import load_scene
-from renderer.lab.accuracy import (
-    FrontPoint,
-    KnobReport,
-    Situation,
-    SweepJob,
-    ValueRow,
-    choice,
-    choose,
-    run_jobs,
-)
+from renderer.lab.accuracy import FrontPoint, KnobReport, Situation, SweepJob, ValueRow, choice, choose, run_jobs
 from renderer.lab.accuracy.choice import (
     CombinationBench,
     expect_error,

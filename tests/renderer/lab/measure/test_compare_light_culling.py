@@ -13,13 +13,7 @@ from refusals import find_rule
 import rhi
 from renderer.cli import main
 from renderer.content import load_scene
-from renderer.lab.light_culling import (
-    choose_lights,
-    compare_light_culling,
-    find_lit,
-    find_overlaps,
-    find_surfaces,
-)
+from renderer.lab.light_culling import choose_lights, compare_light_culling, find_lit, find_overlaps, find_surfaces
 from renderer.lights.culling import SPHERE_TESTS, make_grid
 from renderer.lights.culling.volumes import find_volumes
 from renderer.renderer import Renderer

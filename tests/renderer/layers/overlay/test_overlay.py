@@ -19,14 +19,7 @@ from renderer.layers.overlay.overlay import name_algorithm
 from renderer.layers.overlay.panels import Box, draw_graph, draw_legend, draw_map, draw_timers, find_ground
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene
-from renderer.visibility import (
-    AutoCulling,
-    CullingWalk,
-    FrustumCulling,
-    NoCulling,
-    WalkOutcome,
-    make_visibility,
-)
+from renderer.visibility import AutoCulling, CullingWalk, FrustumCulling, NoCulling, WalkOutcome, make_visibility
 from rhi import Format, Op, TimerNode
 from tests.renderer.conftest import open_device
 
