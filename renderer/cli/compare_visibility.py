@@ -56,12 +56,7 @@ def measure_visibility(given: argparse.Namespace) -> Report:
     first = max(0, (len(path) - drawn + 1) // 2) if given.frame is None else given.frame
     path.camera(first + drawn - 1)  # raises now, not after minutes
     frames = list_frames(
-        first,
-        given.frames,
-        len(path),
-        stride=given.stride,
-        warm_up=given.warm_up,
-        teleport=given.teleport,
+        first, given.frames, len(path), stride=given.stride, warm_up=given.warm_up, teleport=given.teleport
     )
     given.queries = [kind for kind in options.QUERY_KINDS if kind in given.queries]
     emulated = [kind == "emulated" for kind in given.queries]

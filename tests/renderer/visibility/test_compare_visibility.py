@@ -233,17 +233,7 @@ def test_at_ground_level_the_counts_are_those_of_the_thesis_or_less(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, frames: str
 ) -> None:
     delay_answers(monkeypatch, 0)  # late ones cost triangles: no matter of the algorithms
-    command = [
-        "compare",
-        "visibility",
-        "city",
-        "--camera-path",
-        "ground",
-        "--frames",
-        frames,
-        "--size",
-        "320x180",
-    ]
+    command = ["compare", "visibility", "city", "--camera-path", "ground", "--frames", frames, "--size", "320x180"]
     algorithms = ["--algorithms", "frustum,stop_and_wait,chc,chc_plus_plus"]
     assert main([*command, *algorithms, "--backend", "gl", "--json"]) == 0
     rows = {row["algorithm"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
