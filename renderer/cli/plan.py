@@ -85,7 +85,7 @@ def show_plan(report: PlanReport) -> str:
     rows = [
         (
             one.name, ", ".join(one.reads), ", ".join(one.writes), one.bytes, one.draws, one.dispatches,
-            one.because,
+            one.because
         )
         for one in report.passes
     ]  # fmt: skip

@@ -111,6 +111,18 @@ def count_draws(device: rhi.Device, scene: Scene, *given: Any, **options: Any) -
     return len(stream.filter(rhi.Op.BEGIN_PASS)), len(stream.draws())
 
 
+def list_owned(device: rhi.Device) -> tuple[list[rhi.Command], list[rhi.Command]]:
+    """Return the commands that made textures, buffers and vertex arrays, without the device's own streams, and those of
+    them whose object is still there."""
+    device.finish()
+    made = device.stream.filter(
+        (rhi.Op.CREATE_TEXTURE, rhi.Op.CREATE_BUFFER, rhi.Op.CREATE_VERTEX_ARRAY),
+        where=lambda c: c.failure is None and getattr(c["descriptor"], "usage", None) is not rhi.BufferUsage.STREAM,
+    )
+    gone = {command.values[0] for command in device.stream.filter(rhi.Op.DESTROY)}
+    return [*made], [command for command in made if command.values[0] not in gone]
+
+
 def list_passes(device: rhi.Device, scene: Scene, technique: Technique) -> list[str]:
     """Return the names of a frame's passes."""
     with open_renderer(device, scene, technique) as renderer:

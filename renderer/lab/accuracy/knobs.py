@@ -130,11 +130,7 @@ FLOAT64: Final = Truth("float64", is_float64=True)
 TRACED: Final = Truth("rays in float64, 16 a pixel", rays=4)
 SUPER_SAMPLED: Final = replace(
     TRACED,
-    changes={
-        "technique.samples": 1,
-        "technique.fxaa": False,
-        "textures": TextureSettings(anisotropy=16.0),
-    },
+    changes={"technique.samples": 1, "technique.fxaa": False, "textures": TextureSettings(anisotropy=16.0)},
     scale=4,
 )
 FORWARD: Final = replace(TRACED, changes={"technique.name": "forward"})

@@ -316,10 +316,7 @@ def find_places(device: Device) -> Found:
             error = find_largest(error, float(along.max()))
             widest = find_largest(widest, float(across.max()))
         numbers[f"{lens}: along, at most"] = float(along.max())
-    holds = {
-        f"across, it is at most {ACROSS} pixels": widest <= ACROSS,
-        "standard depth loses what is far": lost > 0.5,
-    }
+    holds = {f"across, it is at most {ACROSS} pixels": widest <= ACROSS, "standard depth loses what is far": lost > 0.5}
     return Found(error, {**numbers, "across": widest}, holds)
 
 

@@ -22,7 +22,7 @@ from renderer.scene import Camera, Perspective, SceneBuilder, Stepwise, scaling,
 from renderer.scene.arrays import Rows
 from renderer.scene.cloth import Cloths, Fabric, Gust, Wind, make_sheet
 from renderer.techniques import TECHNIQUES
-from renderer.visibility import FrustumCulling, NoCulling, find_visible, list_algorithms, make_visibility
+from renderer.visibility import FrustumCulling, NoCulling, find_visible, list_algorithms
 from rhi import CullMode, Device, Format, create_device
 from rhi.math import multiply
 from rhi.shading import Shader, fragment_coordinate, vec4, vertex_index
@@ -120,10 +120,8 @@ def draw_wide(device: Device) -> Found:
     with Uncut(device, city, along("ground", 600)(city), (width, 2)) as uncut:
         for name in ("frustum", "two_pass"):
             if name in list_algorithms(device):
-                algorithm = make_visibility(name, city, device)
-                numbers[f"{width} × 2, {name}"] = wrong = sum(uncut.count_wrong_pixels(algorithm))
+                numbers[f"{width} × 2, {name}"] = wrong = sum(uncut.try_algorithm(name))
                 total += wrong
-                algorithm.destroy()
         colors = len(np.unique(uncut.frames[0].reshape(-1, 4), axis=0))
     return Found(total, numbers, {"there is something to see": colors > 50})
 

@@ -273,13 +273,7 @@ def test_a_material_is_read_with_its_factors_and_textures(tmp_path):
     assert found["emissive"].tolist() == [8, 4, 0]
     assert (found["alpha_mode"], found["alpha_cutoff"]) == (AlphaMode.MASK, 0.25)
     assert found["double_sided"] == 1
-    names = (
-        "texture",
-        "metallic_roughness_texture",
-        "normal_texture",
-        "occlusion_texture",
-        "emissive_texture",
-    )
+    names = ("texture", "metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture")
     rows = [int(found[name]) for name in names]
     assert scene.textures["is_color"][rows].tolist() == [1, 0, 0, 0, 1]
     assert scene.textures["image"][rows].tolist() == [0] * 5

@@ -573,14 +573,12 @@ def test_only_shadows_on_normal_maps_take_a_second_normal(bends: bool, casts: bo
 
 def build_wall(lamps: int, spots: int = 0, *, walled: bool = True) -> Scene:
     """Make a floor and a wall across it, behind which, at x < 0, all lamps are."""
-    builder = SceneBuilder("wall")
-    mesh, white = builder.add_mesh(BUILT_IN["box"]()), builder.add_material(base_color=(0.8, 0.8, 0.8))
+    builder = make_boxes(base_color=(0.8, 0.8, 0.8))
     floor = builder.add_node(translation((0, -0.5, 0)) @ scaling((60, 1, 60)))
-    builder.add_objects(floor, mesh, white, casts_shadow=False)
-    if walled:
-        builder.add_objects(builder.add_node(translation((0, 0, 0)) @ scaling((0.5, 20, 60))), mesh, white)
-    else:  # a caster in the range of each, in the way of nothing that is seen
-        builder.add_objects(builder.add_node(translation((-2, -3, 0)) @ scaling((0.5, 0.5, 40))), mesh, white)
+    builder.add_objects(floor, 0, 0, casts_shadow=False)
+    # Without the wall there is a caster in the range of each, in the way of nothing that is seen.
+    caster = scaling((0.5, 20, 60)) if walled else translation((-2, -3, 0)) @ scaling((0.5, 0.5, 40))
+    builder.add_objects(builder.add_node(caster), 0, 0)
     places = np.random.default_rng(1).uniform((-4, 1, -8), (-1, 4, 2), (lamps + spots, 3))
     builder.lights.add_points(places[:lamps], 8.0, intensity=6.0, casts_shadow=True)
     if spots:

@@ -40,6 +40,7 @@ from renderer.visibility import list_algorithms
 from rhi import Op
 from rhi.commands.ops import DRAWS
 from rhi.shading import run_compute
+from tests.renderer.conftest import open_device
 
 COMPARED: dict[str, Callable[[], Technique]] = {
     **{name: make for name, make in TECHNIQUES.items() if name != "forward"},
@@ -101,11 +102,7 @@ def test_all_algorithms_draw_each_object_by_its_shader(drawing_device: rhi.Devic
 def test_gl_and_cl_agree() -> None:
     pictures = []
     for backend in ("gl", "cl"):
-        try:
-            device = rhi.create_device(backend)
-        except rhi.DeviceError:
-            pytest.skip(f"no {backend} device here")
-        with device:
+        with open_device(backend) as device:
             pictures.append(draw(device, load_scene(YARD), size=SIZE))
     apart = np.abs(pictures[0] - pictures[1]).max(axis=2)
     assert np.count_nonzero(apart > 3) <= 0.005 * apart.size, "edges alone"

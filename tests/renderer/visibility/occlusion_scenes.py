@@ -61,6 +61,12 @@ def mirrored_boxes(*, two_sides: bool = False) -> Scene:
     return builder.build()
 
 
+def make_cloud(count: int = 60, seed: int = 7) -> Scene:
+    """Make small boxes around the origin, all in view from z = 30."""
+    rng = np.random.default_rng(seed)
+    return make_boxes(rng.uniform(-6.0, 6.0, (count, 3)), rng.uniform(0.1, 0.8, (count, 3)))
+
+
 @st.composite
 def scenes(draw: st.DrawFn) -> Scene:
     """Boxes at random; of places with many digits, so that no two faces are in one plane: then the nearer

@@ -12,16 +12,7 @@ import rhi
 from renderer.content import BUILT_IN, load_scene
 from renderer.content.hall import _Sway
 from renderer.renderer import Renderer
-from renderer.scene import (
-    Camera,
-    Orthographic,
-    Recompute,
-    Scene,
-    SceneBuilder,
-    rotation,
-    scaling,
-    translation,
-)
+from renderer.scene import Camera, Orthographic, Recompute, Scene, SceneBuilder, rotation, scaling, translation
 from renderer.visibility import FrustumCulling, NoCulling, list_algorithms, make_visibility
 from rhi import Op
 from rhi.math import multiply

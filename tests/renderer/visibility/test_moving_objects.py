@@ -12,16 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from occlusion_scenes import (
-    SIZE,
-    cameras,
-    count_wrong_pixels,
-    delay_answers,
-    draw_with,
-    look,
-    make_boxes,
-    visible,
-)
+from occlusion_scenes import SIZE, cameras, count_wrong_pixels, delay_answers, draw_with, look, make_boxes, visible
 
 import rhi
 from renderer.renderer import Renderer

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from occlusion_scenes import DEVICE, ORIGIN, Oracle, draw_with, look, make_boxes, walk
+from occlusion_scenes import DEVICE, ORIGIN, Oracle, draw_with, look, make_boxes, make_cloud, walk
 
 import rhi
 from renderer.content import load_scene
@@ -19,11 +19,6 @@ from rhi import Op
 from rhi.backends.null import Activity, CostModel, Lane, NullBackend, SimulatedBackend, Simulation
 
 CAMERA = look((0.0, 0.0, 30.0), ORIGIN, near=0.1)
-
-
-def make_cloud(count: int = 60) -> Scene:
-    rng = np.random.default_rng(7)
-    return make_boxes(rng.uniform(-6.0, 6.0, (count, 3)), rng.uniform(0.1, 0.8, (count, 3)))
 
 
 # -- repeated commands -------------------------------------------------------------------------------------

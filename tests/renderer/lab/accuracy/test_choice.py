@@ -21,16 +21,7 @@ from renderer.cli import main
 from renderer.cli.accuracy import list_left_out
 from renderer.cli.executors import SerialExecutor, make_executor
 from renderer.content import load_scene
-from renderer.lab.accuracy import (
-    FrontPoint,
-    KnobReport,
-    Situation,
-    SweepJob,
-    ValueRow,
-    choice,
-    choose,
-    run_jobs,
-)
+from renderer.lab.accuracy import FrontPoint, KnobReport, Situation, SweepJob, ValueRow, choice, choose, run_jobs
 from renderer.lab.accuracy.choice import (
     CombinationBench,
     expect_error,
@@ -238,11 +229,10 @@ def test_what_a_job_has_found_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert load_sample(tmp_path / "other.json") is None
 
 
+@pytest.mark.usefixtures("gl")
 def test_the_command_writes_a_page_and_settings_that_render_reads(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with open_device("gl"):
-        pass
     monkeypatch.chdir(tmp_path)
     scene = ["city:blocks=2", "--backend", "gl", "--size", "48x28"]
     sweep = ["accuracy", *scene, "--views", "2", "--rounds", "2", "--knob", "precision", "--knob", "fxaa"]
@@ -305,9 +295,8 @@ def test_what_is_left_out_is_said_once_for_all_values() -> None:
 
 
 @pytest.mark.nightly
+@pytest.mark.usefixtures("gl")
 def test_a_sweep_that_was_killed_does_nothing_twice(tmp_path: Path) -> None:
-    with open_device("gl"):
-        pass
     knobs = ("fxaa", "depth", "precision", "second_eye")
     command = [sys.executable, "-m", "renderer", "accuracy", "city:blocks=2", "--backend", "gl", "--size", "32x18"]
     command += ["--views", "1", "--rounds", "2", "--output", str(tmp_path)]
