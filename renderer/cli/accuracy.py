@@ -29,11 +29,13 @@ from renderer.lab.accuracy import (
     choose,
     find_choices,
     keep_front,
+    leave_to_trials,
     list_jobs,
     run_jobs,
 )
 from renderer.lab.measure import format_table
 from renderer.settings import to_plain
+from renderer.viewer.budget import BudgetStep, save_steps
 from rhi import RhiError, refuse
 
 _NOTES: Final = """\
@@ -128,9 +130,11 @@ def _run(given: argparse.Namespace) -> None:
         write_page(given.output / "report.html", situation, reports, points, choice, charts)
         (given.output / "accuracy.json").write_text(json.dumps(found, indent=2) + "\n")
         (given.output / "table.md").write_text(show_reports(shown, markdown=True) + "\n")
-        note(f"wrote report.html, accuracy.json, table.md and images to {given.output}")
+        best = [BudgetStep(point.settings, point.milliseconds, point.error) for point in points if point.is_best]
+        save_steps(given.output / "front.json", best)
+        note(f"wrote report.html, accuracy.json, front.json, table.md and images to {given.output}")
     if choice is not None:
-        choice.point.settings.save(answer, **found["chosen"])
+        leave_to_trials(choice.point.settings, situation.settings).save(answer, **found["chosen"])
         note(f"wrote {answer}")
     print(json.dumps(found) if given.json else show_reports(shown, markdown=given.markdown))
     if choice is not None and not given.json:
@@ -182,6 +186,7 @@ def describe(
             "refused": choice.refused,
             "held_out_error": choice.held_out_error,
             "held_out_views": choice.held_out_views,
+            "frames_over_budget": choice.over,
         },
     }
 

@@ -58,6 +58,7 @@ def show_choice(choice: CheckedChoice) -> str:
         f"{values}: {point.milliseconds:.2f} ms, {point.ratio:.2f} of the most accurate settings' time, mean error "
         f"{point.error:.2f} levels in the worst view, {choice.error:.2f} in {choice.views} others, "
         f"{choice.held_out_error:.2f} in {choice.held_out_views} that had no part in the choice"
+        + ("" if choice.over is None else f", {choice.over:.0%} of a walk's frames over the budget")
     )
 
 
