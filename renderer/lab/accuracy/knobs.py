@@ -200,6 +200,14 @@ KNOBS: Final[dict[str, Knob]] = {
             truth=SUPER_SAMPLED,
         ),
         _picture(
+            "scale",
+            "the size at which frames are drawn, in that of the image",
+            "scale",
+            _same(0.25, 0.5, 0.75, 1.0, 2.0),
+            "what is smaller than a pixel that is drawn can't be shown",
+            truth=SUPER_SAMPLED,
+        ),
+        _picture(
             "fxaa",
             "whether edges are smoothed in the image",
             "technique.fxaa",
