@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 import rhi
@@ -14,7 +15,7 @@ from renderer.content import BUILT_IN
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, translation
 from renderer.techniques import Technique
-from renderer.visibility import make_visibility
+from renderer.visibility import find_obstacle, make_visibility
 
 SIZE = (48, 32)
 EYE = Camera.look_at((0, 0, 10), (0, 0, 0))
@@ -52,6 +53,12 @@ def open_renderer(
     with Renderer(device, scene, technique=technique, visibility=algorithm, size=size, **options) as renderer:
         yield renderer
     algorithm.destroy()
+
+
+def need_algorithm(device: rhi.Device, name: str) -> None:
+    """Skip the test if the device can't run this visibility algorithm."""
+    if (obstacle := find_obstacle(name, device)) is not None:
+        pytest.skip(obstacle)
 
 
 def find_eye(scene: Scene) -> Camera:

@@ -21,11 +21,12 @@ from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, SceneBuilder, Stepwise, scaling, translation
 from renderer.scene.arrays import Rows
 from renderer.scene.cloth import Cloths, Fabric, Gust, Wind, make_sheet
+from renderer.shadows.maps import FarDepth
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import FrustumCulling, NoCulling, find_visible, list_algorithms
 from rhi import CullMode, Device, Format, create_device
 from rhi.math import multiply
-from rhi.shading import Shader, fragment_coordinate, vec4, vertex_index
+from rhi.shading import fragment_coordinate, vec4
 
 _YEARS: Final = 1e8
 _MANY_FRAMES: Final = 100_000
@@ -89,12 +90,8 @@ def wave_for_years(_: Device) -> Found:
     return Found(error, numbers, holds)
 
 
-class ShowPixel(Shader):
+class ShowPixel(FarDepth):
     """Writes the coordinate of each pixel's middle."""
-
-    def vertex(self) -> vec4:
-        corner = vertex_index()
-        return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
 
     def fragment(self) -> vec4:
         return vec4(fragment_coordinate().xy, 0.0, 1.0)

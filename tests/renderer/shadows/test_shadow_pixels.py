@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from depth_textures import put_depths
 from filter_reference import find_lit_share
 from frames import make_boxes, open_renderer, read_colors
 from numpy.typing import NDArray
@@ -46,21 +47,6 @@ class Compared(sl.Struct):
     depth: float
 
 
-class StoredDepth(sl.Struct):
-    """What `StoreDepth` writes."""
-
-    depth: sl.FragmentDepth
-
-
-class StoreDepth(FarDepth):
-    """Copies numbers to depth."""
-
-    numbers: sl.Texture2D
-
-    def fragment(self) -> StoredDepth:
-        return StoredDepth(depth=self.numbers.load(sl.ivec2(sl.fragment_coordinate().xy)).x)
-
-
 class FilterCheck(FarDepth, ShadowReader):
     """Shows the lit share of points, one in each pixel."""
 
@@ -89,13 +75,8 @@ def test_filters_are_those_of_a_numpy_reference(drawing_device: rhi.Device, filt
     points["depth"] = random.uniform(0.3, 0.7, 4096)
     given = (points["at"].astype(float), points["depth"].astype(float), points["slope"].astype(float))
     want, doubt = find_lit_share(filter, depths.astype(float), *given, TILE)
-    atlas = drawing_device.texture((64, 64), rhi.Format.D32F)
+    atlas = put_depths(drawing_device, depths)
     image = drawing_device.texture((64, 64), rhi.Format.RGBA32F)
-    numbers = drawing_device.texture(depths, rhi.Format.R32F)
-    states = (rhi.CullMode.NONE, rhi.DepthFunction.ALWAYS)
-    with drawing_device.render_pass(None, atlas), drawing_device.states(*states):
-        drawing_device.draw(drawing_device.program(StoreDepth), drawing_device.mesh(3), numbers=numbers)
-    assert np.array_equal(atlas.read().reshape(64, 64), depths)
     bindings: dict[str, Any] = {"shadow_atlas": atlas}
     if filter is ShadowFilter.HARDWARE:
         sampler = rhi.SamplerDescriptor(mip=None, compare=rhi.Comparison.GREATER_EQUAL)
