@@ -9,9 +9,13 @@ import pytest
 from gltf_documents import TRIANGLE, GltfDocument
 from PIL import Image
 
-from renderer.content import add_model, load_model
-from renderer.scene import AlphaMode, Orthographic, SceneBuilder, ShadingModel
-from rhi import Filter, Wrap
+from renderer.cli import main
+from renderer.content import add_model, load_model, save_scene
+from renderer.renderer import Renderer
+from renderer.scene import AlphaMode, Camera, Orthographic, SceneBuilder, ShadingModel
+from renderer.techniques import TECHNIQUES
+from renderer.visibility import ALGORITHMS, make_visibility
+from rhi import Filter, Wrap, to_srgb
 
 QUAD = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], np.float32)
 UP = np.tile(np.array([[0, 0, 1]], np.float32), (4, 1))
@@ -209,15 +213,6 @@ def test_primitives_that_share_a_large_array_get_the_part_that_they_use(tmp_path
     assert meshes.indices.tolist() == [0, 1, 2]
 
 
-def test_points_and_lines_are_listed(tmp_path):
-    document = one_mesh()
-    part = document.values["meshes"][0]["primitives"]
-    part += [part[0] | {"mode": 0}, part[0] | {"mode": 1}, part[0] | {"mode": 1}]
-    scene = load(document, tmp_path)
-    assert scene.triangle_count == 1
-    assert left_out(scene) == {"points": 1, "lines": 2}
-
-
 # -- assets --------------------------------------------------------------------------------------------------------
 
 
@@ -300,10 +295,11 @@ def test_an_unlit_material_only_emits(tmp_path):
     )
     scene = load(document, tmp_path)
     found = scene.materials[0]
-    assert found["base_color"].tolist() == [0, 0, 0, 0.5]
-    assert found["emissive"].tolist() == [0.5, 1, 1]
+    assert (found["emission"] * found["base_color"][:3]).tolist() == [0.5, 1, 1]
+    assert found["base_color"][:3].max() <= 2e-6  # what a light of 2,000 leaves is no step of 8 bits
+    assert found["base_color"][3] == 0.5
     assert found["specular_color"].tolist() == [0, 0, 0]
-    assert scene.textures["is_color"][[found["texture"], found["emissive_texture"]]].tolist() == [1, 1]
+    assert scene.textures["is_color"][[found["texture"]]].tolist() == [1]
 
 
 def test_a_texture_keeps_its_sampler_and_its_transform(tmp_path):
@@ -465,3 +461,68 @@ def test_a_light_without_a_range_ends_where_it_is_faint(tmp_path):
 
 def test_a_file_without_lights_gets_a_sun(tmp_path):
     assert len(load(one_mesh(), tmp_path).lights.directional) == 1
+
+
+# -- scenes without objects ----------------------------------------------------------------------------------------
+
+LAMP = {"extensions": {"KHR_lights_punctual": {"light": 0}}}
+EMPTY = {
+    "lights": GltfDocument(nodes=[LAMP], extensions={"KHR_lights_punctual": {"lights": [{"type": "point"}]}}),
+    "cameras": GltfDocument(
+        nodes=[{"camera": 0}], cameras=[{"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}]
+    ),
+    "nodes": GltfDocument(nodes=[{"children": [1]}, {"name": "below"}], scenes=[{"nodes": [0]}]),
+    "moving nodes": GltfDocument(nodes=[{}]),
+}
+EMPTY["moving nodes"].animate(0, "translation", [0, 1], [[0, 0, 0], [1, 0, 0]])
+
+
+@pytest.mark.parametrize("kind", EMPTY)
+def test_a_file_without_meshes_is_a_scene_in_which_nothing_is_shown(tmp_path, kind):
+    scene = load(EMPTY[kind], tmp_path)
+    assert scene.objects.shown.tolist() == [False]
+    assert len(scene.lights) == 1  # its own, or a sun
+    assert next(iter(scene.views)) == ("camera 0" if kind == "cameras" else "overview")
+    scene.check_bounds([0.0, 0.7])
+    save_scene(scene, tmp_path / "again.glb")
+    assert load_model(tmp_path / "again.glb").objects.shown.tolist() == [False]
+
+
+@pytest.mark.parametrize("kind", EMPTY)
+@pytest.mark.parametrize("name", TECHNIQUES)
+def test_every_technique_draws_nothing_of_it(null, tmp_path, kind, name):
+    scene = load(EMPTY[kind], tmp_path)
+    with Renderer(null, scene, technique=TECHNIQUES[name](), size=(32, 32)) as renderer:
+        frame = renderer.render(Camera.look_at([0, 0, 3], [0, 0, 0]))
+    assert (frame.statistics.draws, frame.statistics.triangles) == (0, 0)
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_every_visibility_algorithm_finds_nothing_in_it(gl, tmp_path, name):
+    scene = load(EMPTY["lights"], tmp_path)
+    with Renderer(gl, scene, visibility=make_visibility(name, scene, gl), size=(32, 32)) as renderer:
+        for seconds in (0.0, 0.1, 0.2):
+            frame = renderer.render(Camera.look_at([0, 0, 3], [0.5, 0.5, 0]), seconds)
+    assert frame.statistics.triangles == 0
+
+
+@pytest.mark.parametrize("name", TECHNIQUES)
+def test_its_picture_is_the_background(drawing_device, tmp_path, name):
+    scene = load(EMPTY["lights"], tmp_path)
+    with Renderer(drawing_device, scene, technique=TECHNIQUES[name](), size=(32, 32)) as renderer:
+        picture = renderer.render(Camera.look_at([0, 0, 3], [0.5, 0.5, 0])).image.read()[..., :3]
+    assert np.abs(picture - 255 * to_srgb(np.array(scene.background))).max() <= 1
+
+
+def test_its_lights_join_a_scene_under_construction(tmp_path):
+    builder = SceneBuilder("two files")
+    add_model(builder, one_mesh().write(tmp_path / "a.glb"))
+    add_model(builder, EMPTY["lights"].write(tmp_path / "b.glb"))
+    scene = builder.build()
+    assert (len(scene.objects), len(scene.lights)) == (1, 1)
+
+
+def test_the_command_line_renders_it(tmp_path, capsys):
+    path = EMPTY["lights"].write(tmp_path / "lights.gltf")
+    assert main(["render", path, "--backend", "null", "--size", "32x32", "--technique", "forward"]) == 0
+    assert "triangles:              0" in capsys.readouterr().out

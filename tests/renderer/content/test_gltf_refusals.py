@@ -1,6 +1,7 @@
 """Broken glTF files: each is refused in one line that names the file and the place, and none ends in a traceback."""
 
 import json
+from base64 import b64encode
 from copy import deepcopy
 
 import numpy as np
@@ -184,6 +185,93 @@ def test_a_buffer_that_cannot_be_read_is_refused(tmp_path, uri):
     assert error.value.rule.id == "scene-unreadable-model"
 
 
+def compress_all(values):
+    values["meshes"][0]["primitives"][0]["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0}}
+    for accessor in values["accessors"]:
+        accessor.pop("bufferView")
+
+
+def require(name):
+    return lambda values: values.update(extensionsRequired=[name])
+
+
+WITHOUT, AGAIN = "export it without compression", "open the file in a viewer"
+FAILURES = {
+    "draco": (require("KHR_draco_mesh_compression"), "extensionsRequired: KHR_draco", "EXT_texture_webp, KHR", WITHOUT),
+    "meshopt": (require("EXT_meshopt_compression"), "extensionsRequired: EXT_meshopt", "EXT_texture_webp", WITHOUT),
+    "KTX2": (require("KHR_texture_basisu"), "extensionsRequired: KHR_texture_b", "EXT_texture_webp", WITHOUT),
+    "only draco": (
+        compress_all,
+        "meshes[0].primitives[0].extensions.KHR_draco_mesh_compression: the vertices are there only compressed",
+        "also as accessors",
+        WITHOUT,
+    ),
+    "only meshopt": (
+        lambda values: values.update(
+            buffers=[{"byteLength": 72, "extensions": {"EXT_meshopt_compression": {"fallback": True}}}]
+        ),
+        "buffers[0].uri: missing, with EXT_meshopt_compression",
+        "the buffer's file",
+        WITHOUT,
+    ),
+    "no file": (
+        lambda values: values["buffers"][0].pop("uri"),
+        "buffers[0].uri: missing",
+        "the buffer's file, or data:",
+        AGAIN,
+    ),
+    "short": (
+        lambda values: values["buffers"][0].update(byteLength=9, uri="data:;base64,AAAAAAAA"),
+        "buffers[0].byteLength: 9",
+        "6, the bytes that are there, or less",
+        AGAIN,
+    ),
+    "counts": (
+        lambda values: values["accessors"][1].update(count=2),
+        "meshes[0].primitives[0].attributes.NORMAL: 2 vertices",
+        "3, as many as positions",
+        AGAIN,
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", FAILURES)
+def test_a_refusal_names_the_place_what_is_allowed_and_what_helps(tmp_path, kind):
+    change, given, allowed, tip = FAILURES[kind]
+    document = GltfDocument(nodes=[{"mesh": 0}])
+    document.mesh(NORMAL=TRIANGLE)
+    uri = f"data:;base64,{b64encode(document.data).decode()}"
+    values = {**deepcopy(document.values), "buffers": [{"byteLength": len(document.data), "uri": uri}]}
+    change(values)
+    (tmp_path / "bad.gltf").write_text(json.dumps(values))
+    with pytest.raises(ValidationError) as error:
+        load_model(tmp_path / "bad.gltf")
+    assert error.value.given.startswith(f"{tmp_path / 'bad.gltf'}: {given}")
+    assert error.value.allowed.startswith(allowed)
+    assert error.value.tip.startswith(tip)
+
+
+@pytest.mark.parametrize(
+    "content", [b"<html>", b"version https://git-lfs.github.com/spec/v1", '{"asset": 1}'.encode("utf-16")]
+)
+def test_what_is_no_gltf_at_all_is_refused_with_what_it_begins_with(tmp_path, content):
+    (tmp_path / "bad.glb").write_bytes(content)
+    with pytest.raises(ValidationError) as error:
+        load_model(tmp_path / "bad.glb")
+    assert error.value.given == f"{tmp_path / 'bad.glb'}: it begins with {content[:16]!r}"
+    assert error.value.allowed == "a .glb, or a JSON object in UTF-8"
+
+
+def test_a_chunk_beyond_the_file_is_refused_with_the_room_that_there_is(tmp_path):
+    content = pack_glb(with_triangle(nodes=[{"mesh": 0}]).values, b"")
+    room = len(content) - 20
+    (tmp_path / "bad.glb").write_bytes(content[:12] + (room + 1).to_bytes(4, "little") + content[16:])
+    with pytest.raises(ValidationError) as error:
+        load_model(tmp_path / "bad.glb")
+    assert error.value.given == f"{tmp_path / 'bad.glb'}: a chunk of {room + 1} bytes at byte 12"
+    assert error.value.allowed == f"{room} or less, padded to 4 bytes"
+
+
 def test_a_glb_that_was_cut_off_anywhere_is_refused(tmp_path):
     make_document().write(tmp_path / "whole.glb")
     content = (tmp_path / "whole.glb").read_bytes()
@@ -200,23 +288,16 @@ def test_json_that_is_no_document_is_refused(tmp_path, text):
         load_model(str(tmp_path / "bad.gltf"))
 
 
-def test_a_file_without_triangles_is_refused_and_says_what_it_has(tmp_path):
-    document = GltfDocument(nodes=[{"mesh": 0}])
-    document.mesh(mode=0)
-    rule, given, _ = refusal(document, tmp_path)
-    assert rule == "scene-empty-model"
-    assert "points" in given
-
-
 @pytest.mark.parametrize(
     ("document", "reason"),
     [
-        (GltfDocument(nodes=[{}]), "it has no meshes"),
-        (GltfDocument(nodes=[{}], meshes=[{"primitives": []}]), "none of its 1 meshes has a triangle"),
+        (GltfDocument(), "it has no meshes, and its scene has no nodes"),
+        (GltfDocument(nodes=[{}], scenes=[{}]), "it has no meshes, and its scene has no nodes"),
+        (GltfDocument(nodes=[{}], meshes=[{"primitives": []}]), "none of its 1 meshes has a triangle, a line or a"),
         (with_triangle(nodes=[{}, {}]), "none of its 2 nodes has one of its 1 meshes"),
         (
             with_triangle(nodes=[{}, {"mesh": 0}], scenes=[{"nodes": [0]}]),
-            "nodes[1] has a mesh, but scenes[0] has no node whose mesh has a triangle",
+            "nodes[1] has a mesh, but scenes[0] has no node whose mesh is drawn",
         ),
     ],
 )
@@ -265,6 +346,7 @@ def list_places(value, above=()):
 
 QUICK = settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 DOCUMENTS = [make_document(), make_skinned(), make_morphing()]
+DOCUMENTS[2].values["meshes"][0]["primitives"].append({**DOCUMENTS[2].values["meshes"][0]["primitives"][0], "mode": 2})
 PLACES = [
     (number, place) for number, document in enumerate(DOCUMENTS) for place in list_places(document.values) if place
 ]

@@ -1,0 +1,147 @@
+"""Files that other programs write. trimesh's are its own; the others are written here, in the manner of exporters: what
+the comments name is seen in files of others, but no file of theirs is here.
+"""
+
+import base64
+import json
+import struct
+
+import numpy as np
+import pytest
+import trimesh
+from gltf_documents import TRIANGLE, GltfDocument, make_skinned, pack_glb
+
+from renderer.content import load_model
+
+UP = np.tile(np.float32([[0, 0, 1]]), (3, 1))
+
+
+def save(document, path, **buffer):
+    """Write a `.gltf` whose buffer has these fields."""
+    values = {name: value for name, value in document.values.items() if value != []}
+    path.write_text(json.dumps(values | {"buffers": [{"byteLength": len(document.data), **buffer}]}))
+    return load_model(path)
+
+
+def make_triangle(**more):
+    document = GltfDocument(nodes=[{"mesh": 0}])
+    document.mesh(TRIANGLE, np.array([0, 1, 2], np.uint8), NORMAL=UP, **more)
+    return document
+
+
+@pytest.mark.parametrize("kind", ["glb", "gltf"])
+def test_a_scene_of_trimesh_is_read_with_its_points_and_paths(tmp_path, kind):
+    rng = np.random.default_rng(0)
+    places, colors = rng.uniform(-1, 1, (50, 3)), rng.integers(0, 255, (50, 4)).astype(np.uint8)
+    bends = rng.uniform(-1, 1, (9, 3))
+    parts = {
+        "points": trimesh.PointCloud(places, colors=colors),
+        "path": trimesh.load_path(bends),
+        "box": trimesh.creation.box(),
+    }
+    written = trimesh.Scene(parts).export(file_type=kind)
+    if kind == "glb":
+        written = {"model.gltf": written}
+    for name, content in written.items():
+        (tmp_path / name).write_bytes(content)
+    scene = load_model(tmp_path / "model.gltf")
+    assert scene.omissions == ()
+    assert scene.meshes.names == ("points", "path", "box")
+    assert scene.meshes.triangle_counts.tolist() == [50 * 8, 8 * 16, 12]
+    points, path, box = (scene.meshes.geometry(mesh).vertices for mesh in range(3))
+    assert points["position"].reshape(50, 6, 3).mean(axis=1) == pytest.approx(places, abs=1e-6)
+    assert points["color"].reshape(50, 6, 4)[:, 5] == pytest.approx(colors / 255, abs=1e-6)
+    middles = (bends[1:] + bends[:-1]) / 2
+    assert path["position"].reshape(8, 10, 3).mean(axis=1) == pytest.approx(middles, abs=1e-6)
+    assert np.abs(box["position"]).max() == 0.5
+
+
+def test_one_view_is_interleaved_with_a_stride_and_gaps(tmp_path):
+    """As engines write what they draw: 12 bytes of position, 4 of padding, a normal in bytes, a colour in bytes."""
+    rows = np.zeros(3, [("p", "<f4", 3), ("gap", "<f4"), ("n", "i1", 4), ("c", "u1", 4), ("rest", "<u4", 2)])
+    rows["p"], rows["n"][:, 2], rows["c"], rows["gap"] = TRIANGLE, 127, (255, 51, 0, 255), np.nan
+    document = GltfDocument(nodes=[{"mesh": 0}])
+    document.view(b"something before")
+    view = document.view(rows.tobytes(), byteStride=rows.itemsize)
+    kinds = (("POSITION", "VEC3", 5126, 0), ("NORMAL", "VEC3", 5120, 16), ("COLOR_0", "VEC4", 5121, 20))
+    attributes = {
+        name: document.add(
+            "accessors", bufferView=view, byteOffset=at, componentType=code, count=3, type=kind, normalized=code < 5126
+        )
+        for name, kind, code, at in kinds
+    }
+    document.add("meshes", primitives=[{"attributes": attributes}])
+    document.values["extensionsUsed"] = document.values["extensionsRequired"] = ["KHR_mesh_quantization"]
+    vertices = load_model(document.write(tmp_path / "a.glb")).meshes.vertices
+    assert vertices["position"].tolist() == TRIANGLE.tolist()
+    assert vertices["normal"].tolist() == UP.tolist()
+    assert vertices["color"] == pytest.approx(np.tile([1, 0.2, 0, 1], (3, 1)))
+
+
+@pytest.mark.parametrize("kind", ["u1", "u2"])
+def test_weights_of_joints_may_be_normalised_integers(tmp_path, kind):
+    scenes = []
+    for is_whole in (False, True):
+        document = make_skinned()
+        attributes = document.values["meshes"][0]["primitives"][0]["attributes"]
+        shares = np.frombuffer(bytes(document.data), np.float32, 40, document.values["bufferViews"][3]["byteOffset"])
+        if is_whole:
+            whole = np.round(shares.reshape(10, 4) * np.iinfo(kind).max).astype(kind)
+            attributes["WEIGHTS_0"] = document.accessor(whole, normalized=True)
+        scenes.append(load_model(document.write(tmp_path / f"{is_whole}.glb")))
+    for seconds in (0.0, 1.0):
+        found = []
+        for scene in scenes:
+            simulator = scene.make_simulator()
+            simulator.begin_frame(seconds)
+            (deformed,) = simulator.advance(simulator.objects).deformed
+            found.append(deformed.simulation.vertices(deformed.members)["position"])
+        assert found[0] == pytest.approx(found[1], abs=0.02 if kind == "u1" else 1e-4)
+        assert np.ptp(found[0]) > 1
+
+
+@pytest.mark.parametrize("header", ["application/octet-stream", "application/gltf-buffer", ""])
+def test_a_buffer_stands_in_the_document_and_no_scene_is_named(tmp_path, header):
+    document = make_triangle()
+    uri = f"data:{header};base64,{base64.b64encode(bytes(document.data)).decode()}"
+    assert save(document, tmp_path / "a.gltf", uri=uri).triangle_count == 1
+    document.values["scenes"] = [{"nodes": [0]}, {"nodes": []}]  # the first is shown where none is chosen
+    assert save(document, tmp_path / "b.gltf", uri=uri).triangle_count == 1
+
+
+@pytest.mark.parametrize("uri", ["my%20parts/caf%C3%A9%2B1.bin", "my parts/café+1.bin"])
+def test_names_of_files_are_escaped_or_not(tmp_path, uri):
+    document = make_triangle()
+    (tmp_path / "my parts").mkdir()
+    (tmp_path / "my parts" / "café+1.bin").write_bytes(document.data)
+    assert save(document, tmp_path / "a.gltf", uri=uri).triangle_count == 1
+
+
+def test_chunks_are_padded_with_zeros_and_others_follow(tmp_path):
+    document = make_triangle()
+    content = pack_glb({**document.values, "buffers": [{"byteLength": len(document.data)}]}, bytes(document.data))
+    (length,) = struct.unpack("<I", content[12:16])
+    padded = content[20 : 20 + length].rstrip() + bytes(8 - len(content[20 : 20 + length].rstrip()) % 4)
+    rest = content[20 + length :] + struct.pack("<II", 4, 0x12345678) + b"more"
+    (tmp_path / "a.glb").write_bytes(
+        struct.pack("<4sIIII", b"glTF", 2, 20 + len(padded) + len(rest), len(padded), 0x4E4F534A) + padded + rest
+    )
+    assert load_model(tmp_path / "a.glb").triangle_count == 1
+
+
+def test_a_mirrored_node_is_read_as_it_is(tmp_path):
+    document = make_triangle()
+    document.values["nodes"][0]["scale"] = [-1, 1, 1]
+    scene = load_model(document.write(tmp_path / "a.glb"))
+    assert np.linalg.det(scene.nodes.world[0][:3, :3]) == -1
+    assert scene.bounds[0] == pytest.approx([-1, 0, 0])
+
+
+def test_what_is_there_compressed_and_plain_is_read(tmp_path):
+    document = make_triangle()
+    primitive = document.values["meshes"][0]["primitives"][0]
+    primitive["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}}
+    document.values["extensionsUsed"] = ["KHR_draco_mesh_compression"]
+    scene = load_model(document.write(tmp_path / "a.glb"))
+    assert scene.triangle_count == 1
+    assert [one.what for one in scene.omissions] == ["KHR_draco_mesh_compression"]
