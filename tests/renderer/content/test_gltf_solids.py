@@ -155,6 +155,14 @@ def test_lines_with_normals_are_lit_by_these_and_others_are_not(tmp_path):
     assert scene.meshes.geometry(1).vertices["normal"] == pytest.approx(np.tile(normals[:1], (40, 1)))
 
 
+def test_a_line_of_an_unlit_material_is_as_bright_as_one_of_a_lit_one(tmp_path):
+    document = make_file(3)
+    document.values["materials"][0]["extensions"] = {"KHR_materials_unlit": {}}
+    scene = load_model(document.write(tmp_path / "a.glb"))
+    (found,) = scene.materials[scene.objects.material]
+    assert found["emission"] * found["base_color"][:3] == pytest.approx(COLOR)
+
+
 @pytest.mark.parametrize("moves", [True, False])
 def test_points_move_with_their_targets(tmp_path, moves):
     document = make_morphing(track=moves)
@@ -258,12 +266,3 @@ def test_what_solids_consist_of_counts_before_memory_is_taken(tmp_path):
     assert load_model(path, ModelLimits(vertices=most)).triangle_count == 40
     with pytest.raises(ValidationError, match="scene-model-limit"):
         load_model(path, ModelLimits(vertices=most - 1))
-
-
-def test_hundreds_of_thousands_of_points_are_made_at_once():
-    places = np.random.default_rng(0).uniform(-1, 1, (300_000, 3)).astype(np.float32)
-    rows, corners, _, radius = POINT.place(places, np.arange(len(places), dtype=np.uint32)[:, None])
-    assert (len(rows), len(corners)) == (1_800_000, 2_400_000)
-    assert corners.max() == len(rows) - 1
-    assert radius == pytest.approx(np.sqrt(12) / 400, rel=1e-2)
-    assert (rows == np.repeat(np.arange(len(places)), 6)).all()
