@@ -1,8 +1,9 @@
-"""Files that other programs write. trimesh's are its own; the others are written here, in the manner of exporters: what
-the comments name is seen in files of others, but no file of theirs is here.
+"""Files that other programs write: some of the glTF Asset Generator (`asset_generator/LICENSE`) and trimesh's, which it
+writes for the test. The others are written here in the manner of exporters; no file of theirs is here.
 """
 
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from gltf_documents import TRIANGLE, GltfDocument, pack_glb
 
 from renderer.content import load_model
 
+FOLDER = Path(__file__).with_name("asset_generator")
 UP = np.tile(np.float32([[0, 0, 1]]), (3, 1))
 
 
@@ -18,6 +20,36 @@ def make_triangle(**more):
     document = GltfDocument(nodes=[{"mesh": 0}])
     document.mesh(TRIANGLE, np.array([0, 1, 2], np.uint8), NORMAL=UP, **more)
     return document
+
+
+def load_mode(number):
+    """Return the vertices and the number of triangles of a file of the Asset Generator."""
+    scene = load_model(FOLDER / f"Mesh_PrimitiveMode_{number}.gltf")
+    assert scene.omissions == ()
+    return scene.meshes.vertices["position"], scene.triangle_count
+
+
+@pytest.mark.parametrize("number", ["01", "02", "03", "08", "09", "10"])
+def test_lines_loops_and_strips_of_the_asset_generator_are_the_same_four_sides(number):
+    position, triangles = load_mode(number)
+    middles = sorted(position.reshape(4, 10, 3).mean(axis=1).round(3).tolist())
+    assert triangles == 4 * 16
+    assert np.array(middles) == pytest.approx(
+        np.array([[-0.5, 0, 0], [0, -0.5, 0], [0, 0.4, 0], [0.5, -0.1, 0]]), abs=1e-3
+    )
+
+
+def test_points_of_the_asset_generator_are_where_its_buffer_has_them():
+    position, triangles = load_mode("00")
+    stored = np.fromfile(FOLDER / "Mesh_PrimitiveMode_00.bin", "<f4").reshape(1024, 3)
+    assert triangles == 1024 * 8
+    assert position.reshape(1024, 6, 3).mean(axis=1) == pytest.approx(stored, abs=1e-6)
+
+
+def test_triangles_of_the_asset_generator_are_a_square():
+    position, triangles = load_mode("06")
+    assert (triangles, len(position)) == (2, 6)
+    assert [position.min(axis=0).tolist(), position.max(axis=0).tolist()] == [[-0.5, -0.5, 0], [0.5, 0.5, 0]]
 
 
 @pytest.mark.parametrize("kind", ["glb", "gltf"])
