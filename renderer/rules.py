@@ -33,8 +33,8 @@ MODEL_LIMIT: Final = Rule(
 )
 EMPTY_MODEL: Final = Rule(
     "scene-empty-model",
-    "the model has no triangles",
-    "point clouds and curves have no surface to draw; export triangles",
+    "the model has nothing to draw",
+    "export triangles; points and lines are drawn from glTF files",
 )
 
 # Parts of a scene
