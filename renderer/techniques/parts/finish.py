@@ -39,15 +39,9 @@ def forward_passes(needs: Needs, lighting: Lighting = FORWARD, *, samples: int =
 
 
 def draw_once(
-    needs: Needs,
-    lighting: Lighting,
-    because: str,
-    *,
-    samples: int,
-    depth_first: str = "",
-    lists: tuple[Pass[Frame], ...] = (),
-    transparent: Lighting = FORWARD,
-) -> tuple[Pass[Frame], ...]:
+    needs: Needs, lighting: Lighting, because: str,
+    *, samples: int, depth_first: str = "", lists: tuple[Pass[Frame], ...] = (), transparent: Lighting = FORWARD,
+) -> tuple[Pass[Frame], ...]:  # fmt: skip
     """Return the passes of a technique that draws the visible objects lit, once: `depth`, if it is drawn before, those
     that list lights, `forward`, and those of `finish_image`.
 

@@ -219,24 +219,18 @@ def name_samples(contents: str, samples: int) -> str:
 
 
 def lit_pass(
-    needs: Needs,
-    lighting: Lighting,
-    because: str,
-    *,
-    after_depth: bool = False,
-    name: str = "forward",
-    samples: int = 1,
-) -> Pass[Frame]:
+    needs: Needs, lighting: Lighting, because: str,
+    *, after_depth: bool = False, name: str = "forward", samples: int = 1,
+) -> Pass[Frame]:  # fmt: skip
     """Return the pass that draws the visible objects lit, to `needs.image` and `depth`, or with several samples to
     contents that `name_samples` names; where depth was drawn before, only what is seen."""
     depth = Target(name_samples("depth", samples), DEPTH_FORMAT, samples=samples)
     image = replace(needs.image, name=name_samples(needs.image.name, samples), samples=samples)
-    before = [depth.name] if after_depth else []
     return Pass(
         name,
         partial(draw_lit, lighting=lighting, after_depth=after_depth, samples=samples),
         because if samples == 1 else f"{because}, {samples} samples per pixel",
-        reads=(*before, *(["depth"] if samples > 1 else []), *lighting.reads),
+        reads=(*([depth.name] if after_depth else []), *(["depth"] if samples > 1 else []), *lighting.reads),
         writes=(image,) if after_depth else (image, depth),
     )
 
