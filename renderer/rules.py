@@ -194,7 +194,7 @@ PLAN_CIRCLE: Final = Rule("plan-circle", "the passes of a frame don't wait for e
 ONE_SAMPLE: Final = Rule(
     "technique-one-sample",
     "this technique draws one sample per pixel",
-    "smooth its image with --fxaa, or use --technique forward",
+    "smooth its image with --fxaa, or use --technique forward, forward_plus or clustered",
 )
 MANY_MATERIALS: Final = Rule(
     "technique-many-materials",

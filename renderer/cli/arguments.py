@@ -37,7 +37,9 @@ def explain_technique(technique: Technique, given: argparse.Namespace) -> dict[s
     if isinstance(technique, AutoTechnique):
         return {"technique": technique.chosen, "because": technique.because}
     if given.technique == AutoTechnique.name:
-        because = f"{given.samples} samples per pixel, which others don't have" if given.samples > 1 else "is shown"
+        because = (
+            f"{given.samples} samples per pixel, which other candidates don't have" if given.samples > 1 else "is shown"
+        )
         return {"technique": technique.name, "because": because}
     return {"technique": technique.name, "because": "was asked for"}
 

@@ -5,15 +5,13 @@ Objects are drawn front to back, so that early depth tests avoid the shading of 
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Final
 
-from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target
+from renderer.frame import Frame, Needs, Pass
 from renderer.shaders.structs import SurfacePoint
-from renderer.techniques.parts.depth import depth_pass
-from renderer.techniques.parts.finish import finish_image, name_samples
+from renderer.techniques.parts.finish import forward_passes
 from renderer.techniques.parts.scene_shader import ForwardShader
-from renderer.techniques.parts.variants import FORWARD, Lighting, draw_lit, lit_pass
+from renderer.techniques.parts.variants import FORWARD, Lighting
 from rhi.shading import ivec3, vec3
 
 
@@ -57,24 +55,4 @@ class Forward:
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the pass `forward`; with several samples, one that draws depth before it, and one that resolves them;
         and those of transparent surfaces."""
-        if self.samples == 1:
-            return lit_pass(needs, self.lighting, "draws the visible objects, lit"), *finish_image(needs, FORWARD)
-        return (
-            depth_pass("layers and culling can't read depth of several samples"),
-            Pass(
-                "forward",
-                partial(_draw_samples, lighting=self.lighting),
-                f"draws the visible objects, lit, {self.samples} samples per pixel",
-                reads=("depth",),
-                writes=(
-                    Target(name_samples(needs.image.name), needs.image.format, samples=self.samples),
-                    Target(name_samples("depth"), DEPTH_FORMAT, samples=self.samples),
-                ),
-            ),
-            *finish_image(needs, FORWARD, samples=self.samples),
-        )
-
-
-def _draw_samples(frame: Frame, *, lighting: Lighting) -> None:
-    image, depth = (frame.targets[name_samples(name)] for name in (frame.needs.image.name, "depth"))
-    draw_lit(frame, lighting, image=image, depth=depth)
+        return forward_passes(needs, self.lighting, samples=self.samples)

@@ -26,11 +26,10 @@ from renderer.lights.rectangles import bound_cones, bound_spheres
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint
-from renderer.techniques.parts.depth import depth_pass
-from renderer.techniques.parts.finish import finish_image, forward_passes
+from renderer.techniques.parts.finish import draw_once, forward_passes
 from renderer.techniques.parts.full_screen import bind_rays
 from renderer.techniques.parts.scene_shader import ForwardShader
-from renderer.techniques.parts.variants import FORWARD, Lighting, explain_lamps, list_lamps, lit_pass
+from renderer.techniques.parts.variants import Lighting, explain_lamps, list_lamps
 from rhi import (
     BlendColor,
     BlendFactor,
@@ -159,18 +158,15 @@ class LightIndexed:
         if not list_lamps(needs):
             return forward_passes(needs)
         because = "draws the visible objects, lit by the lights of each pixel"
-        return (
-            depth_pass("finds the surface that lights reach at each pixel"),
-            Pass(
-                INDICES,
-                _pack_indices,
-                f"writes the numbers of each pixel's lights; {explain_lamps(needs)}",
-                reads=("depth",),
-                writes=(Target(INDICES, Format.RGBA32F),),
-            ),
-            lit_pass(needs, BY_INDICES, because, after_depth=True),
-            *finish_image(needs, FORWARD),
+        indices = Pass(
+            INDICES,
+            _pack_indices,
+            f"writes the numbers of each pixel's lights; {explain_lamps(needs)}",
+            reads=("depth",),
+            writes=(Target(INDICES, Format.RGBA32F),),
         )
+        first = "finds the surface that lights reach at each pixel"
+        return draw_once(needs, BY_INDICES, because, samples=1, depth_first=first, lists=(indices,))
 
 
 def count_overflowing(targets: Targets) -> int | None:

@@ -27,7 +27,8 @@ class TechniqueSettings:
 
     Attributes:
         name: of `TECHNIQUES`, or `auto`.
-        samples: samples per pixel. With more than one, only `forward` draws, and `auto` is `forward`.
+        samples: samples per pixel, of `forward`, `forward_plus` and `clustered`; more than one is refused for others.
+            `auto` is then `forward`.
         fxaa: whether the edges of the image are smoothed.
         tiles: the tiles of `forward_plus`. clusters: those of `clustered`.
         scale: the size of the light buffers of `inferred`, in that of the image. stippled: whether it draws transparent
@@ -64,7 +65,7 @@ class TechniqueSettings:
             )
         if self.samples < 1:
             refuse(rules.BAD_TECHNIQUE, "TechniqueSettings(samples=...)", self.samples, "a whole number of 1 or more")
-        if self.samples > 1 and self.name not in (AutoTechnique.name, Forward.name):
+        if self.samples > 1 and self.name != AutoTechnique.name and "samples" not in _list_parameters(self.name):
             refuse(rules.ONE_SAMPLE, "TechniqueSettings", f"{self.name} with samples={self.samples}")
         check_scale(self.scale, "TechniqueSettings")
         check_channels(self.specular_channels, "TechniqueSettings")
@@ -81,7 +82,7 @@ class TechniqueSettings:
             return replace(self, light_bits=16).make(scene, device)
         if self.samples == 1 and self.name == AutoTechnique.name:
             return AutoTechnique(scene, device, {name: partial(self.make_one, name) for name in CANDIDATES})
-        return self.make_one(Forward.name if self.samples > 1 else self.name)
+        return self.make_one(Forward.name if self.name == AutoTechnique.name else self.name)
 
     def make_one(self, name: str) -> Technique:
         """Return a technique of `TECHNIQUES` with those of the parameters that it has."""

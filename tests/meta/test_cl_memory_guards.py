@@ -80,7 +80,7 @@ PRIMITIVES = (Primitive.TRIANGLES, Primitive.TRIANGLE_STRIP, Primitive.LINES, Pr
 
 
 @pytest.mark.parametrize("primitive", PRIMITIVES, ids=lambda primitive: primitive.name)
-@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("samples", [1, 4, 8])
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (64, 64), (130, 70)], ids=str)
 def test_draws_write_inside_their_targets(size: tuple[int, int], samples: int, primitive: Primitive) -> None:
     """Triangles, lines and points of all sizes, most of them beyond the target; blending, stencil, queries, tables."""

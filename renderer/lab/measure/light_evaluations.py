@@ -148,9 +148,9 @@ def find_count(technique: Technique) -> Pass[Frame] | None:
     match technique:
         case Forward(samples=1):
             return _declare_fragments(technique.lighting)
-        case Clustered():
+        case Clustered(samples=1):
             return _declare_fragments(by_cells(technique.cells))
-        case ForwardPlus():
+        case ForwardPlus(samples=1):
             return _declare_fragments(by_cells(technique.cells), after_depth=True)
         case LightIndexed():
             return _declare_fragments(BY_INDICES, after_depth=True)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from renderer.frame import DEPTH_FORMAT, BoundProgram, Effect, Frame, Pass, Target
 from renderer.shaders.depth import DepthOnly
 from renderer.shaders.structs import SurfaceVarying
 from renderer.techniques.parts.scene_shader import SceneShader
-from renderer.techniques.parts.variants import COVERAGE, SWITCHES, bind_programs, scene_pass
+from renderer.techniques.parts.variants import COVERAGE, SWITCHES, bind_programs, name_samples, scene_pass
 
 
 class PartialDepth(SceneShader):
@@ -27,12 +29,15 @@ def bind_depth_programs(frame: Frame) -> list[BoundProgram]:
     return bind_programs(frame, shader, switches=switches)
 
 
-def depth_pass(because: str) -> Pass[Frame]:
-    """Return the pass that draws the depth of the visible objects to `depth`."""
-    return Pass("depth", draw_depth, because, writes=(Target("depth", DEPTH_FORMAT),))
+def depth_pass(because: str, *, samples: int = 1) -> Pass[Frame]:
+    """Return the pass that draws the depth of the visible objects to `depth`, or with several samples, after that, to
+    contents that `name_samples` names. The pass has the name of what it writes."""
+    depth = Target(name_samples("depth", samples), DEPTH_FORMAT, samples=samples)
+    reads = ("depth",) if samples > 1 else ()
+    return Pass(depth.name, partial(draw_depth, depth=depth.name), because, reads=reads, writes=(depth,))
 
 
-def draw_depth(frame: Frame) -> None:
-    """Draw the depth of the visible objects to `depth`."""
+def draw_depth(frame: Frame, depth: str = "depth") -> None:
+    """Draw the depth of the visible objects to the contents `depth`."""
     shader = PartialDepth if Effect.MASKS in frame.needs.effects else DepthOnly
-    frame.draw_visible(scene_pass(frame, shader, color=None, switches=COVERAGE))
+    frame.draw_visible(scene_pass(frame, shader, color=None, depth=frame.targets[depth], switches=COVERAGE))

@@ -6,10 +6,11 @@ from renderer.frame import Blending, Effect, Frame, Needs, Pass, find_last
 from renderer.frame.tones import find_light
 from renderer.shaders.fog import through_all_fog
 from renderer.shaders.pixels import BackgroundScreen, place_pixel
+from renderer.techniques.parts.depth import depth_pass
 from renderer.techniques.parts.glow import glow_passes
 from renderer.techniques.parts.scene_shader import FinishShader
 from renderer.techniques.parts.transparency import declare_transparency, sorted_pass
-from renderer.techniques.parts.variants import FORWARD, Lighting, draw_full_screen, lit_pass
+from renderer.techniques.parts.variants import FORWARD, Lighting, draw_full_screen, lit_pass, name_samples
 from rhi import DepthFunction
 from rhi.shading import Struct, Uniform, fragment_coordinate, vec3, vec4
 
@@ -31,10 +32,36 @@ class SkyShader(BackgroundScreen, FinishShader):
         return self.finish(through_all_fog(self.background.light, direction, self.fog), direction)
 
 
-def forward_passes(needs: Needs) -> tuple[Pass[Frame], ...]:
+def forward_passes(needs: Needs, lighting: Lighting = FORWARD, *, samples: int = 1) -> tuple[Pass[Frame], ...]:
     """Return the passes of forward shading: one over the visible objects, lit by the lists of their lights, and those
     of `finish_image`. Techniques without lamps in view are drawn by them."""
-    return (lit_pass(needs, FORWARD, "draws the visible objects, lit"), *finish_image(needs, FORWARD))
+    return draw_once(needs, lighting, "draws the visible objects, lit", samples=samples)
+
+
+def draw_once(
+    needs: Needs, lighting: Lighting, because: str,
+    *, samples: int, depth_first: str = "", lists: tuple[Pass[Frame], ...] = (), transparent: Lighting = FORWARD,
+) -> tuple[Pass[Frame], ...]:  # fmt: skip
+    """Return the passes of a technique that draws the visible objects lit, once: `depth`, if it is drawn before, those
+    that list lights, `forward`, and those of `finish_image`.
+
+    Depth of several samples can't be read, but layers, culling and lists of lights read depth. So with several samples,
+    depth of one is always drawn before, and if `depth_first`, then that of all.
+
+    Args:
+        lighting, because: as for `lit_pass`.
+        samples: samples per pixel.
+        depth_first: why depth is drawn before; empty if it isn't.
+        lists: the passes that list lights.
+        transparent: how transparent surfaces are lit.
+    """
+    passes = list(lists)
+    if depth_first or samples > 1:
+        passes.insert(0, depth_pass(depth_first or "layers and culling can't read depth of several samples"))
+    if depth_first and samples > 1:
+        passes.append(depth_pass("no hidden fragment is lit", samples=samples))
+    passes.append(lit_pass(needs, lighting, because, after_depth=bool(depth_first), samples=samples))
+    return *passes, *finish_image(needs, transparent, samples=samples)
 
 
 def finish_image(needs: Needs, lighting: Lighting, *, samples: int = 1) -> tuple[Pass[Frame], ...]:
@@ -49,7 +76,7 @@ def finish_image(needs: Needs, lighting: Lighting, *, samples: int = 1) -> tuple
         passes = [*_sky_passes(needs, image, "depth")]
         passes += declare_transparency(needs, lighting, image=find_last(passes, image))
     else:
-        drawn, depth = name_samples(image), name_samples("depth")
+        drawn, depth = name_samples(image, samples), name_samples("depth", samples)
         passes = [*_sky_passes(needs, drawn, depth)]
         # Weighted sums can't be resolved: those surfaces are drawn after it, with one sample.
         is_sorted = needs.blending is Blending.SORTED
@@ -58,11 +85,6 @@ def finish_image(needs: Needs, lighting: Lighting, *, samples: int = 1) -> tuple
         passes.append(_resolve_pass(needs, find_last(passes, drawn)))
         passes += () if is_sorted else declare_transparency(needs, lighting, image=image)
     return *passes, *glow_passes(needs, find_last(passes, image))
-
-
-def name_samples(contents: str) -> str:
-    """Return the name of contents with several samples per pixel."""
-    return f"{contents} samples"
 
 
 def _resolve_pass(needs: Needs, samples: str) -> Pass[Frame]:

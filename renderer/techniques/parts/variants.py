@@ -7,7 +7,7 @@ composes shaders, and lists no bindings but those that are its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any, Final
 
@@ -218,36 +218,37 @@ def draw_full_screen(
         device.draw(program, triangle, **bind(frame, program, own))
 
 
+def name_samples(contents: str, samples: int) -> str:
+    """Return the name of contents with so many samples per pixel."""
+    return contents if samples == 1 else f"{contents} samples"
+
+
 def lit_pass(
-    needs: Needs, lighting: Lighting, because: str, *, after_depth: bool = False, name: str = "forward"
-) -> Pass[Frame]:
-    """Return the pass that draws the visible objects lit, to `needs.image` and `depth`; where depth was drawn before,
-    only what is seen."""
+    needs: Needs, lighting: Lighting, because: str,
+    *, after_depth: bool = False, name: str = "forward", samples: int = 1,
+) -> Pass[Frame]:  # fmt: skip
+    """Return the pass that draws the visible objects lit, to `needs.image` and `depth`, or with several samples to
+    contents that `name_samples` names; where depth was drawn before, only what is seen."""
+    depth = Target(name_samples("depth", samples), DEPTH_FORMAT, samples=samples)
+    image = replace(needs.image, name=name_samples(needs.image.name, samples), samples=samples)
     return Pass(
         name,
-        partial(draw_lit, lighting=lighting, after_depth=after_depth),
-        because,
-        reads=("depth", *lighting.reads) if after_depth else lighting.reads,
-        writes=(needs.image,) if after_depth else (needs.image, Target("depth", DEPTH_FORMAT)),
+        partial(draw_lit, lighting=lighting, after_depth=after_depth, samples=samples),
+        because if samples == 1 else f"{because}, {samples} samples per pixel",
+        reads=(*([depth.name] if after_depth else []), *(["depth"] if samples > 1 else []), *lighting.reads),
+        writes=(image,) if after_depth else (image, depth),
     )
 
 
-def draw_lit(
-    frame: Frame,
-    lighting: Lighting = FORWARD,
-    *,
-    after_depth: bool = False,
-    image: Texture | None = None,
-    depth: Texture | None = None,
-) -> None:
+def draw_lit(frame: Frame, lighting: Lighting = FORWARD, *, after_depth: bool = False, samples: int = 1) -> None:
     """Draw the visible objects lit; see `lit_pass`."""
     lit = scene_pass(
         frame,
         *lighting.bases,
         own=lighting.bind(frame),
         switches=lighting.switches,
-        color=image or frame.image,
-        depth=depth,
+        color=frame.targets[name_samples(frame.needs.image.name, samples)],
+        depth=frame.targets[name_samples("depth", samples)],
         clear=frame.background,
         states=(DepthFunction.EQUAL, DepthWrite.OFF) if after_depth else (),
         clears=not after_depth,

@@ -6,7 +6,7 @@ from typing import Final
 
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.memory.planes import alignment
-from rhi.contract.backend import Capabilities
+from rhi.contract.backend import SAMPLE_COUNTS, Capabilities
 
 _MAX_UNIFORM_BYTES: Final = 65536
 _MAX_POINT_SIZE: Final = 1024.0  # MAX_POINT_SIZE in kernels/polygon.cl
@@ -37,6 +37,7 @@ def query_capabilities(context: ClContext, draws: bool) -> Capabilities:
         storage_alignment=grain,
         max_storage_slots=MAX_STORAGE_SLOTS,
         max_texture_size=_MAX_TEXTURE_SIZE,
+        sample_counts=SAMPLE_COUNTS,
         max_anisotropy=_MAX_ANISOTROPY,
         draws=draws,
         texture_buffer_copies=True,

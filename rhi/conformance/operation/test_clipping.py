@@ -169,7 +169,7 @@ def test_weights_lie_between_0_and_1(device: Device, family: Family) -> None:
 
 
 @pytest.mark.needs("precise_triangles")
-@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("samples", [1, 4, 8])
 @pytest.mark.parametrize("family", [exam.of_a_pixel, exam.slivers], ids=named)
 def test_no_sample_lies_beyond_the_corners_depths(device: Device, samples: int, family: Family) -> None:
     """Against a target as near as the nearest corner nothing passes, nor against one as far as the farthest."""

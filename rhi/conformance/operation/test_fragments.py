@@ -86,15 +86,16 @@ def test_every_covered_texel_runs_one_fragment(device: Device, image: Texture) -
         assert_same(total.read(), 16)
 
 
+@pytest.mark.parametrize("samples", [4, 8])
 @pytest.mark.parametrize("primitive", [Primitive.POINTS, Primitive.LINES], ids=lambda p: p.name)
 def test_a_texel_runs_one_fragment_however_many_of_its_samples_are_covered(
-    device: Device, primitive: Primitive
+    device: Device, primitive: Primitive, samples: int
 ) -> None:
     """Of two points at texel centres, or of a line between texels of one row."""
-    require_samples(device, 4)
+    require_samples(device, samples)
     rows = corners(centers([(2, 3), (6, 3)], SIZE))
     with (
-        device.texture(SIZE, Format.R8, samples=4) as image,
+        device.texture(SIZE, Format.R8, samples=samples) as image,
         device.mesh(rows, primitive=primitive) as mesh,
         device.storage(sl.uint, 1) as total,
     ):

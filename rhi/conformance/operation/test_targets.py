@@ -249,9 +249,10 @@ def test_an_edge_covers_some_samples_of_its_texels(device: Device, samples: int)
     assert_same(middle * samples, np.rint(middle * samples))
 
 
-def test_a_resolve_averages_the_samples(device: Device) -> None:
+@pytest.mark.parametrize("samples", [2, 4, 8])
+def test_a_resolve_averages_the_samples(device: Device, samples: int) -> None:
     """Two triangles that share a diagonal leave no gap: the average is the mix of both colors."""
-    require_samples(device, 4)
+    require_samples(device, samples)
     rows = np.concatenate(
         [
             corners([(-1, 1), (-1, -1), (1, -1)], (1, 0, 0, 1)),
@@ -259,7 +260,7 @@ def test_a_resolve_averages_the_samples(device: Device) -> None:
         ]
     )
     with (
-        device.texture((8, 8), Format.RGBA16F, samples=4) as image,
+        device.texture((8, 8), Format.RGBA16F, samples=samples) as image,
         device.texture((8, 8), Format.RGBA16F) as target,
         device.mesh(rows) as mesh,
     ):
@@ -299,12 +300,13 @@ def test_a_clear_reaches_all_samples_and_their_mean(device: Device, at_end: bool
         assert_same(target.read(), (51, 102, 153, 204))
 
 
-def test_depth_is_tested_for_each_sample(device: Device) -> None:
+@pytest.mark.parametrize("samples", [4, 8])
+def test_depth_is_tested_for_each_sample(device: Device, samples: int) -> None:
     """A triangle covers half of each texel on the diagonal; the other samples show the surface behind it."""
-    require_samples(device, 4)
+    require_samples(device, samples)
     with (
-        device.texture((8, 8), Format.R16F, samples=4) as image,
-        device.texture((8, 8), Format.D32F, samples=4) as depth,
+        device.texture((8, 8), Format.R16F, samples=samples) as image,
+        device.texture((8, 8), Format.D32F, samples=samples) as depth,
         device.texture((8, 8), Format.R16F) as target,
         device.mesh(corners([(-1, 1), (-1, -1), (1, -1)], (0, 0, 0, 1), 0.75)) as front,
         device.mesh(rectangle(depth=0.25)) as behind,
@@ -330,11 +332,12 @@ def test_each_of_several_targets_is_resolved_to_its_own(device: Device) -> None:
 
 
 @pytest.mark.needs("alpha_to_coverage")
+@pytest.mark.parametrize("samples", [4, 8])
 @pytest.mark.parametrize("alpha", [0.0, 0.5, 1.0])
-def test_alpha_becomes_coverage(device: Device, alpha: float) -> None:
-    require_samples(device, 4)
+def test_alpha_becomes_coverage(device: Device, alpha: float, samples: int) -> None:
+    require_samples(device, samples)
     with (
-        device.texture((8, 8), Format.RGBA16F, samples=4) as image,
+        device.texture((8, 8), Format.RGBA16F, samples=samples) as image,
         device.texture((8, 8), Format.RGBA16F) as target,
         device.mesh(rectangle(color=(1, 1, 1, alpha))) as mesh,
     ):
@@ -408,12 +411,13 @@ def test_signed_integers_keep_their_sign(device: Device) -> None:
         assert_same(image.read(), (-5, 5, -1, 0))
 
 
-def test_a_point_with_a_size_covers_samples(device: Device) -> None:
-    require_samples(device, 4)
+@pytest.mark.parametrize("samples", [4, 8])
+def test_a_point_with_a_size_covers_samples(device: Device, samples: int) -> None:
+    require_samples(device, samples)
     require_point_sizes(device)
     size = (24, 20)
     with (
-        device.texture(size, Format.RGBA8, samples=4) as target,
+        device.texture(size, Format.RGBA8, samples=samples) as target,
         device.texture(size, Format.RGBA8) as image,
         device.mesh(point_rows([(12.0, 10.0)], size, 5.0), primitive=Primitive.POINTS) as mesh,
     ):

@@ -26,6 +26,7 @@ SAMPLES: Final[dict[int, tuple[tuple[int, int], ...]]] = {
     1: ((0, 0),),
     2: ((-32, -96), (32, 96)),
     4: ((-32, -96), (96, -32), (-96, 32), (32, 96)),
+    8: ((16, -48), (-16, 48), (80, 16), (-48, -80), (-80, 80), (-112, -16), (48, 112), (112, -112)),
 }
 """Places of the samples, in subtexels from the texel's center."""
 _TIE: Final = 0.03  # subtexels: how far float32 may move a window position of these small targets

@@ -117,7 +117,7 @@ def make_theme(seed: int, capabilities: Capabilities) -> Theme:
     random = Random(f"theme {seed}")
     colors = [f for f in FORMATS if f not in capabilities.unrenderable_formats]
     depths = [f for f in DEPTH_FORMATS if f not in capabilities.unsupported_formats]
-    samples = [1, 1, 1, *(count for count in capabilities.sample_counts if count in (2, 4))]
+    samples = [1, 1, 1, *capabilities.sample_counts[1:]]
     kinds: list[PassKind] = []
     for number in range(2):
         count = random.choice(samples)

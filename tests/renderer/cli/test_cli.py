@@ -387,7 +387,7 @@ def test_techniques_draw_in_other_ways_on_demand(
     ([], "forward", "a null device draws nothing that could be measured"),
     (["--technique", "deferred"], "deferred", "was asked for"),
     (["--technique", "forward"], "forward", "was asked for"),
-    (["--samples", "4"], "forward", "4 samples per pixel, which others don't have"),
+    (["--samples", "4"], "forward", "4 samples per pixel, which other candidates don't have"),
     (["--fxaa"], "forward", "a null device draws nothing that could be measured"),
 ])  # fmt: skip
 def test_the_technique_in_use_is_named_with_its_reason(

@@ -13,7 +13,7 @@ from frames import find_difference, list_passes, make_boxes, open_renderer, read
 import rhi
 from renderer.content import load_scene
 from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
-from renderer.techniques import Forward, ForwardMultipass, LightIndexed, Smoothed, Technique
+from renderer.techniques import Forward, ForwardMultipass, ForwardPlus, LightIndexed, Smoothed, Technique
 from renderer.techniques.light_indexed import (
     LIGHTS_FULL,
     LIGHTS_PER_PIXEL,
@@ -78,7 +78,7 @@ def test_lamps_around_and_beside_the_eye_look_as_in_one_pass(
     assert find_difference(draw(drawing_device, scene, technique(), camera), wanted) <= 2
 
 
-@pytest.mark.parametrize("technique", [*TECHNIQUES, lambda: Forward(samples=4)])
+@pytest.mark.parametrize("technique", [*TECHNIQUES, lambda: Forward(4), lambda: ForwardPlus(4)])
 @pytest.mark.parametrize("visibility", ["chc_plus_plus", "conditional", "two_pass"])
 def test_every_way_to_find_the_visible_objects_gives_the_same_image(
     gl: rhi.Device, technique: Callable[[], Technique], visibility: str

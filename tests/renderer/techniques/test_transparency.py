@@ -29,7 +29,7 @@ from renderer.scene import (
     translation,
 )
 from renderer.shadows.casters import SceneCasters
-from renderer.techniques import TECHNIQUES, Forward, Inferred, Smoothed, inferred
+from renderer.techniques import TECHNIQUES, Clustered, Forward, ForwardPlus, Inferred, Smoothed, inferred
 from renderer.techniques.parts import variants
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.transparency import TransparentShader, WeightedShader
@@ -394,7 +394,7 @@ def test_a_frame_says_why_it_has_a_pass_of_transparent_surfaces() -> None:
 def test_smooth_edges_go_with_transparent_surfaces(gl: rhi.Device, blending: Blending) -> None:
     builder = panes(WALL, (1.0, (0.2, 0.9, 0.3, 0.5)))
     plain = draw(gl, builder.build(), blending=blending)
-    for technique in (Smoothed(Forward()), Forward(samples=4)):
+    for technique in (Smoothed(Forward()), Forward(4), ForwardPlus(4), Clustered(4)):
         # Without edges they change nothing.
         assert np.abs(draw(gl, builder.build(), technique, blending=blending) - plain).max() <= 1
 

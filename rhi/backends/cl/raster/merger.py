@@ -21,6 +21,7 @@ from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
 
 from rhi.backends.cl.raster.kernel_text import declare_struct
+from rhi.contract.backend import SAMPLE_COUNTS
 from rhi.contract.descriptors import ProgramDescriptor
 from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.states import (
@@ -71,7 +72,7 @@ _STENCIL_STATE: Final = 6  # two words for the front, two for the back
 _COLOR_STATE: Final = 10  # for each target: blend function, write mask of a texel's 4 words
 _COLOR_WORDS: Final = 5
 STATE_WORDS: Final = _COLOR_STATE + _COLOR_WORDS * MAX_TARGETS
-MAX_SAMPLES: Final = 4
+MAX_SAMPLES: Final = max(SAMPLE_COUNTS)
 _MERGER_FIELDS: Final = (
     "samples", "color_count", "has_depth", "depth_bits", "depth_passes", "depth_writes", "has_stencil", "alpha_test",
     "alpha_to_coverage", "test_order", "shades", "unused",

@@ -60,7 +60,8 @@ enum { THIN = 16, CUTS = 8 };
 // Whether an edge owns the points on it: it is a left or a top edge. True is -1 for vectors and 1 for scalars.
 #define OWNS(a, b) (((a) > 0) | (((a) == 0) & ((b) > 0)))
 
-#define SAMPLE_REACH 96  // subtexels from a texel's centre to its outermost sample, along an axis
+// Subtexels from a texel's centre to its outermost sample, along an axis.
+#define SAMPLE_REACH(samples) ((samples) == 1 ? 0 : (samples) == 8 ? 112 : 96)
 
 // `Batch`, `Draw` and `View` are declared by tables.py, which describes their fields.
 
@@ -181,7 +182,7 @@ INLINE bool is_hidden(
 INLINE bool is_unseen(global const Batch *batch, global const Draw *draw, global const View *view, const Extent *whole) {
     if (whole->behind) return true;
     if (!whole->fit || draw->primitive != TRIANGLES || batch->edges) return false;
-    int reach = batch->samples > 1 ? SAMPLE_REACH : 0;
+    int reach = SAMPLE_REACH(batch->samples);
     int left = max((whole->low_x - reach + 255) >> 8, view->box[0]), right = min((whole->high_x + reach) >> 8, view->box[2]);
     int top = max((whole->low_y - reach + 255) >> 8, view->box[1]), bottom = min((whole->high_y + reach) >> 8, view->box[3]);
     if (left > right || top > bottom) return true;

@@ -10,7 +10,7 @@
 //   takes no registers from the loop over blocks.
 // - Depths of covered samples are clamped to the range of the corners' depths: texels next to an edge may lie outside of the
 //   triangle whose corners aren't rounded. Weights of covered texels are clamped for the same reason.
-// - Multi-sampled targets have four coverages and one shading.
+// - Multi-sampled targets have a coverage for each sample and one shading.
 // - Depth of one sample without stencil is staged: read and written once per tile, and bounded (BOUNDS_DEPTH).
 // - targets.cl, the fragment stage and the macros of tables.py precede this text: FRAGMENT, BINDINGS, VARYING_WORDS,
 //   VARYINGS, GIVES_DEPTH, STAGES_DEPTH, BOUNDS_DEPTH. In a general kernel (targets.cl) depth isn't staged.
@@ -67,8 +67,10 @@ typedef struct {
     int16 lanes[3];        // increments for the texels of a block
 } Edges;
 
-constant int sample_x[7] = {0, -32, 32, -32, 96, -96, 32};  // from the texel's centre, in subtexels: for 1, 2, 4 samples;
-constant int sample_y[7] = {0, -96, 96, -96, -32, 32, 96};  // two lie off both diagonals, whose edges cover both or none
+// From the texel's centre, in subtexels, for 1, 2, 4 and 8 samples. Two lie off both diagonals, whose edges cover both or none;
+// four and eight are the standard patterns of Direct3D 11 and Vulkan.
+constant int sample_x[15] = {0, -32, 32, -32, 96, -96, 32, 16, -16, 80, -48, -80, -112, 48, 112};
+constant int sample_y[15] = {0, -96, 96, -96, -32, 32, 96, -48, 48, 16, -80, 80, -16, 112, -112};
 #define SAMPLE_X(sample) sample_x[SAMPLES - 1 + (sample)]
 #define SAMPLE_Y(sample) sample_y[SAMPLES - 1 + (sample)]
 

@@ -306,7 +306,7 @@ bool bound_polygon(global const Batch *batch, global const View *view, const uin
         low = min(low, points[i]);
         high = max(high, points[i]);
     }
-    int reach = batch->samples > 1 ? SAMPLE_REACH : 0;
+    int reach = SAMPLE_REACH(batch->samples);
     box[0] = max((low.x - reach + 255) >> 8, 0);
     box[1] = max((low.y - reach + 255) >> 8, 0);
     box[2] = min((high.x + reach) >> 8, batch->width - 1);
@@ -471,7 +471,7 @@ SINGLE set_up(ulong address) {
     const bool bounded = batch->bounded;
     const bool listed = batch->listed, shades = batch->shades, near_is_less = batch->near_is_less;
     const bool all_big = batch->samples > 1;
-    const int reach = all_big ? SAMPLE_REACH : 0;
+    const int reach = SAMPLE_REACH(batch->samples);
     global uint *scratch = AT(uint, batch->scratch) + chunk * 3 * GROUP;
     global uint *counts = AT(uint, batch->counts) + (long)chunk * batch->tiles;
     if (listed) for (int tile = 0; tile < batch->tiles; ++tile) counts[tile] = 0;

@@ -223,7 +223,7 @@ RESOLVED = [f for f in Format if not f.is_depth and not f.is_integer]
 
 
 @pytest.mark.parametrize("format", RESOLVED, ids=lambda f: f.name)
-@pytest.mark.parametrize("samples", [2, 4])
+@pytest.mark.parametrize("samples", [2, 4, 8])
 def test_a_resolve_averages_samples_in_linear_light(cl_kit: ClKit, format: Format, samples: int) -> None:
     rng = np.random.default_rng(samples)
     values = encode(format, rng.random((samples, 3, 5, format.channels)))
@@ -236,6 +236,18 @@ def test_a_resolve_averages_samples_in_linear_light(cl_kit: ClKit, format: Forma
     slack = 2.0**-6 if format is Format.R11G11B10F else slack
     got, exact = unpack(format, got), unpack(format, exact)
     assert np.abs(got.astype(np.float64) - exact.astype(np.float64)).max() <= slack
+
+
+@pytest.mark.parametrize("samples", [2, 4, 8])
+def test_the_mean_of_equal_samples_is_what_they_are(cl_kit: ClKit, samples: int) -> None:
+    values = np.random.default_rng(5).random((1, 32, 32), np.float32)
+    source = cl_kit.texture(TextureDescriptor((32, 32), Format.R32F, samples=samples))
+    target = cl_kit.texture(TextureDescriptor((32, 32), Format.R32F))
+    cl_kit.backend.write_texture(
+        source, 0, Region(0, 0, 32, 32, 0, samples), np.repeat(values, samples, axis=0).tobytes()
+    )
+    cl_kit.backend.resolve_texture(source, target)
+    np.testing.assert_array_equal(cl_kit.read(target, 32, 32)[..., 0], values[0])
 
 
 def test_a_resolve_of_integers_takes_a_sample(cl_kit: ClKit) -> None:

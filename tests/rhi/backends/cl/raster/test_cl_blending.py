@@ -60,15 +60,16 @@ def test_components_that_a_shader_does_not_give_are_0_and_alpha_1(
         assert_near(image.read(), [0.5, 0.25, 0.75][:components] + [0.0] * (3 - components) + [1.0], 0, "exact numbers")
 
 
-def test_alpha_to_coverage_covers_as_many_samples_as_alpha_says(device: Device) -> None:
+@pytest.mark.parametrize("samples", [4, 8])
+def test_alpha_to_coverage_covers_as_many_samples_as_alpha_says(device: Device, samples: int) -> None:
     alphas = np.linspace(0.0, 1.0, 16)
     columns = [rectangle(-1 + i / 8, -1, -1 + (i + 1) / 8, 1, color=(1, 1, 1, a)) for i, a in enumerate(alphas)]
     with (
-        device.texture((16, 1), Format.RGBA8, samples=4) as image,
+        device.texture((16, 1), Format.RGBA8, samples=samples) as image,
         device.texture((16, 1), Format.RGBA8) as mean,
         device.mesh(np.concatenate(columns)) as mesh,
     ):
         with device.render_pass(image, clear=(0, 0, 0, 0), resolve=mean), device.states(AlphaToCoverage.ON):
             device.draw(device.program(Colored), mesh)
         covered = mean.read()[0, :, 0] / 255.0
-    assert_near(covered, np.floor(4 * alphas + 0.5) / 4, 0.003, "a mean in 8 bits")
+    assert_near(covered, np.floor(samples * alphas + 0.5) / samples, 0.003, "a mean in 8 bits")

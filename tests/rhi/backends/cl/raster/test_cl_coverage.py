@@ -150,7 +150,7 @@ def test_counts_of_random_triangles_are_whole_numbers(device: Device) -> None:
     assert sum(count > 0 for count in counts) > 20
 
 
-@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("samples", [1, 4, 8])
 def test_triangles_beyond_the_target_cover_what_whole_numbers_say(device: Device, samples: int) -> None:
     """Of all sizes and in any order, half of them with perspective: only what a fixed-point grid can't hold is cut."""
     rng = np.random.default_rng(samples)

@@ -230,7 +230,7 @@ def test_the_order_of_tests_follows_the_program(
     assert (key.order, key.shades) == (order, shades)
 
 
-@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("samples", [1, 4, 8])
 @pytest.mark.parametrize("formats", [[Format.RGBA8_SRGB, Format.R32F], [Format.RGBA16F], [Format.R8_SNORM]], ids=str)
 def test_a_kernel_for_one_combination_merges_the_same_bits(formats: list[Format], samples: int) -> None:
     states: list[State] = [

@@ -72,9 +72,10 @@ def test_points_behind_the_eye_leave_gaps_in_a_group(device: Device) -> None:
     assert_same(drawn(device, rows), counted(points[~behind]))
 
 
-def test_whole_texels_agree_between_one_sample_and_four(device: Device) -> None:
+@pytest.mark.parametrize("samples", [4, 8])
+def test_whole_texels_agree_between_one_sample_and_several(device: Device, samples: int) -> None:
     rows, _ = random_points(COUNT)
     rows["size"] = np.ceil(rows["size"])
     rows["position"][:, :2] = np.round((rows["position"][:, :2] + 1) * np.divide(SIZE, 2)) / np.divide(SIZE, 2) - 1
     rows["size"] += rows["size"] % 2
-    assert_same(drawn(device, rows), drawn(device, rows, samples=4))
+    assert_same(drawn(device, rows), drawn(device, rows, samples=samples))

@@ -50,7 +50,7 @@ def test_every_sample_has_the_same_depth_under_any_scissor(device: Device, famil
     """What is drawn again, in four windows, passes EQUAL in all samples."""
     program, query, seen = device.program(FlatColored), device.occlusion_query(), 0
     windows = [Scissor(0, 0, 23, 31), Scissor(23, 0, 41, 31), Scissor(0, 31, 23, 33), Scissor(23, 31, 41, 33)]
-    with device.texture(SIZE, Format.D32F, samples=4) as depth:
+    with device.texture(SIZE, Format.D32F, samples=8) as depth:
         for triangle in make_triangles(family, 8)[:48]:
             with device.mesh(corners(triangle)) as mesh, device.render_pass(depth=depth, clear_depth=0.0):
                 with device.states(CullMode.NONE, DepthFunction.ALWAYS), query:
