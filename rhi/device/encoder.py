@@ -35,14 +35,8 @@ from rhi.device.resources.meshes import Drawable, Mesh, check_clips, check_draws
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
 from rhi.device.transient import TransientMemory
+from rhi.errors import rules
 from rhi.errors.arguments import Arguments, Fields, as_whole
-from rhi.errors.rules import (
-    CONDITION_NESTED,
-    DEVICE_ARGUMENT,
-    DEVICE_CAPABILITY,
-    QUERY_NESTED,
-    RESOURCE_FOREIGN,
-)
 
 P = ParamSpec("P")
 _ONES: Final = (1, 1, 1)
@@ -263,9 +257,9 @@ class Encoder:
         core.check_usable(queries, call)
         core.require(call, condition_faults(core.capabilities))
         if queries.emulated:
-            core.refuse(DEVICE_CAPABILITY, call, "an emulated query set", "a native one: device.query_set(…)")
+            core.refuse(rules.DEVICE_CAPABILITY, call, "an emulated query set", "a native one: device.query_set(…)")
         if core.condition_open:
-            core.refuse(CONDITION_NESTED, call, "a condition inside another")
+            core.refuse(rules.CONDITION_NESTED, call, "a condition inside another")
         self._refuse_quads(mesh, call)
         each = queries.check_conditions(rows, len(array), self._find_counted(queries, call), call)
         vertex_array = self._bind_draws(own, mesh, bindings)
@@ -287,7 +281,7 @@ class Encoder:
     def _refuse_quads(self, mesh: Drawable, call: str) -> None:
         """Refuse quads, whose indices can't be expanded where the GPU reads the arguments of draws."""
         if mesh.primitive is Primitive.QUADS:
-            self._core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+            self._core.refuse(rules.DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
 
     def _upload_draws(self, draws: NDArray[Any]) -> tuple[Id, int]:
         """Copy an array of draws to transient memory, and return its buffer and offset."""
@@ -304,7 +298,7 @@ class Encoder:
     def _check_query_set(self, queries: QuerySet, call: str) -> None:
         self._core.check_usable(queries, call)
         if self._core.open_query is not None:
-            self._core.refuse(QUERY_NESTED, call, "draws that are counted inside an open query")
+            self._core.refuse(rules.QUERY_NESTED, call, "draws that are counted inside an open query")
 
     def _mark_rows_drawn(self, queries: QuerySet, rows: NDArray[np.int64]) -> None:
         queries.mark_rows_drawn(rows)
@@ -416,9 +410,9 @@ class Encoder:
             ValidationError: `device-argument` if it is not a program, `resource-foreign` if it is of another device.
         """
         if not isinstance(program, Program):
-            self._core.refuse(DEVICE_ARGUMENT, call, repr(program), "a Program from device.program(…)")
+            self._core.refuse(rules.DEVICE_ARGUMENT, call, repr(program), "a Program from device.program(…)")
         if program.core is not self._core:
-            self._core.refuse(RESOURCE_FOREIGN, call, repr(program))
+            self._core.refuse(rules.RESOURCE_FOREIGN, call, repr(program))
         return program
 
     def _bind_draws(self, program: Program[...], mesh: Drawable, bindings: dict[str, Any]) -> int:
@@ -437,10 +431,10 @@ def _already_checked(mesh: object) -> None:
 def check_drawable(core: Core, mesh: object, call: str) -> None:
     """Refuse anything that no draw can read vertices from."""
     if not isinstance(mesh, Drawable):
-        core.refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")
+        core.refuse(rules.DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")
 
 
 def check_mesh(core: Core, mesh: object, call: str) -> None:
     """Refuse anything but a `Mesh`: arguments in a buffer can't know where a transient one lies."""
     if not isinstance(mesh, Mesh):
-        core.refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")
+        core.refuse(rules.DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")

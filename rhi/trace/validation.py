@@ -73,24 +73,7 @@ from rhi.contract.limits import (
     written_faults,
 )
 from rhi.contract.states import PER_TARGET, PlatformState, StateChange
-from rhi.errors import refuse
-from rhi.errors.rules import (
-    BINDING_MISSING,
-    BINDING_SIZE,
-    BINDING_TYPE,
-    BUFFER_ALIGNMENT,
-    BUFFER_RANGE,
-    BUFFER_SIZE,
-    DEVICE_CAPABILITY,
-    DISPATCH_SIZE,
-    DRAW_COUNT,
-    MESH_ATTRIBUTE,
-    MESH_DATA,
-    PASS_EMPTY,
-    PROGRAM_STAGE,
-    TEXTURE_DATA,
-    TEXTURE_REGION,
-)
+from rhi.errors import refuse, rules
 from rhi.trace.archive import ArchiveReader
 from rhi.trace.codec import read_image_type
 from rhi.trace.ids import kinds_of
@@ -291,18 +274,18 @@ _Made: TypeAlias = Mapping[Id, Any]
 def _buffer_range(made: _Made, buffer: Id, offset: int, size: int) -> Faults:
     whole = made[buffer].size
     if offset < 0 or size < 0 or offset + size > whole:
-        yield Fault(BUFFER_RANGE, f"bytes {offset} to {offset + size}", f"within {whole} bytes")
+        yield Fault(rules.BUFFER_RANGE, f"bytes {offset} to {offset + size}", f"within {whole} bytes")
 
 
 def _create_buffer(made: _Made, limits: Capabilities, buffer: Id, descriptor: BufferDescriptor) -> Faults:
     if descriptor.size <= 0:
-        yield Fault(BUFFER_SIZE, f"{descriptor.size} bytes", "1 or more")
+        yield Fault(rules.BUFFER_SIZE, f"{descriptor.size} bytes", "1 or more")
 
 
 def _create_program(made: _Made, limits: Capabilities, program: Id, descriptor: ProgramDescriptor) -> Faults:
     stages = descriptor.stages
     if stages != {Stage.COMPUTE} and (Stage.VERTEX not in stages or Stage.COMPUTE in stages):
-        yield Fault(PROGRAM_STAGE, show_stages(descriptor), "a vertex stage, or a compute stage alone")
+        yield Fault(rules.PROGRAM_STAGE, show_stages(descriptor), "a vertex stage, or a compute stage alone")
     yield from program_faults(descriptor, limits)
 
 
@@ -313,14 +296,14 @@ def _create_vertex_array(
     given = [attribute for stream in descriptor.streams for attribute in stream.attributes]
     inputs = {attribute.location: attribute.type for attribute in made[descriptor.program].attributes}
     if sorted(attribute.location for attribute in given) != sorted(inputs):
-        yield Fault(MESH_ATTRIBUTE, f"{given}", f"each of the locations {sorted(inputs)} once")
+        yield Fault(rules.MESH_ATTRIBUTE, f"{given}", f"each of the locations {sorted(inputs)} once")
     if not all(stream.attributes for stream in descriptor.streams):
-        yield Fault(MESH_DATA, "a stream without attributes", "one or more in each")
+        yield Fault(rules.MESH_DATA, "a stream without attributes", "one or more in each")
     for attribute in given:
         wanted = inputs[attribute.location]
         size, scalar = (wanted.size, wanted.scalar) if isinstance(wanted, VectorType) else (1, wanted)
         if attribute.format.components < size or attribute.format.kind != str(scalar):
-            yield Fault(MESH_ATTRIBUTE, f"{attribute}", f"as {wanted}")
+            yield Fault(rules.MESH_ATTRIBUTE, f"{attribute}", f"as {wanted}")
 
 
 def _write_buffer(made: _Made, limits: Capabilities, buffer: Id, offset: int, data: bytes) -> Faults:
@@ -330,7 +313,7 @@ def _write_buffer(made: _Made, limits: Capabilities, buffer: Id, offset: int, da
 def _clear_buffer(made: _Made, limits: Capabilities, buffer: Id, offset: int, size: int, value: int) -> Faults:
     yield from _buffer_range(made, buffer, offset, size)
     if offset % 4 or size % 4:
-        yield Fault(BUFFER_ALIGNMENT, f"{size} bytes at {offset}", "whole words")
+        yield Fault(rules.BUFFER_ALIGNMENT, f"{size} bytes at {offset}", "whole words")
 
 
 def _copy_buffer(
@@ -353,9 +336,9 @@ def _write_texture(made: _Made, limits: Capabilities, texture: Id, level: int, r
         right, bottom = region.x + region.width, region.y + region.height
         inner = [region.x, region.y, *([right] if right < width else []), *([bottom] if bottom < height else [])]
         if any(edge % BLOCK for edge in inner):
-            yield Fault(TEXTURE_REGION, f"{region}", f"whole blocks of {width}×{height} texels")
+            yield Fault(rules.TEXTURE_REGION, f"{region}", f"whole blocks of {width}×{height} texels")
     if len(data) != wanted:
-        yield Fault(TEXTURE_DATA, f"{len(data)} bytes", f"{wanted}")
+        yield Fault(rules.TEXTURE_DATA, f"{len(data)} bytes", f"{wanted}")
 
 
 def _copy_texture(
@@ -382,7 +365,7 @@ def _copy_buffer_to_texture(
 def _begin_pass(made: _Made, limits: Capabilities, descriptor: PassDescriptor) -> Faults:
     targets = [target for target in (*descriptor.colors, descriptor.depth) if target is not None]
     if not targets:
-        yield Fault(PASS_EMPTY, "no color and no depth", "a target")
+        yield Fault(rules.PASS_EMPTY, "no color and no depth", "a target")
     for target in targets:
         yield from level_faults(made[target.texture], target.level, target.layer)
     yield from pass_faults(descriptor, made, limits)
@@ -402,7 +385,7 @@ def _set_states(made: _Made, limits: Capabilities, changes: Sequence[StateChange
 def _slot(slots: str, made: _Made, limits: Capabilities, slot: int, *_: int) -> Faults:
     most = getattr(limits, slots)
     if not 0 <= slot < most:
-        yield Fault(DEVICE_CAPABILITY, f"slot {slot}", f"{most} slots")
+        yield Fault(rules.DEVICE_CAPABILITY, f"slot {slot}", f"{most} slots")
 
 
 def _bind_range(
@@ -438,7 +421,7 @@ def find_elements(made: Mapping[Id, Any], descriptor: VertexArrayDescriptor) -> 
 def work_faults(elements: int) -> Faults:
     """Yield that a command would run for very long."""
     if elements > MAX_WORK:
-        yield Fault(DRAW_COUNT, f"{elements:,} vertices or invocations", f"up to {MAX_WORK:,} in one command")
+        yield Fault(rules.DRAW_COUNT, f"{elements:,} vertices or invocations", f"up to {MAX_WORK:,} in one command")
 
 
 def _draw_indirect(
@@ -452,7 +435,7 @@ def _draw_indirect(
 
 def _dispatch(made: _Made, limits: Capabilities, *groups: int) -> Faults:
     if 0 in groups:
-        yield Fault(DISPATCH_SIZE, f"{groups}", "no empty dispatch")
+        yield Fault(rules.DISPATCH_SIZE, f"{groups}", "no empty dispatch")
     yield from dispatch_faults(groups, f"{groups}", limits)
 
 
@@ -502,18 +485,20 @@ def binding_faults(context: StreamContext) -> Faults:
     for binding in program.bindings if isinstance(program, ProgramDescriptor) else ():
         bound = context.slots.get((binding.kind, binding.slot))
         if bound is None or bound[0] not in context.resources:
-            yield Fault(BINDING_MISSING, f"nothing in {binding.kind.value} slot {binding.slot}", binding.name)
+            yield Fault(rules.BINDING_MISSING, f"nothing in {binding.kind.value} slot {binding.slot}", binding.name)
             return
         made: Any = context.resources[bound[0]]
         if isinstance(made, TextureDescriptor):
             layered = binding.kind is BindingKind.TEXTURE or bound[2] < 0
             kind, wanted = made.kind if layered else TextureKind.D2, read_image_type(str(binding.type))
             if wanted is not None and (wanted[0] is not kind or wanted[1] not in (None, made.format)):
-                yield Fault(BINDING_TYPE, f"{kind.value} of {made.format.name}", f"{binding.name}: {binding.type}")
+                yield Fault(
+                    rules.BINDING_TYPE, f"{kind.value} of {made.format.name}", f"{binding.name}: {binding.type}"
+                )
             if made.samples != 1:
-                yield Fault(BINDING_TYPE, f"{made.samples} samples", f"{binding.name}: 1")
+                yield Fault(rules.BINDING_TYPE, f"{made.samples} samples", f"{binding.name}: 1")
         elif binding.kind is BindingKind.UNIFORM and bound[2] < binding.size:
-            yield Fault(BINDING_SIZE, f"{bound[2]} bytes", f"{binding.name}: {binding.size}")
+            yield Fault(rules.BINDING_SIZE, f"{bound[2]} bytes", f"{binding.name}: {binding.size}")
 
 
 def check_capabilities(stream: CommandStream, limits: Capabilities) -> None:

@@ -48,12 +48,8 @@ from rhi.device.resources.images import make_picture, write_image
 from rhi.device.resources.lifetime import Resource, drop, retire
 from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
+from rhi.errors import rules
 from rhi.errors.arguments import Arguments, Fields
-from rhi.errors.rules import (
-    TEXTURE_DATA,
-    TEXTURE_FORMAT,
-    TEXTURE_REGION,
-)
 from rhi.shading.language.bindings import ImageBinding, TextureBinding
 
 _LINEAR = SamplerDescriptor()
@@ -226,7 +222,7 @@ class Texture(TextureBinding, Resource):
             Arguments("Texture.save", self.core.refuse).fail("path", path, "a str or a Path")
         picture = make_picture(self.format, self.read(level, layer))
         if picture is None:
-            self.core.refuse(TEXTURE_FORMAT, "Texture.save", self.format.name, "a format of colors or depth")
+            self.core.refuse(rules.TEXTURE_FORMAT, "Texture.save", self.format.name, "a format of colors or depth")
         write_image(picture, path)
 
     def _repr_png_(self) -> bytes | None:
@@ -306,7 +302,7 @@ class Texture(TextureBinding, Resource):
             array = _add_alpha(array, self.format)
         if array.dtype != self.format.dtype or array.ndim != 4 or array.shape[3] != components:
             allowed = f"(height, width, {components}) of {self.format.dtype}"
-            self.core.refuse(TEXTURE_DATA, call, f"shape {np.shape(texels)} of {array.dtype}", allowed)
+            self.core.refuse(rules.TEXTURE_DATA, call, f"shape {np.shape(texels)} of {array.dtype}", allowed)
         layers, height, width = array.shape[:3]
         region = Region(check.whole("x", x), check.whole("y", y), width, height, layer, layers)
         self._check_region(call, level, region)
@@ -321,14 +317,14 @@ class Texture(TextureBinding, Resource):
             blocks = blocks[None]
         if blocks.dtype != np.uint8 or blocks.ndim != 4 or blocks.shape[3] != compressed.block_bytes:
             allowed = f"(rows, columns, {compressed.block_bytes}) of uint8"
-            self.core.refuse(TEXTURE_DATA, call, f"shape {blocks.shape} of {blocks.dtype}", allowed)
+            self.core.refuse(rules.TEXTURE_DATA, call, f"shape {blocks.shape} of {blocks.dtype}", allowed)
         layers, rows, columns = blocks.shape[:3]
         right, bottom = (size - at for size, at in zip(self.descriptor.level_size(level), (x, y), strict=True))
         region = Region(x, y, min(columns * BLOCK, max(right, 0)), min(rows * BLOCK, max(bottom, 0)), layer, layers)
         whole = columns * BLOCK - region.width < BLOCK and rows * BLOCK - region.height < BLOCK
         if x % BLOCK or y % BLOCK or not whole:
             allowed = f"blocks inside {self.descriptor.level_size(level)}, from multiples of {BLOCK} on"
-            self.core.refuse(TEXTURE_REGION, call, f"{columns}×{rows} blocks at {x}, {y}", allowed)
+            self.core.refuse(rules.TEXTURE_REGION, call, f"{columns}×{rows} blocks at {x}, {y}", allowed)
         self._check_region(call, level, region)
         data: NDArray[Any] = np.ascontiguousarray(blocks)
         if self.descriptor.compressed is None:
@@ -496,7 +492,7 @@ class Texture(TextureBinding, Resource):
         Arguments(call, self.core.refuse).choice("access", access, Access)
         self.core.require(call, plain_faults(self.requested))
         if self.format.is_depth and access.writes:
-            self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
+            self.core.refuse(rules.TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
         self.core.require(call, single_sample_faults(self.descriptor))
         level, where = self._region(call, level, layer, region)
         return Lock(
