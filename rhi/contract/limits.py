@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from math import prod
 from typing import Any, Final, NamedTuple
 
+from rhi.contract import states
 from rhi.contract.backend import Capabilities
 from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import (
@@ -35,22 +36,6 @@ from rhi.contract.descriptors import (
     Wrap,
 )
 from rhi.contract.formats import Format
-from rhi.contract.states import (
-    DEFAULTS,
-    AlphaFunction,
-    AlphaReference,
-    AlphaTest,
-    AlphaToCoverage,
-    BlendFunction,
-    LineWidth,
-    PlatformState,
-    PolygonMode,
-    PolygonOffset,
-    StencilReadMask,
-    StencilReference,
-    StencilTest,
-    StencilWriteMask,
-)
 from rhi.errors import Rule, rules
 
 
@@ -495,7 +480,7 @@ def vertex_faults(streams: Sequence[VertexStream], limits: Capabilities) -> Faul
 
 
 def _differs(state: Any) -> bool:
-    return bool(state != DEFAULTS[type(state)])
+    return bool(state != states.DEFAULTS[type(state)])
 
 
 def _per_face(state: Any) -> bool:
@@ -503,30 +488,30 @@ def _per_face(state: Any) -> bool:
 
 
 _NEEDS: Final[dict[type, tuple[str, Callable[[Any], bool]]]] = {
-    AlphaTest: ("alpha_test", _differs),
-    AlphaFunction: ("alpha_test", _differs),
-    AlphaReference: ("alpha_test", _differs),
-    StencilTest: ("stencil", _differs),
-    StencilReference: ("stencil_per_face", _per_face),
-    StencilReadMask: ("stencil_per_face", _per_face),
-    StencilWriteMask: ("stencil_per_face", _per_face),
-    AlphaToCoverage: ("alpha_to_coverage", _differs),
-    BlendFunction: ("blend_per_target", lambda state: state.target is not None),
-    PolygonOffset: ("depth_bias_clamp", lambda state: state.clamp != 0.0),
-    PolygonMode: ("wireframe", _differs),
+    states.AlphaTest: ("alpha_test", _differs),
+    states.AlphaFunction: ("alpha_test", _differs),
+    states.AlphaReference: ("alpha_test", _differs),
+    states.StencilTest: ("stencil", _differs),
+    states.StencilReference: ("stencil_per_face", _per_face),
+    states.StencilReadMask: ("stencil_per_face", _per_face),
+    states.StencilWriteMask: ("stencil_per_face", _per_face),
+    states.AlphaToCoverage: ("alpha_to_coverage", _differs),
+    states.BlendFunction: ("blend_per_target", lambda state: state.target is not None),
+    states.PolygonOffset: ("depth_bias_clamp", lambda state: state.clamp != 0.0),
+    states.PolygonMode: ("wireframe", _differs),
 }
 """The capabilities that states need, and which of their values do: not defaults, nor what every device has."""
 
 
 def state_faults(state: Any, limits: Capabilities) -> Faults:
     """Yield what a device lacks for a state."""
-    if isinstance(state, PlatformState) and type(state) not in limits.platform_states:
+    if isinstance(state, states.PlatformState) and type(state) not in limits.platform_states:
         have = ", ".join(sorted(each.__name__ for each in limits.platform_states)) or "none"
         yield Fault(rules.PLATFORM_STATE, f"{state.full_name} of {state.platform()!r}", f"this device's own: {have}")
     needs = _NEEDS.get(type(state))
     if needs is not None and not getattr(limits, needs[0]) and needs[1](state):
         yield Fault(rules.STATE_CAPABILITY, repr(state), f"needs capabilities.{needs[0]}")
-    if isinstance(state, LineWidth) and state.width > limits.max_line_width:
+    if isinstance(state, states.LineWidth) and state.width > limits.max_line_width:
         most = f"up to capabilities.max_line_width, {limits.max_line_width:g}"
         yield Fault(rules.STATE_CAPABILITY, repr(state), most)
 
