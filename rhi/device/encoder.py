@@ -14,14 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import ParamSpec
 
+from rhi.contract import limits
 from rhi.contract.descriptors import DRAW, Id, Primitive
-from rhi.contract.limits import (
-    condition_faults,
-    count_faults,
-    dispatch_faults,
-    indirect_dispatch_faults,
-    indirect_faults,
-)
 from rhi.contract.states import State
 from rhi.device.core.core import Core
 from rhi.device.core.state_cache import StateScope, ValidatedScope
@@ -255,7 +249,7 @@ class Encoder:
         check = Arguments(call, core.refuse)
         check.instance("queries", queries, QuerySet, "a QuerySet from device.query_set(…)")
         core.check_usable(queries, call)
-        core.require(call, condition_faults(core.capabilities))
+        core.require(call, limits.condition_faults(core.capabilities))
         if queries.emulated:
             core.refuse(rules.DEVICE_CAPABILITY, call, "an emulated query set", "a native one: device.query_set(…)")
         if core.condition_open:
@@ -323,11 +317,11 @@ class Encoder:
         count = None if arguments.count is None else check_buffer(check, "count", arguments.count)
         core.check_usable(buffer, call)
         places = (arguments.draws, arguments.offset, arguments.stride, arguments.count_offset)
-        core.require(call, indirect_faults(*places, buffer.size))
+        core.require(call, limits.indirect_faults(*places, buffer.size))
         self._refuse_quads(mesh, call)
         if count is not None:
             core.check_usable(count, call)
-            core.require(call, count_faults(arguments.count_offset, count.size, core.capabilities))
+            core.require(call, limits.count_faults(arguments.count_offset, count.size, core.capabilities))
         vertex_array = self._bind_draws(own, mesh, bindings)
         core.backend.draw_indirect(
             vertex_array,
@@ -354,7 +348,7 @@ class Encoder:
         several = isinstance(groups, (tuple, list)) or (isinstance(groups, np.ndarray) and groups.ndim)
         given: Any = groups if several else (groups,)
         sizes: list[int | None] = [*map(as_whole, given), *_ONES[len(given) :]]
-        faults = dispatch_faults(sizes if len(given) else (), repr(groups), self._core.capabilities)
+        faults = limits.dispatch_faults(sizes if len(given) else (), repr(groups), self._core.capabilities)
         self._core.require(call, faults)
         own.bind(own.check_can_dispatch, None, bindings)
         x, y, z = (size or 0 for size in sizes)
@@ -379,7 +373,7 @@ class Encoder:
         offset = check.whole("offset", offset)
         self._core.check_ready()
         self._core.check_usable(source, call)
-        self._core.require(call, indirect_dispatch_faults(offset, source.size))
+        self._core.require(call, limits.indirect_dispatch_faults(offset, source.size))
         own.bind(own.check_can_dispatch, None, bindings)
         self._core.backend.dispatch_indirect(source.id, offset)
         self._core.dispatches += 1

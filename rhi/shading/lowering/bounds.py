@@ -32,7 +32,7 @@ _MORE: Final = 1.001
 _LEAST: Final = 2.0**-64
 _ROUNDING: Final = 2.0**-22
 
-_Magnitude: TypeAlias = "tuple[Value, int]"
+_Magnitude: TypeAlias = "tuple[lanes.Value, int]"
 """The magnitude of a component, and the greatest number of roundings in its computation."""
 
 
