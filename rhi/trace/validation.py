@@ -275,10 +275,6 @@ def _create_vertex_array(
             yield Fault(rules.MESH_ATTRIBUTE, f"{attribute}", f"as {wanted}")
 
 
-def _write_buffer(made: _Made, device: Capabilities, buffer: Id, offset: int, data: bytes) -> Faults:
-    return _buffer_range(made, buffer, offset, len(data))
-
-
 def _clear_buffer(made: _Made, device: Capabilities, buffer: Id, offset: int, size: int, value: int) -> Faults:
     yield from _buffer_range(made, buffer, offset, size)
     if offset % 4 or size % 4:
@@ -411,7 +407,7 @@ def _dispatch(made: _Made, device: Capabilities, *groups: int) -> Faults:
 _FAULTS: Final[dict[Op, Callable[..., Faults]]] = {
     Op.CREATE_BUFFER: _create_buffer,
     Op.CREATE_VERTEX_ARRAY: _create_vertex_array,
-    Op.WRITE_BUFFER: _write_buffer,
+    Op.WRITE_BUFFER: lambda made, device, buffer, offset, data: _buffer_range(made, buffer, offset, len(data)),
     Op.READ_BUFFER: lambda made, device, *place: _buffer_range(made, *place),
     Op.CLEAR_BUFFER: _clear_buffer,
     Op.WRITE_TEXTURE: _write_texture,

@@ -121,7 +121,7 @@ class RenderStates:
             states.PolygonOffset: self._offset,
             states.LineWidth: lambda value: gl.LineWidth(value.width),
             states.PolygonMode: self._polygon_mode,
-            states.PlatformState: self._platform,
+            states.PlatformState: lambda value: self._switch(enums.DEPTH_CLAMP, DepthClamp.ON in value),
             states.AlphaToCoverage: self._alpha_to_coverage,
         }
         self.apply_all()
@@ -295,9 +295,6 @@ class RenderStates:
     def _polygon_mode(self, mode: states.PolygonMode) -> None:
         self._gl.PolygonMode(enums.FRONT_AND_BACK, enums.LINE if mode is _WIREFRAME else enums.FILL)
         self._offset(None)
-
-    def _platform(self, values: tuple[states.PlatformState, ...]) -> None:
-        self._switch(enums.DEPTH_CLAMP, DepthClamp.ON in values)
 
     def _offset(self, _: object) -> None:
         offset: states.PolygonOffset = self.values[states.PolygonOffset]

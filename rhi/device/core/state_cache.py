@@ -193,7 +193,7 @@ class StateCache:
                 values[index] = (state,) * MAX_TARGETS
             else:
                 per_target = list(values[index])  # type: ignore[call-overload]
-                per_target[target] = _without_target(state)
+                per_target[target] = replace(state, target=None)  # type: ignore[type-var]
                 values[index] = tuple(per_target)
         self._reserve()
         vector = self._intern(tuple(values))
@@ -242,10 +242,6 @@ def _change_platform(values: object, state: object) -> tuple[PlatformState, ...]
     if state is not state.default():
         kept.append(state)
     return tuple(sorted(kept, key=lambda each: each.full_name))
-
-
-def _without_target(state: State) -> State:
-    return replace(state, target=None)  # type: ignore[type-var]
 
 
 class StateScope(Scope):
