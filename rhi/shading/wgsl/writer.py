@@ -274,17 +274,13 @@ class WgslWriter(TextWriter):
         if isinstance(node.type, layout.VectorType) and scalar_of(node.type) is layout.INT:
             left, right = self.widened(node, node.left, left), self.widened(node, node.right, right)
             return f"{self.integer_helper(node, node.operator is Operator.FLOOR_DIVIDE)}({left}, {right})"
-        divisor = node.right
-        if (
-            scalar_of(node.type) is layout.INT
-            and node.operator is Operator.FLOOR_DIVIDE
-            and isinstance(divisor, tree.Constant)
-        ):
+        divisor, divides = node.right, node.operator is Operator.FLOOR_DIVIDE
+        if scalar_of(node.type) is layout.INT and divides and isinstance(divisor, tree.Constant):
             value = int(divisor.value)
             if value > 0 and value.bit_count() == 1:
                 return f"({left} >> {value.bit_length() - 1}u)"
         if scalar_of(node.type) is layout.UINT and not is_constant(divisor):
-            sign, right = "/" if node.operator is Operator.FLOOR_DIVIDE else "%", self.widened(node, divisor, right)
+            sign, right = "/" if divides else "%", self.widened(node, divisor, right)
             return f"({left} {sign} max({right}, {self.type(node.type)}(1)))"
         return super().floored(node, left, right)
 
