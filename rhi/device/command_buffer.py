@@ -24,7 +24,6 @@ from contextlib import suppress
 from functools import partial
 from operator import length_hint
 from threading import get_ident
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
@@ -113,9 +112,7 @@ class CommandBuffer(Encoder):
             self._writer.push_label(self.label)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         core = self._recorder
         if self._state is not _RECORDING:
             core.scopes.refuse_unopened("device.record()", error)
@@ -432,9 +429,7 @@ class RecordedQuery(QueryScope):
         query.write_begin(core)
         core.open_query = self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self._core.scopes.leave(self, error)
 
     def complete(self) -> None:

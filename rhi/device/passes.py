@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from sys import is_finalizing
-from types import TracebackType
 from typing import Any, Final, TypeAlias, TypeVar, cast
 
 import numpy as np
@@ -115,9 +114,7 @@ class RenderPass(Scope):
             core.scopes.withdraw(self)
             raise
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         core = self._core
         core.check_thread("the end of a render pass")
         if core.closed or is_finalizing():  # Python ends, and closes generators: drivers are gone or going

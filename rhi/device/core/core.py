@@ -14,7 +14,6 @@ import weakref
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from threading import get_ident
-from types import TracebackType
 from typing import Any, ClassVar, Final, NoReturn, Protocol, TypeVar, cast
 
 import numpy as np
@@ -103,9 +102,7 @@ class Creation:
             self._outer = False
             self._core.created = []
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         core = self._core
         made: list[Id] = []
         if not self._outer:

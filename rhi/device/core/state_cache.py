@@ -16,7 +16,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import TracebackType
 from typing import Final, Protocol
 
 from rhi.contract.backend import Capabilities
@@ -286,9 +285,7 @@ class StateScope(Scope):
         cache.wanted = target
         cache.software_changes += count
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         cache = self.cache
         scopes = cache.scopes
         index, data = scopes._index - 1, scopes._data
@@ -326,9 +323,7 @@ class ValidatedScope(StateScope):
         super().__enter__()
         self.cache.scopes.keep_line()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if self.cache.validator is not None:
             self.cache.validator.check_thread("the end of device.states(…)")
         super().__exit__(kind, error, trace)

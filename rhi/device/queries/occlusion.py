@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import time
 from threading import get_ident
-from types import TracebackType
 from typing import Final, Generic, Self, TypeVar
 
 from rhi.contract.descriptors import Id, QueryKind
@@ -290,9 +289,7 @@ class OcclusionQuery(PendingQuery[int], QueryScope):
         self.begin()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         core = self._core
         scopes = core.scopes
         if scopes._data[scopes._index - 1] is self:
@@ -373,9 +370,7 @@ class Conditional(Scope):
             raise
         core.condition_count += 1
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         core = self._core
         if core.closed:
             return
