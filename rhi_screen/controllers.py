@@ -124,17 +124,33 @@ class Controller(Protocol):
         ...
 
 
-class Fly:
+class _Gliding:
+    """What all controllers have: a lens and a heading that they turn, and motion that goes on for a moment."""
+
+    def __init__(self, camera: Camera, speed: float) -> None:
+        self.speed = speed
+        self._heading = Heading.of(camera)
+        self._lens = camera.projection
+        self._move, self._swing = Glide(), Glide()
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether it still glides."""
+        return self._move.is_moving or self._swing.is_moving
+
+    def turn(self, left: float, up: float) -> None:
+        """Turn the view by angles in radians."""
+        self._heading.turn(left, up)
+
+
+class Fly(_Gliding):
     """Flies freely: keys move along the axes of the view, dragging turns it."""
 
     name = "fly"
 
     def __init__(self, camera: Camera, speed: float) -> None:
-        self.speed = speed
+        super().__init__(camera, speed)
         self._position: Floats = np.array(camera.position, np.float64)
-        self._heading = Heading.of(camera)
-        self._lens = camera.projection
-        self._move, self._swing = Glide(), Glide()
 
     @property
     def camera(self) -> Camera:
@@ -142,18 +158,9 @@ class Fly:
         return Camera(self._position.copy(), self._heading.rotation, self._lens)
 
     @property
-    def is_moving(self) -> bool:
-        """Whether it still glides."""
-        return self._move.is_moving or self._swing.is_moving
-
-    @property
     def angle(self) -> float:
         """The angle between the image's top and bottom; with a parallel lens, that of a usual lens."""
         return self._lens.fov if isinstance(self._lens, Perspective) else pi / 3
-
-    def turn(self, left: float, up: float) -> None:
-        """Turn the view by angles in radians."""
-        self._heading.turn(left, up)
 
     def drag(self, right: float, up: float) -> None:
         """Move sideways and up or down, by parts of a second's way."""
@@ -176,21 +183,18 @@ class Fly:
         self._position = self._position + way @ self._heading.rotation
 
 
-class Orbit:
+class Orbit(_Gliding):
     """Circles a point at a distance: dragging turns the view around it, the wheel goes nearer."""
 
     name = "orbit"
 
     def __init__(self, camera: Camera, target: Floats, speed: float) -> None:
         """`target` (3,) is the point in the middle; the camera keeps its place and turns towards it."""
-        self.speed = speed
         away = camera.position - target
+        aimed = Camera.look_at(camera.position, target, projection=camera.projection) if away.any() else camera
+        super().__init__(aimed, speed)
         self.target: Floats = np.array(target, np.float64)
         self.distance = max(float(np.linalg.norm(away)), LEAST_DISTANCE)
-        aimed = Camera.look_at(camera.position, target) if (away != 0.0).any() else camera
-        self._heading = Heading.of(aimed)
-        self._lens = camera.projection
-        self._move, self._swing = Glide(), Glide()
 
     @property
     def camera(self) -> Camera:
@@ -199,18 +203,9 @@ class Orbit:
         return Camera(self.target + self.distance * rotation[2], rotation, self._lens)
 
     @property
-    def is_moving(self) -> bool:
-        """Whether it still glides."""
-        return self._move.is_moving or self._swing.is_moving
-
-    @property
     def angle(self) -> float:
         """Half a turn."""
         return pi
-
-    def turn(self, left: float, up: float) -> None:
-        """Turn around the point."""
-        self._heading.turn(left, up)
 
     def drag(self, right: float, up: float) -> None:
         """Move the point with what is seen: it stays below the pointer."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import perf_counter, process_time
-from types import TracebackType
 from typing import Any, Final, Self
 from weakref import WeakSet
 
@@ -208,9 +207,7 @@ class Screen:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if self._owned:
             self.device.close(quiet=kind is not None)
         self.close()

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from math import prod
 from typing import Any, Final, NamedTuple
 
+from rhi.contract import states
 from rhi.contract.backend import Capabilities
 from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import (
@@ -35,47 +36,7 @@ from rhi.contract.descriptors import (
     Wrap,
 )
 from rhi.contract.formats import Format
-from rhi.contract.states import (
-    DEFAULTS,
-    AlphaFunction,
-    AlphaReference,
-    AlphaTest,
-    AlphaToCoverage,
-    BlendFunction,
-    LineWidth,
-    PlatformState,
-    PolygonMode,
-    PolygonOffset,
-    StencilReadMask,
-    StencilReference,
-    StencilTest,
-    StencilWriteMask,
-)
-from rhi.errors import Rule
-from rhi.errors.rules import (
-    BINDING_SIZE,
-    BUFFER_ALIGNMENT,
-    BUFFER_OVERLAP,
-    BUFFER_RANGE,
-    DEVICE_CAPABILITY,
-    DISPATCH_SIZE,
-    DRAW_COUNT,
-    INDIRECT_RANGE,
-    MESH_ATTRIBUTE,
-    MESH_DATA,
-    MESH_RANGE,
-    PASS_CLEAR,
-    PASS_SAMPLES,
-    PASS_SIZE,
-    PASS_TARGET,
-    PLATFORM_STATE,
-    STATE_CAPABILITY,
-    TEXTURE_FORMAT,
-    TEXTURE_LEVELS,
-    TEXTURE_REGION,
-    TEXTURE_SAMPLES,
-    TEXTURE_SIZE,
-)
+from rhi.errors import Rule, rules
 
 
 class Fault(NamedTuple):
@@ -124,33 +85,35 @@ def texture_faults(descriptor: TextureDescriptor, limits: Capabilities) -> Fault
     width, height = descriptor.size
     kind, layers, samples = descriptor.kind, descriptor.layers, descriptor.samples
     if not (0 < width <= limits.max_texture_size and 0 < height <= limits.max_texture_size):
-        yield Fault(TEXTURE_SIZE, f"{width}×{height}", f"1 to {limits.max_texture_size} each way")
+        yield Fault(rules.TEXTURE_SIZE, f"{width}×{height}", f"1 to {limits.max_texture_size} each way")
     if descriptor.format in limits.unsupported_formats:
-        yield Fault(DEVICE_CAPABILITY, descriptor.format.name, "not among capabilities.unsupported_formats")
+        yield Fault(rules.DEVICE_CAPABILITY, descriptor.format.name, "not among capabilities.unsupported_formats")
     least, most = {TextureKind.D2: (1, 1), TextureKind.CUBE: (6, 6)}.get(kind, (1, limits.max_texture_layers))
     if not least <= layers <= most:
-        yield Fault(TEXTURE_SIZE, f"{layers} layers of {kind.name}", f"{least} to {most}")
+        yield Fault(rules.TEXTURE_SIZE, f"{layers} layers of {kind.name}", f"{least} to {most}")
     if layers > limits.max_texture_layers:
         allowed = f"up to capabilities.max_texture_layers, {limits.max_texture_layers}"
-        yield Fault(DEVICE_CAPABILITY, f"{layers} layers of {kind.name}", allowed)
+        yield Fault(rules.DEVICE_CAPABILITY, f"{layers} layers of {kind.name}", allowed)
     if kind is TextureKind.CUBE and width != height:
-        yield Fault(TEXTURE_SIZE, f"a cube of {width}×{height}", "square faces")
+        yield Fault(rules.TEXTURE_SIZE, f"a cube of {width}×{height}", "square faces")
     most = full_levels(width, height, layers if kind is TextureKind.D3 else 1)
     if not 1 <= descriptor.levels <= most:
-        yield Fault(TEXTURE_LEVELS, f"{descriptor.levels} levels", f"1 to {most}")
+        yield Fault(rules.TEXTURE_LEVELS, f"{descriptor.levels} levels", f"1 to {most}")
     if samples not in limits.sample_counts:
-        yield Fault(TEXTURE_SAMPLES, f"{samples} samples", f"{', '.join(map(str, limits.sample_counts))} samples")
+        yield Fault(rules.TEXTURE_SAMPLES, f"{samples} samples", f"{', '.join(map(str, limits.sample_counts))} samples")
     if samples > 1 and descriptor.format in limits.single_sampled_formats:
         given = f"{samples} samples of {descriptor.format.name}"
-        yield Fault(DEVICE_CAPABILITY, given, "not among capabilities.single_sampled_formats")
+        yield Fault(rules.DEVICE_CAPABILITY, given, "not among capabilities.single_sampled_formats")
     if samples > 1 and (descriptor.levels > 1 or kind is not TextureKind.D2):
-        yield Fault(TEXTURE_SAMPLES, f"{samples} samples, {descriptor.levels} levels, {kind.name}", "2D, one level")
+        yield Fault(
+            rules.TEXTURE_SAMPLES, f"{samples} samples, {descriptor.levels} levels, {kind.name}", "2D, one level"
+        )
     if descriptor.format.is_depth and kind is TextureKind.D3:
-        yield Fault(TEXTURE_FORMAT, "a 3D depth texture", "2D, 2D array or cube")
+        yield Fault(rules.TEXTURE_FORMAT, "a 3D depth texture", "2D, 2D array or cube")
     yield from compressed_faults(descriptor)
     if descriptor.compressed is not None and descriptor.compressed not in limits.compressed_formats:
         given = descriptor.compressed.name
-        yield Fault(DEVICE_CAPABILITY, given, "a format among capabilities.compressed_formats")
+        yield Fault(rules.DEVICE_CAPABILITY, given, "a format among capabilities.compressed_formats")
 
 
 def compressed_faults(descriptor: TextureDescriptor) -> Faults:
@@ -159,27 +122,27 @@ def compressed_faults(descriptor: TextureDescriptor) -> Faults:
         return
     name = descriptor.compressed.name
     if descriptor.kind is TextureKind.D3:
-        yield Fault(TEXTURE_FORMAT, f"a 3D texture of {name}", "2D, 2D array or cube")
+        yield Fault(rules.TEXTURE_FORMAT, f"a 3D texture of {name}", "2D, 2D array or cube")
     if descriptor.samples != 1:
-        yield Fault(TEXTURE_SAMPLES, f"{descriptor.samples} samples of {name}", "1")
+        yield Fault(rules.TEXTURE_SAMPLES, f"{descriptor.samples} samples of {name}", "1")
 
 
 def sampler_faults(descriptor: SamplerDescriptor, limits: Capabilities) -> Faults:
     """Yield what a device lacks for a sampler."""
     if descriptor.max_anisotropy > limits.max_anisotropy:
         most = f"up to capabilities.max_anisotropy, {limits.max_anisotropy:g}"
-        yield Fault(DEVICE_CAPABILITY, f"max_anisotropy={descriptor.max_anisotropy:g}", most)
+        yield Fault(rules.DEVICE_CAPABILITY, f"max_anisotropy={descriptor.max_anisotropy:g}", most)
     if descriptor.uses_border and not limits.border_colors:
-        yield Fault(DEVICE_CAPABILITY, str(Wrap.BORDER), "needs capabilities.border_colors")
+        yield Fault(rules.DEVICE_CAPABILITY, str(Wrap.BORDER), "needs capabilities.border_colors")
 
 
 def level_faults(texture: TextureDescriptor, level: int, layer: int = 0) -> Faults:
     """Yield a level or layer that a texture doesn't have."""
     if not 0 <= level < texture.levels:
-        yield Fault(TEXTURE_LEVELS, f"level {level}", f"0 to {texture.levels - 1}")
+        yield Fault(rules.TEXTURE_LEVELS, f"level {level}", f"0 to {texture.levels - 1}")
     layers = texture.level_layers(level)
     if not 0 <= layer < layers:
-        yield Fault(TEXTURE_LEVELS, f"layer {layer}", f"0 to {layers - 1}")
+        yield Fault(rules.TEXTURE_LEVELS, f"layer {layer}", f"0 to {layers - 1}")
 
 
 def region_faults(texture: TextureDescriptor, level: int, region: Region) -> Faults:
@@ -196,25 +159,27 @@ def region_faults(texture: TextureDescriptor, level: int, region: Region) -> Fau
         and region.layer + region.layers <= layers
     )
     if not inside:
-        yield Fault(TEXTURE_REGION, str(region), f"inside {width}×{height}, {layers} layers")
+        yield Fault(rules.TEXTURE_REGION, str(region), f"inside {width}×{height}, {layers} layers")
 
 
 def plain_faults(texture: TextureDescriptor) -> Faults:
     """Yield that a texture is compressed, and so is only written and sampled."""
     if texture.compressed is not None:
-        yield Fault(TEXTURE_FORMAT, texture.compressed.name, "a format without compression", "sample it in a shader")
+        yield Fault(
+            rules.TEXTURE_FORMAT, texture.compressed.name, "a format without compression", "sample it in a shader"
+        )
 
 
 def single_sample_faults(texture: TextureDescriptor) -> Faults:
     """Yield that a texture has several samples."""
     if texture.samples != 1:
-        yield Fault(TEXTURE_SAMPLES, f"{texture.samples} samples", "1", "resolve it first: texture.resolve_to(…)")
+        yield Fault(rules.TEXTURE_SAMPLES, f"{texture.samples} samples", "1", "resolve it first: texture.resolve_to(…)")
 
 
 def written_faults(texture: TextureDescriptor) -> Faults:
     """Yield why texels of a texture can't be written but by draws."""
     if texture.format.is_depth:
-        yield Fault(TEXTURE_FORMAT, texture.format.name, "a color format", "depth is written by a render pass")
+        yield Fault(rules.TEXTURE_FORMAT, texture.format.name, "a color format", "depth is written by a render pass")
 
 
 def read_faults(texture: TextureDescriptor, level: int, region: Region, stencil: bool) -> Faults:
@@ -223,7 +188,7 @@ def read_faults(texture: TextureDescriptor, level: int, region: Region, stencil:
     yield from plain_faults(texture)
     yield from single_sample_faults(texture)
     if stencil and not texture.format.has_stencil:
-        yield Fault(TEXTURE_FORMAT, texture.format.name, "a format with stencil")
+        yield Fault(rules.TEXTURE_FORMAT, texture.format.name, "a format with stencil")
 
 
 def texture_copy_faults(
@@ -235,12 +200,12 @@ def texture_copy_faults(
     yield from plain_faults(target)
     yield from region_faults(source, level, region)
     if source.format is not target.format:
-        yield Fault(TEXTURE_FORMAT, f"{source.format.name} to {target.format.name}", "equal formats")
+        yield Fault(rules.TEXTURE_FORMAT, f"{source.format.name} to {target.format.name}", "equal formats")
     if target.samples != 1 or source.samples != 1:
-        yield Fault(TEXTURE_SAMPLES, f"{source.samples} to {target.samples} samples", "1", "use resolve_to")
+        yield Fault(rules.TEXTURE_SAMPLES, f"{source.samples} to {target.samples} samples", "1", "use resolve_to")
     yield from region_faults(target, target_level, end)
     if same and level == target_level and _overlap(region, end):
-        yield Fault(TEXTURE_REGION, f"{region} to {end}", "regions that don't overlap")
+        yield Fault(rules.TEXTURE_REGION, f"{region} to {end}", "regions that don't overlap")
 
 
 def row_faults(
@@ -251,39 +216,39 @@ def row_faults(
     texel = texture.format.transfer_bytes
     yield from plain_faults(texture)
     if not limits.texture_buffer_copies:
-        yield Fault(DEVICE_CAPABILITY, texture.format.name, "needs capabilities.texture_buffer_copies")
+        yield Fault(rules.DEVICE_CAPABILITY, texture.format.name, "needs capabilities.texture_buffer_copies")
     yield from region_faults(texture, level, region)
     yield from single_sample_faults(texture)
     least, step = region.width * texel, max(texel, limits.copy_row_alignment)
     if row_bytes < least or row_bytes % step:
-        yield Fault(BUFFER_ALIGNMENT, f"row_bytes={row_bytes}", f"a multiple of {step}, {least} or more")
+        yield Fault(rules.BUFFER_ALIGNMENT, f"row_bytes={row_bytes}", f"a multiple of {step}, {least} or more")
     if row_bytes > MAX_ROW_BYTES:
-        yield Fault(BUFFER_ALIGNMENT, f"row_bytes={row_bytes}", f"at most {MAX_ROW_BYTES}")
+        yield Fault(rules.BUFFER_ALIGNMENT, f"row_bytes={row_bytes}", f"at most {MAX_ROW_BYTES}")
     step = max(texel, limits.copy_offset_alignment)
     if offset % step:
-        yield Fault(BUFFER_ALIGNMENT, f"offset={offset}", f"a multiple of {step}")
+        yield Fault(rules.BUFFER_ALIGNMENT, f"offset={offset}", f"a multiple of {step}")
     used = (region.height * region.layers - 1) * row_bytes + least
     if offset < 0 or offset + used > size:
-        yield Fault(BUFFER_RANGE, f"{used} bytes at {offset}", f"within {size} bytes")
+        yield Fault(rules.BUFFER_RANGE, f"{used} bytes at {offset}", f"within {size} bytes")
 
 
 def resolve_faults(source: TextureDescriptor, target: TextureDescriptor, limits: Capabilities) -> Faults:
     """Yield why a texture can't be resolved to another."""
     if source.format in limits.unresolvable_formats:
-        yield Fault(DEVICE_CAPABILITY, source.format.name, "not among capabilities.unresolvable_formats")
+        yield Fault(rules.DEVICE_CAPABILITY, source.format.name, "not among capabilities.unresolvable_formats")
     if source.samples == 1 or target.samples != 1:
-        yield Fault(TEXTURE_SAMPLES, f"{source.samples} to {target.samples} samples", "several samples to 1")
+        yield Fault(rules.TEXTURE_SAMPLES, f"{source.samples} to {target.samples} samples", "several samples to 1")
     has_average = not (source.format.is_depth or source.format.is_integer)
     if source.format is not target.format or source.size != target.size or not has_average:
         given = f"{show_texture(source)} to {show_texture(target)}"
-        yield Fault(TEXTURE_FORMAT, given, "equal sizes and equal color formats, not of integers")
+        yield Fault(rules.TEXTURE_FORMAT, given, "equal sizes and equal color formats, not of integers")
 
 
 def mipmap_faults(texture: TextureDescriptor) -> Faults:
     """Yield why levels can't be generated."""
     yield from plain_faults(texture)
     if texture.format.is_depth or texture.format.is_integer:
-        yield Fault(TEXTURE_FORMAT, texture.format.name, "a color format that can be filtered")
+        yield Fault(rules.TEXTURE_FORMAT, texture.format.name, "a color format that can be filtered")
 
 
 def _overlap(a: Region, b: Region) -> bool:
@@ -306,15 +271,15 @@ def buffer_copy_faults(
     """Yield what is wrong with a copy between buffers, or within one (`same`)."""
     alignment = limits.copy_alignment
     if size <= 0 or not 0 <= offset <= source_size - size:  # no loop over the two: renderers copy in each frame
-        yield Fault(BUFFER_RANGE, f"{size} bytes at {offset}", f"1 or more within {source_size} bytes")
+        yield Fault(rules.BUFFER_RANGE, f"{size} bytes at {offset}", f"1 or more within {source_size} bytes")
     if offset % alignment or size % alignment:
-        yield Fault(BUFFER_ALIGNMENT, f"{size} bytes at {offset}", f"multiples of {alignment} bytes")
+        yield Fault(rules.BUFFER_ALIGNMENT, f"{size} bytes at {offset}", f"multiples of {alignment} bytes")
     if not 0 <= target_offset <= target_size - size:
-        yield Fault(BUFFER_RANGE, f"{size} bytes at {target_offset}", f"1 or more within {target_size} bytes")
+        yield Fault(rules.BUFFER_RANGE, f"{size} bytes at {target_offset}", f"1 or more within {target_size} bytes")
     if target_offset % alignment:
-        yield Fault(BUFFER_ALIGNMENT, f"{size} bytes at {target_offset}", f"multiples of {alignment} bytes")
+        yield Fault(rules.BUFFER_ALIGNMENT, f"{size} bytes at {target_offset}", f"multiples of {alignment} bytes")
     if same and abs(offset - target_offset) < size:
-        yield Fault(BUFFER_OVERLAP, f"{offset} to {target_offset}, {size} bytes")
+        yield Fault(rules.BUFFER_OVERLAP, f"{offset} to {target_offset}, {size} bytes")
 
 
 def range_faults(kind: BindingKind, offset: int, size: int, least: int, limits: Capabilities) -> Faults:
@@ -323,7 +288,9 @@ def range_faults(kind: BindingKind, offset: int, size: int, least: int, limits: 
     most = limits.max_uniform_bytes if uniform else limits.max_storage_bytes
     alignment = limits.uniform_alignment if uniform else limits.storage_alignment
     if not least <= size <= most or offset % alignment:
-        yield Fault(BINDING_SIZE, f"{size} bytes at {offset}", f"{least} to {most} bytes at a multiple of {alignment}")
+        yield Fault(
+            rules.BINDING_SIZE, f"{size} bytes at {offset}", f"{least} to {most} bytes at a multiple of {alignment}"
+        )
 
 
 MAX_ELEMENTS: Final = (1 << 31) - 1
@@ -358,16 +325,18 @@ def vertex_array_faults(descriptor: VertexArrayDescriptor, sizes: Callable[[Buff
     """Yield what is wrong with the places of attributes in buffers of these `sizes`."""
     for stream in descriptor.streams:
         if not 0 <= stream.stride <= MAX_STRIDE:
-            yield Fault(MESH_DATA, f"stride {stream.stride}", f"0 to {MAX_STRIDE}")
+            yield Fault(rules.MESH_DATA, f"stride {stream.stride}", f"0 to {MAX_STRIDE}")
         if not 0 <= stream.offset <= sizes(stream.buffer):
-            yield Fault(BUFFER_RANGE, f"vertices from byte {stream.offset}", f"within {sizes(stream.buffer)} bytes")
+            yield Fault(
+                rules.BUFFER_RANGE, f"vertices from byte {stream.offset}", f"within {sizes(stream.buffer)} bytes"
+            )
         for attribute in stream.attributes:
             end = attribute.offset + attribute.format.size
             if attribute.offset < 0 or (stream.stride and end > stream.stride):
-                yield Fault(MESH_ATTRIBUTE, f"{attribute}", f"inside an element of {stream.stride} bytes")
+                yield Fault(rules.MESH_ATTRIBUTE, f"{attribute}", f"inside an element of {stream.stride} bytes")
             if stream.offset + end > sizes(stream.buffer):
                 allowed = f"one element or more within {sizes(stream.buffer)} bytes"
-                yield Fault(BUFFER_RANGE, f"{attribute} from byte {stream.offset}", allowed)
+                yield Fault(rules.BUFFER_RANGE, f"{attribute} from byte {stream.offset}", allowed)
 
 
 def draw_faults(
@@ -378,42 +347,42 @@ def draw_faults(
     numbers = (first, count, instances, base_instance)
     if min(numbers) < 0 or max(numbers) > MAX_ELEMENTS or abs(base_vertex) > MAX_ELEMENTS:
         given = f"first {first}, count {count}, instances {instances}, bases {base_vertex} and {base_instance}"
-        yield Fault(DRAW_COUNT, given, f"numbers from 0 to {MAX_ELEMENTS}, a base vertex up to {MAX_ELEMENTS}")
+        yield Fault(rules.DRAW_COUNT, given, f"numbers from 0 to {MAX_ELEMENTS}, a base vertex up to {MAX_ELEMENTS}")
     if not (count and instances):
         return
     most = elements.indices if indexed else elements.vertices
     if first + count > most:
-        yield Fault(MESH_RANGE, f"first {first}, count {count}", f"within {most} elements")
+        yield Fault(rules.MESH_RANGE, f"first {first}, count {count}", f"within {most} elements")
     if base_instance + instances > elements.instances:
         given = f"{instances} instances from {base_instance}"
-        yield Fault(MESH_RANGE, given, f"within {elements.instances} of the mesh's data per instance")
+        yield Fault(rules.MESH_RANGE, given, f"within {elements.instances} of the mesh's data per instance")
     if base_vertex and (not indexed or base_vertex >= elements.vertices):
         allowed = f"below {elements.vertices}" if indexed else "0 for a mesh without indices"
-        yield Fault(MESH_RANGE, f"base vertex {base_vertex}", allowed)
+        yield Fault(rules.MESH_RANGE, f"base vertex {base_vertex}", allowed)
 
 
 def indirect_faults(draws: int, offset: int, stride: int, count_offset: int, size: int) -> Faults:
     """Yield what is wrong with the places of draws in a buffer of `size` bytes, and of their number in another."""
     if draws < 1 or offset < 0 or offset + (draws - 1) * stride + DRAW.itemsize > size:
         given = f"{draws} draws from byte {offset}, {stride} apart"
-        yield Fault(INDIRECT_RANGE, given, f"1 draw or more within {size} bytes")
+        yield Fault(rules.INDIRECT_RANGE, given, f"1 draw or more within {size} bytes")
     if stride < DRAW.itemsize or stride % 4 or offset % 4 or count_offset % 4:
         allowed = f"a stride of {DRAW.itemsize} or more and offsets, all multiples of 4"
-        yield Fault(INDIRECT_RANGE, f"stride {stride}, offset {offset}", allowed)
+        yield Fault(rules.INDIRECT_RANGE, f"stride {stride}, offset {offset}", allowed)
 
 
 def count_faults(offset: int, size: int, limits: Capabilities) -> Faults:
     """Yield why the number of draws can't be read at a place in a buffer of `size` bytes."""
     if not limits.indirect_count:
-        yield Fault(DEVICE_CAPABILITY, "a count from a buffer", "needs capabilities.indirect_count")
+        yield Fault(rules.DEVICE_CAPABILITY, "a count from a buffer", "needs capabilities.indirect_count")
     if not 0 <= offset <= size - 4:
-        yield Fault(INDIRECT_RANGE, f"count at byte {offset}", f"within {size} bytes")
+        yield Fault(rules.INDIRECT_RANGE, f"count at byte {offset}", f"within {size} bytes")
 
 
 def indirect_dispatch_faults(offset: int, size: int) -> Faults:
     """Yield what is wrong with the place of a dispatch's groups in a buffer of `size` bytes."""
     if offset < 0 or offset % 4 or offset + 12 > size:
-        yield Fault(INDIRECT_RANGE, f"byte {offset}", f"a multiple of 4 up to {size - 12}")
+        yield Fault(rules.INDIRECT_RANGE, f"byte {offset}", f"a multiple of 4 up to {size - 12}")
 
 
 def dispatch_faults(groups: Sequence[int | None], shown: str, limits: Capabilities) -> Faults:
@@ -421,22 +390,22 @@ def dispatch_faults(groups: Sequence[int | None], shown: str, limits: Capabiliti
     most = limits.max_dispatch
     fits = len(groups) == 3 and all(n is not None and 0 <= n <= m for n, m in zip(groups, most, strict=True))
     if not fits:
-        yield Fault(DISPATCH_SIZE, shown, f"1 to 3 whole numbers from 0 to {most}")
+        yield Fault(rules.DISPATCH_SIZE, shown, f"1 to 3 whole numbers from 0 to {most}")
     if prod(n or 0 for n in groups) > limits.max_dispatch_groups:
-        yield Fault(DISPATCH_SIZE, shown, f"at most {limits.max_dispatch_groups} in all")
+        yield Fault(rules.DISPATCH_SIZE, shown, f"at most {limits.max_dispatch_groups} in all")
 
 
 def query_faults(kind: QueryKind, limits: Capabilities) -> Faults:
     """Yield what a device lacks for a query."""
     needed = {QueryKind.OCCLUSION: "occlusion_queries", QueryKind.COUNTER: "sample_counter"}.get(kind, "timestamps")
     if not getattr(limits, needed):
-        yield Fault(DEVICE_CAPABILITY, f"a {kind.value} query", f"needs capabilities.{needed}")
+        yield Fault(rules.DEVICE_CAPABILITY, f"a {kind.value} query", f"needs capabilities.{needed}")
 
 
 def condition_faults(limits: Capabilities) -> Faults:
     """Yield what a device lacks for conditions."""
     if not limits.conditional_rendering:
-        yield Fault(DEVICE_CAPABILITY, "conditional rendering", "needs capabilities.conditional_rendering")
+        yield Fault(rules.DEVICE_CAPABILITY, "conditional rendering", "needs capabilities.conditional_rendering")
 
 
 # -- programs, states, passes --------------------------------------------------------------------------------
@@ -458,33 +427,33 @@ def program_faults(descriptor: ProgramDescriptor, limits: Capabilities) -> Fault
     for kind, most in room.items():
         used = sum(binding.kind is kind for binding in descriptor.bindings)
         if used > most:
-            yield Fault(DEVICE_CAPABILITY, f"{used} {kind.value} bindings", f"at most {most}")
+            yield Fault(rules.DEVICE_CAPABILITY, f"{used} {kind.value} bindings", f"at most {most}")
     if (descriptor.point_size or descriptor.reads_point_coordinates) and limits.max_point_size <= 1.0:
         given = "a point size" if descriptor.point_size else "point_coordinate()"
-        yield Fault(DEVICE_CAPABILITY, given, "needs capabilities.max_point_size")
+        yield Fault(rules.DEVICE_CAPABILITY, given, "needs capabilities.max_point_size")
     if descriptor.reads_draw_index and not limits.draw_index:
-        yield Fault(DEVICE_CAPABILITY, "draw_index()", "needs capabilities.draw_index")
+        yield Fault(rules.DEVICE_CAPABILITY, "draw_index()", "needs capabilities.draw_index")
     if descriptor.early_depth and not limits.early_depth:
-        yield Fault(DEVICE_CAPABILITY, "early_depth = True", "needs capabilities.early_depth")
+        yield Fault(rules.DEVICE_CAPABILITY, "early_depth = True", "needs capabilities.early_depth")
     if descriptor.vertex_writes and not limits.vertex_writes:
-        yield Fault(DEVICE_CAPABILITY, "a vertex stage that writes memory", "needs capabilities.vertex_writes")
+        yield Fault(rules.DEVICE_CAPABILITY, "a vertex stage that writes memory", "needs capabilities.vertex_writes")
     for binding in descriptor.bindings:
         if binding.kind is BindingKind.IMAGE:
             yield from _image_faults(binding, limits)
     if len(descriptor.attributes) > limits.max_vertex_attributes:
         given = f"{len(descriptor.attributes)} attributes"
-        yield Fault(DEVICE_CAPABILITY, given, f"at most {limits.max_vertex_attributes}")
+        yield Fault(rules.DEVICE_CAPABILITY, given, f"at most {limits.max_vertex_attributes}")
     if Stage.VERTEX in descriptor.stages and not limits.draws:
-        yield Fault(DEVICE_CAPABILITY, show_stages(descriptor), "a compute program: needs capabilities.draws")
+        yield Fault(rules.DEVICE_CAPABILITY, show_stages(descriptor), "a compute program: needs capabilities.draws")
     if Stage.COMPUTE in descriptor.stages:
         x, y, z = group = descriptor.work_group
         total = limits.max_work_group_invocations
         fits = all(0 < n <= most for n, most in zip(group, limits.max_work_group, strict=True))
         if not limits.compute or not fits or x * y * z > total:
-            yield Fault(DEVICE_CAPABILITY, f"work-group {x}×{y}×{z}", f"{limits.max_work_group}, {total} in all")
+            yield Fault(rules.DEVICE_CAPABILITY, f"work-group {x}×{y}×{z}", f"{limits.max_work_group}, {total} in all")
         if descriptor.shared_bytes > limits.max_shared_bytes:
             allowed = f"up to capabilities.max_shared_bytes, {limits.max_shared_bytes}"
-            yield Fault(DEVICE_CAPABILITY, f"{descriptor.shared_bytes} bytes of shared memory", allowed)
+            yield Fault(rules.DEVICE_CAPABILITY, f"{descriptor.shared_bytes} bytes of shared memory", allowed)
 
 
 def _image_faults(binding: Binding, limits: Capabilities) -> Faults:
@@ -492,9 +461,11 @@ def _image_faults(binding: Binding, limits: Capabilities) -> Faults:
     format = getattr(binding.type, "format", None)  # descriptors that are made by hand may have no types
     given = f"{binding.name}, an image of {format.name}" if isinstance(format, Format) else ""
     if format in limits.unstorable_formats:
-        yield Fault(DEVICE_CAPABILITY, given, "not among capabilities.unstorable_formats")
+        yield Fault(rules.DEVICE_CAPABILITY, given, "not among capabilities.unstorable_formats")
     if binding.writes and binding.reads and format in limits.unloadable_formats:
-        yield Fault(DEVICE_CAPABILITY, f"{given} that is loaded from", "not among capabilities.unloadable_formats")
+        yield Fault(
+            rules.DEVICE_CAPABILITY, f"{given} that is loaded from", "not among capabilities.unloadable_formats"
+        )
 
 
 def vertex_faults(streams: Sequence[VertexStream], limits: Capabilities) -> Faults:
@@ -505,11 +476,11 @@ def vertex_faults(streams: Sequence[VertexStream], limits: Capabilities) -> Faul
         if any(place % step for place in places):
             given = f"vertices of {stream.stride} bytes, with fields at {', '.join(map(str, places[2:]))}"
             tip = "add fields that fill it up, or align the dtype: np.dtype(…, align=True)"
-            yield Fault(DEVICE_CAPABILITY, given, f"multiples of capabilities.vertex_alignment, {step}", tip)
+            yield Fault(rules.DEVICE_CAPABILITY, given, f"multiples of capabilities.vertex_alignment, {step}", tip)
 
 
 def _differs(state: Any) -> bool:
-    return bool(state != DEFAULTS[type(state)])
+    return bool(state != states.DEFAULTS[type(state)])
 
 
 def _per_face(state: Any) -> bool:
@@ -517,32 +488,32 @@ def _per_face(state: Any) -> bool:
 
 
 _NEEDS: Final[dict[type, tuple[str, Callable[[Any], bool]]]] = {
-    AlphaTest: ("alpha_test", _differs),
-    AlphaFunction: ("alpha_test", _differs),
-    AlphaReference: ("alpha_test", _differs),
-    StencilTest: ("stencil", _differs),
-    StencilReference: ("stencil_per_face", _per_face),
-    StencilReadMask: ("stencil_per_face", _per_face),
-    StencilWriteMask: ("stencil_per_face", _per_face),
-    AlphaToCoverage: ("alpha_to_coverage", _differs),
-    BlendFunction: ("blend_per_target", lambda state: state.target is not None),
-    PolygonOffset: ("depth_bias_clamp", lambda state: state.clamp != 0.0),
-    PolygonMode: ("wireframe", _differs),
+    states.AlphaTest: ("alpha_test", _differs),
+    states.AlphaFunction: ("alpha_test", _differs),
+    states.AlphaReference: ("alpha_test", _differs),
+    states.StencilTest: ("stencil", _differs),
+    states.StencilReference: ("stencil_per_face", _per_face),
+    states.StencilReadMask: ("stencil_per_face", _per_face),
+    states.StencilWriteMask: ("stencil_per_face", _per_face),
+    states.AlphaToCoverage: ("alpha_to_coverage", _differs),
+    states.BlendFunction: ("blend_per_target", lambda state: state.target is not None),
+    states.PolygonOffset: ("depth_bias_clamp", lambda state: state.clamp != 0.0),
+    states.PolygonMode: ("wireframe", _differs),
 }
 """The capabilities that states need, and which of their values do: not defaults, nor what every device has."""
 
 
 def state_faults(state: Any, limits: Capabilities) -> Faults:
     """Yield what a device lacks for a state."""
-    if isinstance(state, PlatformState) and type(state) not in limits.platform_states:
+    if isinstance(state, states.PlatformState) and type(state) not in limits.platform_states:
         have = ", ".join(sorted(each.__name__ for each in limits.platform_states)) or "none"
-        yield Fault(PLATFORM_STATE, f"{state.full_name} of {state.platform()!r}", f"this device's own: {have}")
+        yield Fault(rules.PLATFORM_STATE, f"{state.full_name} of {state.platform()!r}", f"this device's own: {have}")
     needs = _NEEDS.get(type(state))
     if needs is not None and not getattr(limits, needs[0]) and needs[1](state):
-        yield Fault(STATE_CAPABILITY, repr(state), f"needs capabilities.{needs[0]}")
-    if isinstance(state, LineWidth) and state.width > limits.max_line_width:
+        yield Fault(rules.STATE_CAPABILITY, repr(state), f"needs capabilities.{needs[0]}")
+    if isinstance(state, states.LineWidth) and state.width > limits.max_line_width:
         most = f"up to capabilities.max_line_width, {limits.max_line_width:g}"
-        yield Fault(STATE_CAPABILITY, repr(state), most)
+        yield Fault(rules.STATE_CAPABILITY, repr(state), most)
 
 
 def target_bytes(formats: Iterable[Format]) -> int:
@@ -565,45 +536,45 @@ def pass_faults(descriptor: PassDescriptor, textures: Mapping[Id, TextureDescrip
     targets: list[Attachment | DepthAttachment] = [*colors, *([] if depth is None else [depth])]
     used = [textures[target.texture] for target in targets]
     if len(colors) > limits.max_color_targets:
-        yield Fault(DEVICE_CAPABILITY, f"{len(colors)} color targets", f"{limits.max_color_targets}")
+        yield Fault(rules.DEVICE_CAPABILITY, f"{len(colors)} color targets", f"{limits.max_color_targets}")
     if 16 * len(colors) > limits.max_target_bytes:  # no texel has more
         taken = target_bytes(texture.format for texture in used[: len(colors)])
         if taken > limits.max_target_bytes:
             allowed = f"up to capabilities.max_target_bytes, {limits.max_target_bytes}"
-            yield Fault(DEVICE_CAPABILITY, f"texels of {taken} bytes in {len(colors)} color targets", allowed)
+            yield Fault(rules.DEVICE_CAPABILITY, f"texels of {taken} bytes in {len(colors)} color targets", allowed)
     if len({(t.texture, t.level, t.layer) for t in targets}) < len(targets):
-        yield Fault(PASS_TARGET, "the same texture twice", "each level and layer once")
+        yield Fault(rules.PASS_TARGET, "the same texture twice", "each level and layer once")
     for texture in used[: len(colors)]:
         form, compressed = texture.format, texture.compressed
         if form.is_depth or form in limits.unrenderable_formats or compressed is not None:
             given = f"{(compressed or form).name} as color target"
-            yield Fault(PASS_TARGET, given, "a color format the device can render to")
+            yield Fault(rules.PASS_TARGET, given, "a color format the device can render to")
     if depth is not None and not used[-1].format.is_depth:
-        yield Fault(PASS_TARGET, f"{used[-1].format.name} as depth target", "a depth format")
+        yield Fault(rules.PASS_TARGET, f"{used[-1].format.name} as depth target", "a depth format")
     sizes = {texture.level_size(target.level) for texture, target in zip(used, targets, strict=True)}
     if sizes != {descriptor.size}:
         shown = ", ".join(f"{w}×{h}" for w, h in sorted({*sizes, descriptor.size}))
-        yield Fault(PASS_SIZE, shown, "one size")
+        yield Fault(rules.PASS_SIZE, shown, "one size")
     samples = {texture.samples for texture in used}
     if samples != {descriptor.samples}:
-        yield Fault(PASS_SAMPLES, f"samples {sorted({*samples, descriptor.samples})}", "one number of samples")
+        yield Fault(rules.PASS_SAMPLES, f"samples {sorted({*samples, descriptor.samples})}", "one number of samples")
     for color, source in zip(colors, used, strict=False):  # a depth target is the last one
         if not color.resolve:
             continue
         end = textures[color.resolve]
         if source.format in limits.unresolvable_formats:
-            yield Fault(DEVICE_CAPABILITY, source.format.name, "not among capabilities.unresolvable_formats")
+            yield Fault(rules.DEVICE_CAPABILITY, source.format.name, "not among capabilities.unresolvable_formats")
         fits = source.samples > 1 and end.samples == 1 and end.format is source.format and end.size == descriptor.size
         if not fits or source.format.is_integer:  # integers have no average
             allowed = "from several samples to 1, equal size and format, no integers"
-            yield Fault(PASS_TARGET, f"{show_texture(source)} resolved to {show_texture(end)}", allowed)
+            yield Fault(rules.PASS_TARGET, f"{show_texture(source)} resolved to {show_texture(end)}", allowed)
     if depth is not None:
         yield from _clear_faults(depth, used[-1])
 
 
 def _clear_faults(depth: DepthAttachment, texture: TextureDescriptor) -> Faults:
     if depth.clear is not None and not 0.0 <= depth.clear <= 1.0:
-        yield Fault(PASS_CLEAR, f"clear_depth={depth.clear}", "0 to 1")
+        yield Fault(rules.PASS_CLEAR, f"clear_depth={depth.clear}", "0 to 1")
     stencil = depth.clear_stencil
     if stencil is not None and not (texture.format.has_stencil and 0 <= stencil <= 255):
-        yield Fault(PASS_CLEAR, f"clear_stencil={stencil}", "0 to 255, with a target that has stencil")
+        yield Fault(rules.PASS_CLEAR, f"clear_stencil={stencil}", "0 to 255, with a target that has stencil")

@@ -24,7 +24,6 @@ from contextlib import suppress
 from functools import partial
 from operator import length_hint
 from threading import get_ident
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
@@ -48,20 +47,8 @@ from rhi.device.resources.meshes import Drawable
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
 from rhi.device.transient import Arena, TransientMemory
-from rhi.errors import RhiError, find_user_frame
+from rhi.errors import RhiError, find_user_frame, rules
 from rhi.errors.arguments import Arguments
-from rhi.errors.rules import (
-    CONDITION_NESTED,
-    DEVICE_ARGUMENT,
-    DRAW_OUTSIDE_PASS,
-    LOCK_OPEN,
-    QUERY_NESTED,
-    QUERY_STATE,
-    RECORD_OPEN,
-    RECORD_STATE,
-    RESOURCE_DESTROYED,
-    RESOURCE_FOREIGN,
-)
 
 PreparedCall = tuple[Callable[..., object], tuple[Any, ...]]
 
@@ -115,7 +102,9 @@ class CommandBuffer(Encoder):
 
     def __enter__(self) -> Self:
         if self._state is not _EMPTY:
-            self._recorder.refuse(RECORD_STATE, "device.record", f"a command buffer that is {self._state}", "a new one")
+            self._recorder.refuse(
+                rules.RECORD_STATE, "device.record", f"a command buffer that is {self._state}", "a new one"
+            )
         self._state = _RECORDING
         self._recorder.thread = get_ident()
         self._recorder.recording = True
@@ -123,9 +112,7 @@ class CommandBuffer(Encoder):
             self._writer.push_label(self.label)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         core = self._recorder
         if self._state is not _RECORDING:
             core.scopes.refuse_unopened("device.record()", error)
@@ -139,7 +126,7 @@ class CommandBuffer(Encoder):
         if kind is not None:
             return
         if left:
-            core.refuse(RECORD_OPEN, "the end of device.record()", f"open: {', '.join(left)}", "nothing open")
+            core.refuse(rules.RECORD_OPEN, "the end of device.record()", f"open: {', '.join(left)}", "nothing open")
         if self.label:
             self._writer.pop_label()
         statistics = core.statistics()
@@ -188,7 +175,9 @@ class CommandBuffer(Encoder):
     def _check_query_set(self, queries: QuerySet, call: str) -> None:
         super()._check_query_set(queries, call)
         if queries.id in self._recorder.queries:
-            self._recorder.refuse(QUERY_STATE, call, "the same query set twice in a command buffer", "each set once")
+            self._recorder.refuse(
+                rules.QUERY_STATE, call, "the same query set twice in a command buffer", "each set once"
+            )
 
     def _mark_rows_drawn(self, queries: QuerySet, rows: NDArray[np.int64]) -> None:
         self._recorder.queries[queries.id] = partial(queries.mark_rows_submitted, rows)
@@ -198,7 +187,7 @@ class CommandBuffer(Encoder):
         counted = self._recorder.counted_rows.get(queries.id)
         if counted is None:
             given = "a query set that this command buffer hasn't used in draw_counted"
-            self._recorder.refuse(QUERY_STATE, call, given, "one that it has used before")
+            self._recorder.refuse(rules.QUERY_STATE, call, given, "one that it has used before")
         return counted
 
     def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
@@ -262,9 +251,9 @@ class CommandBuffer(Encoder):
         core = self._recorder
         core.check_open()
         if not isinstance(program, Program):
-            core.refuse(DEVICE_ARGUMENT, call, repr(program), "a Program from device.program(…)")
+            core.refuse(rules.DEVICE_ARGUMENT, call, repr(program), "a Program from device.program(…)")
         if program.core is not core.device:
-            core.refuse(RESOURCE_FOREIGN, call, repr(program))
+            core.refuse(rules.RESOURCE_FOREIGN, call, repr(program))
         own = self._programs.get(program)
         if own is None:
             own = self._programs[program] = RecordedProgram(core, program)
@@ -429,20 +418,18 @@ class RecordedQuery(QueryScope):
         core, query, call = self._core, self._query, "commands.query"
         core.check_open()
         if core.open_query is not None:
-            core.refuse(QUERY_NESTED, call, "a second open query")
+            core.refuse(rules.QUERY_NESTED, call, "a second open query")
         if core.render_pass is None:
-            core.refuse(DRAW_OUTSIDE_PASS, call, "no open pass")
+            core.refuse(rules.DRAW_OUTSIDE_PASS, call, "no open pass")
         if query.id in core.queries:
-            core.refuse(QUERY_STATE, call, "the same query twice in a command buffer", "each query once")
+            core.refuse(rules.QUERY_STATE, call, "the same query twice in a command buffer", "each query once")
         for resource in query.ids:
             core.note_use(resource, query)
         core.scopes.push(self)
         query.write_begin(core)
         core.open_query = self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self._core.scopes.leave(self, error)
 
     def complete(self) -> None:
@@ -477,13 +464,13 @@ def check_submissions(buffers: Iterable[CommandBuffer], device: Core) -> None:
     ended: set[Id] = set()
     for buffer in buffers:
         if not isinstance(buffer, CommandBuffer):
-            device.refuse(DEVICE_ARGUMENT, call, repr(buffer), "command buffers from device.record()")
+            device.refuse(rules.DEVICE_ARGUMENT, call, repr(buffer), "command buffers from device.record()")
         core = buffer._recorder
         if core.device is not device:
-            device.refuse(RESOURCE_FOREIGN, call, repr(buffer))
+            device.refuse(rules.RESOURCE_FOREIGN, call, repr(buffer))
         if buffer._state is not _READY:
             core.refuse(
-                RECORD_STATE,
+                rules.RECORD_STATE,
                 call,
                 f"a command buffer that is {buffer._state}",
                 "one whose `with` block has ended without an error",
@@ -492,13 +479,13 @@ def check_submissions(buffers: Iterable[CommandBuffer], device: Core) -> None:
             use = core.uses[resource]
             recorded = find_site(use.code, use.offset)
             given = f"{use.name}, destroyed at {site}, used by a command recorded at {recorded}"
-            core.refuse(RESOURCE_DESTROYED, call, given, "", "record the commands anew")
+            core.refuse(rules.RESOURCE_DESTROYED, call, given, "", "record the commands anew")
         for use in core.uses.values() if device.locked else ():
             if device.is_locked(use.owner):
-                core.refuse(LOCK_OPEN, call, f"{use.name}, which has an open lock")
+                core.refuse(rules.LOCK_OPEN, call, f"{use.name}, which has an open lock")
         if device.condition_open and core.condition_count:
             given = f"{buffer!r}, which contains a condition, inside device.conditional"
-            core.refuse(CONDITION_NESTED, call, given)
+            core.refuse(rules.CONDITION_NESTED, call, given)
         for query in core.conditions:
             if query.id not in ended:
                 query.check_ended(device, call)

@@ -15,7 +15,6 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import wraps
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self, TypeVar, cast, overload
 
 import numpy as np
@@ -59,18 +58,8 @@ from rhi.device.resources.meshes import Drawable, Mesh, MeshData, VertexSource
 from rhi.device.resources.programs import Program, ProgramTable
 from rhi.device.resources.textures import Sampler, Texture
 from rhi.device.transient import TransientMemory
+from rhi.errors import rules
 from rhi.errors.arguments import Arguments, as_whole
-from rhi.errors.rules import (
-    BUFFER_DTYPE,
-    BUFFER_SIZE,
-    DEVICE_CAPABILITY,
-    DEVICE_NOT_RECORDING,
-    LOCK_OPEN,
-    PASS_OPEN,
-    SCOPE_OPEN,
-    TEXTURE_DATA,
-    TEXTURE_SIZE,
-)
 from rhi.shading import Precision, Shader, Struct
 from rhi.shading.language.shader import list_bindings
 
@@ -136,9 +125,7 @@ class Device(Encoder):
         self._core.check_thread()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self.close(quiet=kind is not None)
 
     def close(self, *, quiet: bool = False) -> None:
@@ -166,10 +153,10 @@ class Device(Encoder):
         if quiet or sys.exc_info()[0] is not None:
             return
         if surrounding:
-            core.refuse(SCOPE_OPEN, "device.close", f"a call inside {surrounding}", "no open scope")
+            core.refuse(rules.SCOPE_OPEN, "device.close", f"a call inside {surrounding}", "no open scope")
         if core.locked:
             shown = ", ".join(repr(owner) for owner in core.locked)
-            core.refuse(LOCK_OPEN, "device.close", f"open locks of {shown}", "none", "lock in a `with` block")
+            core.refuse(rules.LOCK_OPEN, "device.close", f"open locks of {shown}", "none", "lock in a `with` block")
 
     def make_current(self) -> None:
         """Make the device ready for calls on this thread, after other code may have used the platform.
@@ -197,7 +184,7 @@ class Device(Encoder):
         core.check_open()
         core.check_thread("device.release_current")
         if core.render_pass is not None:
-            core.refuse(PASS_OPEN, "device.release_current", "an open render pass")
+            core.refuse(rules.PASS_OPEN, "device.release_current", "an open render pass")
         core.release_current()
 
     @property
@@ -240,7 +227,9 @@ class Device(Encoder):
         """
         if isinstance(self._backend, Recorder):
             return self._backend.stream
-        self._core.refuse(DEVICE_NOT_RECORDING, "device.stream", f"a {self.backend_name} device that doesn't record")
+        self._core.refuse(
+            rules.DEVICE_NOT_RECORDING, "device.stream", f"a {self.backend_name} device that doesn't record"
+        )
 
     def backend_as(self, kind: type[B]) -> B:
         """Return the backend itself, for features that only it has; a recorder or other wrapper is skipped.
@@ -256,7 +245,7 @@ class Device(Encoder):
         if isinstance(backend, kind):
             return backend
         self._core.refuse(
-            DEVICE_CAPABILITY, f"device.backend_as({kind.__name__})", type(backend).__name__, kind.__name__
+            rules.DEVICE_CAPABILITY, f"device.backend_as({kind.__name__})", type(backend).__name__, kind.__name__
         )
 
     def __repr__(self) -> str:
@@ -283,7 +272,7 @@ class Device(Encoder):
                 kinds: Any = (np.dtype, type, str, list, tuple, dict)
                 wanted = np.dtype(check.instance("dtype", dtype, kinds, "a NumPy dtype"))
             except (TypeError, ValueError) as error:
-                self._core.refuse(BUFFER_DTYPE, check.call, f"dtype={dtype!r}", f"a NumPy dtype ({error})")
+                self._core.refuse(rules.BUFFER_DTYPE, check.call, f"dtype={dtype!r}", f"a NumPy dtype ({error})")
         count = as_whole(source)
         if count is not None:
             return Buffer(self._core, count, wanted or np.dtype(np.uint8), usage, label)
@@ -291,7 +280,7 @@ class Device(Encoder):
         if not array.ndim and array.dtype.names is None:
             check.fail("source", source, "a number of elements, or an array")
         if wanted is not None and array.dtype != wanted:
-            self._core.refuse(BUFFER_DTYPE, check.call, str(array.dtype), str(wanted))
+            self._core.refuse(rules.BUFFER_DTYPE, check.call, str(array.dtype), str(wanted))
         return Buffer(self._core, array.size, array.dtype, usage, label, array)
 
     @overload
@@ -331,7 +320,7 @@ class Device(Encoder):
             core.check_open()
             core.check_usable(source, check.call)
             if source.size < dtype.itemsize:
-                core.refuse(BUFFER_SIZE, check.call, f"{source!r}", f"at least {dtype.itemsize} bytes")
+                core.refuse(rules.BUFFER_SIZE, check.call, f"{source!r}", f"at least {dtype.itemsize} bytes")
             return StorageBuffer(source, element, dtype)
         count, array = as_whole(source), None
         if count is None:
@@ -376,7 +365,7 @@ class Device(Encoder):
             if format is None:
                 given = f"shape {source.shape} of {source.dtype}"
                 allowed = "1 to 4 channels of uint8, uint16, float16, float32, uint32 or int32, or a format"
-                self._core.refuse(TEXTURE_DATA, "device.texture", given, allowed)
+                self._core.refuse(rules.TEXTURE_DATA, "device.texture", given, allowed)
         compressed = format if isinstance(format, CompressedFormat) else None
         format = compressed.decoded if compressed is not None else check.choice("format", format, Format)
         check.choice("kind", kind, TextureKind)
@@ -390,7 +379,7 @@ class Device(Encoder):
             plain = compressed is None and format.components == 1
             if data.ndim not in (2, 3, 4) or (data.ndim == 2) > plain:
                 allowed = "(height, width, channels), or with layers in front"
-                self._core.refuse(TEXTURE_DATA, "device.texture", f"shape {data.shape}", allowed)
+                self._core.refuse(rules.TEXTURE_DATA, "device.texture", f"shape {data.shape}", allowed)
             height, width = data.shape[1:3] if data.ndim == 4 else data.shape[:2]
             if compressed is not None:
                 height, width = BLOCK * height, BLOCK * width
@@ -399,7 +388,10 @@ class Device(Encoder):
             size = tuple(as_whole(n) for n in source) if isinstance(source, (tuple, list)) else ()
             if len(size) != 2 or None in size:
                 self._core.refuse(
-                    TEXTURE_SIZE, "device.texture", repr(source), "(width, height), two whole numbers, or an array"
+                    rules.TEXTURE_SIZE,
+                    "device.texture",
+                    repr(source),
+                    "(width, height), two whole numbers, or an array",
                 )
             width, height = cast("tuple[int, int]", size)
         if layers is None:
@@ -582,7 +574,7 @@ class Device(Encoder):
         core = self._core
         core.check_ready()
         if core.has_open_pass():
-            core.refuse(PASS_OPEN, "device.submit", "an open render pass")
+            core.refuse(rules.PASS_OPEN, "device.submit", "an open render pass")
         check_submissions(buffers, core)
         for buffer in buffers:
             buffer.execute()
@@ -638,7 +630,7 @@ class Device(Encoder):
         self._core.check_thread("device.timing")
         on = Arguments("device.timing", self._core.refuse).flag("on", on)
         if on and not self._core.capabilities.timestamps:
-            self._core.refuse(DEVICE_CAPABILITY, "device.timing", "True", "needs capabilities.timestamps")
+            self._core.refuse(rules.DEVICE_CAPABILITY, "device.timing", "True", "needs capabilities.timestamps")
         self._timers.enabled = on
 
     @property
@@ -663,7 +655,7 @@ class Device(Encoder):
         core = self._core
         core.check_ready()
         if core.has_open_pass():
-            core.refuse(PASS_OPEN, "device.present", "an open render pass")
+            core.refuse(rules.PASS_OPEN, "device.present", "an open render pass")
         scopes = core.scopes
         if scopes._index or scopes._cut:  # seldom
             scopes.refuse_open("device.present")

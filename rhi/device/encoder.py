@@ -14,14 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import ParamSpec
 
+from rhi.contract import limits
 from rhi.contract.descriptors import DRAW, Id, Primitive
-from rhi.contract.limits import (
-    condition_faults,
-    count_faults,
-    dispatch_faults,
-    indirect_dispatch_faults,
-    indirect_faults,
-)
 from rhi.contract.states import State
 from rhi.device.core.core import Core
 from rhi.device.core.state_cache import StateScope, ValidatedScope
@@ -35,14 +29,8 @@ from rhi.device.resources.meshes import Drawable, Mesh, check_clips, check_draws
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
 from rhi.device.transient import TransientMemory
+from rhi.errors import rules
 from rhi.errors.arguments import Arguments, Fields, as_whole
-from rhi.errors.rules import (
-    CONDITION_NESTED,
-    DEVICE_ARGUMENT,
-    DEVICE_CAPABILITY,
-    QUERY_NESTED,
-    RESOURCE_FOREIGN,
-)
 
 P = ParamSpec("P")
 _ONES: Final = (1, 1, 1)
@@ -261,11 +249,11 @@ class Encoder:
         check = Arguments(call, core.refuse)
         check.instance("queries", queries, QuerySet, "a QuerySet from device.query_set(…)")
         core.check_usable(queries, call)
-        core.require(call, condition_faults(core.capabilities))
+        core.require(call, limits.condition_faults(core.capabilities))
         if queries.emulated:
-            core.refuse(DEVICE_CAPABILITY, call, "an emulated query set", "a native one: device.query_set(…)")
+            core.refuse(rules.DEVICE_CAPABILITY, call, "an emulated query set", "a native one: device.query_set(…)")
         if core.condition_open:
-            core.refuse(CONDITION_NESTED, call, "a condition inside another")
+            core.refuse(rules.CONDITION_NESTED, call, "a condition inside another")
         self._refuse_quads(mesh, call)
         each = queries.check_conditions(rows, len(array), self._find_counted(queries, call), call)
         vertex_array = self._bind_draws(own, mesh, bindings)
@@ -287,7 +275,7 @@ class Encoder:
     def _refuse_quads(self, mesh: Drawable, call: str) -> None:
         """Refuse quads, whose indices can't be expanded where the GPU reads the arguments of draws."""
         if mesh.primitive is Primitive.QUADS:
-            self._core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+            self._core.refuse(rules.DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
 
     def _upload_draws(self, draws: NDArray[Any]) -> tuple[Id, int]:
         """Copy an array of draws to transient memory, and return its buffer and offset."""
@@ -304,7 +292,7 @@ class Encoder:
     def _check_query_set(self, queries: QuerySet, call: str) -> None:
         self._core.check_usable(queries, call)
         if self._core.open_query is not None:
-            self._core.refuse(QUERY_NESTED, call, "draws that are counted inside an open query")
+            self._core.refuse(rules.QUERY_NESTED, call, "draws that are counted inside an open query")
 
     def _mark_rows_drawn(self, queries: QuerySet, rows: NDArray[np.int64]) -> None:
         queries.mark_rows_drawn(rows)
@@ -329,11 +317,11 @@ class Encoder:
         count = None if arguments.count is None else check_buffer(check, "count", arguments.count)
         core.check_usable(buffer, call)
         places = (arguments.draws, arguments.offset, arguments.stride, arguments.count_offset)
-        core.require(call, indirect_faults(*places, buffer.size))
+        core.require(call, limits.indirect_faults(*places, buffer.size))
         self._refuse_quads(mesh, call)
         if count is not None:
             core.check_usable(count, call)
-            core.require(call, count_faults(arguments.count_offset, count.size, core.capabilities))
+            core.require(call, limits.count_faults(arguments.count_offset, count.size, core.capabilities))
         vertex_array = self._bind_draws(own, mesh, bindings)
         core.backend.draw_indirect(
             vertex_array,
@@ -360,7 +348,7 @@ class Encoder:
         several = isinstance(groups, (tuple, list)) or (isinstance(groups, np.ndarray) and groups.ndim)
         given: Any = groups if several else (groups,)
         sizes: list[int | None] = [*map(as_whole, given), *_ONES[len(given) :]]
-        faults = dispatch_faults(sizes if len(given) else (), repr(groups), self._core.capabilities)
+        faults = limits.dispatch_faults(sizes if len(given) else (), repr(groups), self._core.capabilities)
         self._core.require(call, faults)
         own.bind(own.check_can_dispatch, None, bindings)
         x, y, z = (size or 0 for size in sizes)
@@ -385,7 +373,7 @@ class Encoder:
         offset = check.whole("offset", offset)
         self._core.check_ready()
         self._core.check_usable(source, call)
-        self._core.require(call, indirect_dispatch_faults(offset, source.size))
+        self._core.require(call, limits.indirect_dispatch_faults(offset, source.size))
         own.bind(own.check_can_dispatch, None, bindings)
         self._core.backend.dispatch_indirect(source.id, offset)
         self._core.dispatches += 1
@@ -416,9 +404,9 @@ class Encoder:
             ValidationError: `device-argument` if it is not a program, `resource-foreign` if it is of another device.
         """
         if not isinstance(program, Program):
-            self._core.refuse(DEVICE_ARGUMENT, call, repr(program), "a Program from device.program(…)")
+            self._core.refuse(rules.DEVICE_ARGUMENT, call, repr(program), "a Program from device.program(…)")
         if program.core is not self._core:
-            self._core.refuse(RESOURCE_FOREIGN, call, repr(program))
+            self._core.refuse(rules.RESOURCE_FOREIGN, call, repr(program))
         return program
 
     def _bind_draws(self, program: Program[...], mesh: Drawable, bindings: dict[str, Any]) -> int:
@@ -437,10 +425,10 @@ def _already_checked(mesh: object) -> None:
 def check_drawable(core: Core, mesh: object, call: str) -> None:
     """Refuse anything that no draw can read vertices from."""
     if not isinstance(mesh, Drawable):
-        core.refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")
+        core.refuse(rules.DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")
 
 
 def check_mesh(core: Core, mesh: object, call: str) -> None:
     """Refuse anything but a `Mesh`: arguments in a buffer can't know where a transient one lies."""
     if not isinstance(mesh, Mesh):
-        core.refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")
+        core.refuse(rules.DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")

@@ -6,7 +6,6 @@ with one upload to transient memory and one draw (Listing 4.9, but without count
 
 from __future__ import annotations
 
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 import numpy as np
@@ -108,9 +107,7 @@ class Immediate(Generic[S]):
         self._open = True
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if not self._open:
             self._program.core.scopes.refuse_unopened("device.immediate", error)
         self._open = False

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from sys import is_finalizing
-from types import TracebackType
 from typing import Any, Final, TypeAlias, TypeVar, cast
 
 import numpy as np
@@ -20,15 +19,8 @@ from rhi.device.core.core import NO_TARGETS, Core, describe_object, lost_pass
 from rhi.device.core.scopes import Scope
 from rhi.device.resources.programs import shader_kind
 from rhi.device.resources.textures import Texture, TextureTarget
-from rhi.errors import DeviceError
+from rhi.errors import DeviceError, rules
 from rhi.errors.arguments import Arguments
-from rhi.errors.rules import (
-    PASS_CLEAR,
-    PASS_EMPTY,
-    PASS_NESTED,
-    PASS_TARGET,
-    QUERY_STATE,
-)
 
 T = TypeVar("T")
 RenderTarget: TypeAlias = Texture | TextureTarget
@@ -59,9 +51,9 @@ class RenderPass(Scope):
         check = Arguments("device.render_pass", core.refuse)
         check.text("label", label)
         if clear_depth is not None:
-            clear_depth = Arguments(check.call, core.refuse, PASS_CLEAR).number("clear_depth", clear_depth)
+            clear_depth = Arguments(check.call, core.refuse, rules.PASS_CLEAR).number("clear_depth", clear_depth)
         if clear_stencil is not None:
-            clear_stencil = Arguments(check.call, core.refuse, PASS_CLEAR).whole("clear_stencil", clear_stencil)
+            clear_stencil = Arguments(check.call, core.refuse, rules.PASS_CLEAR).whole("clear_stencil", clear_stencil)
         colors = [_as_render_target(core, t) for t in _as_list(color)]
         resolves: list[Texture | None] = list(_as_list(resolve)) or [None] * len(colors)
         for texture in resolves:
@@ -74,16 +66,16 @@ class RenderPass(Scope):
         core.check_open()
         first = colors[0] if colors else depth_target
         if first is None:
-            core.refuse(PASS_EMPTY, check.call, "no color and no depth", "a texture, or several")
+            core.refuse(rules.PASS_EMPTY, check.call, "no color and no depth", "a texture, or several")
         for texture in (*self._textures, *self._resolves):
             core.check_usable(texture, check.call)
         if len(resolves) != len(colors):
             given, allowed = f"{len(resolves)} resolve textures", f"{len(colors)}, one per color target"
-            core.refuse(PASS_TARGET, check.call, given, allowed)
+            core.refuse(rules.PASS_TARGET, check.call, given, allowed)
         if depth_target is None:
             for name, value in (("clear_depth", clear_depth), ("clear_stencil", clear_stencil)):
                 if value is not None:
-                    core.refuse(PASS_CLEAR, check.call, f"{name}={value}", "None without a depth target")
+                    core.refuse(rules.PASS_CLEAR, check.call, f"{name}={value}", "None without a depth target")
         self._kinds = tuple(shader_kind(t.texture.format) for t in colors)
         self._descriptor = PassDescriptor(
             first.size,
@@ -107,7 +99,7 @@ class RenderPass(Scope):
         core.check_ready()
         core.scopes.end_unheld()
         if core.render_pass is not None:
-            core.refuse(PASS_NESTED, "device.render_pass", "a second pass")
+            core.refuse(rules.PASS_NESTED, "device.render_pass", "a second pass")
         for texture in (*self._textures, *self._resolves):
             core.check_usable(texture, "device.render_pass")
         core.program = None
@@ -122,9 +114,7 @@ class RenderPass(Scope):
             core.scopes.withdraw(self)
             raise
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         core = self._core
         core.check_thread("the end of a render pass")
         if core.closed or is_finalizing():  # Python ends, and closes generators: drivers are gone or going
@@ -144,7 +134,7 @@ class RenderPass(Scope):
         core.scopes.leave(self, error)
         if abandoned and error is None:
             given, allowed = "an open occlusion query", "a query that ends in its pass"
-            core.refuse(QUERY_STATE, "the end of a render pass", given, allowed)
+            core.refuse(rules.QUERY_STATE, "the end of a render pass", given, allowed)
 
     def describe(self) -> str:
         """Return the scope's text in messages."""
@@ -177,7 +167,7 @@ def _as_render_target(core: Core, value: object) -> TextureTarget:
     if isinstance(value, Texture):
         return TextureTarget(value)
     core.refuse(
-        PASS_TARGET,
+        rules.PASS_TARGET,
         "device.render_pass",
         f"{describe_object(value)} as target",
         "a Texture or texture.at(level, layer)",
@@ -189,12 +179,12 @@ def _clear_values(core: Core, clear: Clear, count: int) -> list[Vec4 | None]:
     if clear is None:
         return [None] * count
     call = "device.render_pass"
-    check = Arguments(call, core.refuse, PASS_CLEAR)
+    check = Arguments(call, core.refuse, rules.PASS_CLEAR)
     if not (isinstance(clear, (list, tuple)) or (isinstance(clear, np.ndarray) and clear.ndim)):
         check.fail("clear", clear, _CLEAR)
     parts: list[Any] = list(clear)
     several = any(part is None or isinstance(part, (list, tuple, np.ndarray)) for part in parts)
     each = parts if several else [parts] * count
     if len(each) != count:
-        core.refuse(PASS_CLEAR, call, f"{len(each)} clear values", f"one, or {count}: one per color target")
+        core.refuse(rules.PASS_CLEAR, call, f"{len(each)} clear values", f"one, or {count}: one per color target")
     return [None if part is None else check.color("clear", part) for part in each]

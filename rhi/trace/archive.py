@@ -13,7 +13,6 @@ import zipfile
 import zlib
 from pathlib import Path
 from tokenize import TokenError
-from types import TracebackType
 from typing import Any, Final, NoReturn, Self
 
 import numpy as np
@@ -64,9 +63,7 @@ class ArchiveWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self._zip.close()
         if kind is None:
             self._part.replace(self._path)

@@ -25,15 +25,8 @@ import numpy as np
 from rhi.commands.ops import CREATIONS, ID_ARGUMENTS, ID_KINDS, Descriptor, Op
 from rhi.commands.stream import Command, Commands, CommandStream, Refusal
 from rhi.commands.text import describe
-from rhi.contract.descriptors import (
-    BufferDescriptor,
-    BufferUsage,
-    Id,
-    ProgramDescriptor,
-    SamplerDescriptor,
-    TextureDescriptor,
-    VertexArrayDescriptor,
-)
+from rhi.contract import descriptors
+from rhi.contract.descriptors import Id
 from rhi.device.device import Device
 from rhi.trace.align import align
 from rhi.trace.codec import encode, sources_of
@@ -44,11 +37,11 @@ Thing = Command | Refusal
 REFUSED: Final = "refused"
 
 _KINDS: Final[dict[type, str]] = {
-    BufferDescriptor: "buffer",
-    TextureDescriptor: "texture",
-    SamplerDescriptor: "sampler",
-    ProgramDescriptor: "program",
-    VertexArrayDescriptor: "vertex array",
+    descriptors.BufferDescriptor: "buffer",
+    descriptors.TextureDescriptor: "texture",
+    descriptors.SamplerDescriptor: "sampler",
+    descriptors.ProgramDescriptor: "program",
+    descriptors.VertexArrayDescriptor: "vertex array",
 }
 """The words for resources, by the type of their descriptor; all others are queries."""
 
@@ -135,10 +128,10 @@ class _ProgramKeys:
     """
 
     def __init__(self) -> None:
-        self._keys: dict[ProgramDescriptor, Hashable] = {}
-        self._alike: dict[str, list[ProgramDescriptor]] = {}  # those with the same fields
+        self._keys: dict[descriptors.ProgramDescriptor, Hashable] = {}
+        self._alike: dict[str, list[descriptors.ProgramDescriptor]] = {}  # those with the same fields
 
-    def find(self, program: ProgramDescriptor) -> Hashable:
+    def find(self, program: descriptors.ProgramDescriptor) -> Hashable:
         key = self._keys.get(program)
         if key is None:
             fields = repr(encode(program))
@@ -247,7 +240,7 @@ class _Side:
     def _find_ring(self, buffer: Id) -> str | None:
         """Return the label of a streamed buffer, None of any other. A ring goes on in the next when one is full."""
         descriptor = self._descriptors.get(buffer)
-        if isinstance(descriptor, BufferDescriptor) and descriptor.usage is BufferUsage.STREAM:
+        if isinstance(descriptor, descriptors.BufferDescriptor) and descriptor.usage is descriptors.BufferUsage.STREAM:
             return descriptor.label
         return None
 
@@ -261,7 +254,7 @@ class _Side:
 
     def normalize(self, value: Any) -> Hashable:
         """Return a value with what ids stand for in their place."""
-        if isinstance(value, ProgramDescriptor):
+        if isinstance(value, descriptors.ProgramDescriptor):
             return self._programs.find(value)
         if type(value) is tuple:
             return tuple(map(self.normalize, value))

@@ -26,16 +26,9 @@ from rhi.commands.stream import Command, CommandStream, Failure, Refusal, find_s
 from rhi.contract.descriptors import ProgramDescriptor, Region, Stage, TextureDescriptor
 from rhi.device.device import Device
 from rhi.errors import CallSite, refuse
+from rhi.trace import rules
 from rhi.trace.archive import COMMANDS, HEADER, MAX_BYTES, ArchiveReader, ArchiveWriter, source_name
 from rhi.trace.codec import LANGUAGES, MismatchError, Sources, argument_types, decode, encode, sources_of
-from rhi.trace.rules import (
-    TRACE_ARRAY,
-    TRACE_COMMAND,
-    TRACE_COUNT,
-    TRACE_FILE,
-    TRACE_INCOMPLETE,
-    TRACE_VERSION,
-)
 from rhi.trace.validation import SequenceValidator
 
 FORMAT: Final = "rhi-trace"
@@ -94,7 +87,7 @@ def as_trace(source: Trace | Device | CommandStream) -> Trace:
         return source
     stream = source.stream if isinstance(source, Device) else source
     if not stream.is_complete:
-        refuse(TRACE_INCOMPLETE, "rhi.trace", f"a stream of {len(stream)} commands that was cleared or paused")
+        refuse(rules.TRACE_INCOMPLETE, "rhi.trace", f"a stream of {len(stream)} commands that was cleared or paused")
     return Trace(stream, source.backend_name if isinstance(source, Device) else "")
 
 
@@ -223,31 +216,31 @@ class _Loader:
         found = {"commands": len(self.stream), "refusals": len(self.stream.refusals)}
         for name, count in found.items():
             if count != header[name]:
-                self.reader.refuse(TRACE_COUNT, f"{count} {name}", f"{header[name]}, as its header says")
+                self.reader.refuse(rules.TRACE_COUNT, f"{count} {name}", f"{header[name]}, as its header says")
         return Trace(self.stream, header["backend"], self.file, self.trusted)
 
     def _read_header(self) -> dict[str, Any]:
         header = self._parse(HEADER, self.reader.read_text(HEADER))
         if header.get("format") != FORMAT:
-            self.reader.refuse(TRACE_FILE, f"format {header.get('format')!r}", FORMAT)
+            self.reader.refuse(rules.TRACE_FILE, f"format {header.get('format')!r}", FORMAT)
         version = header.get("version")
         if type(version) is not int or not 1 <= version <= VERSION:
-            self.reader.refuse(TRACE_VERSION, f"version {version!r}", f"1 to {VERSION}")
+            self.reader.refuse(rules.TRACE_VERSION, f"version {version!r}", f"1 to {VERSION}")
         try:
             sites = tuple[tuple[str, int, str], ...]
             wanted: dict[str, Any] = {"backend": str, "commands": int, "refusals": int, "sites": sites}
             header.setdefault("refusals", 0)  # version 1 had none
             return {name: decode(type, header.get(name), name) for name, type in wanted.items()}
         except MismatchError as error:
-            self.reader.refuse(TRACE_FILE, f"{HEADER}: {error}", "what rhi.trace.save writes")
+            self.reader.refuse(rules.TRACE_FILE, f"{HEADER}: {error}", "what rhi.trace.save writes")
 
     def _parse(self, where: str, text: str) -> dict[str, Any]:
         try:
             value = json.loads(text)
         except (ValueError, RecursionError) as error:
-            self.reader.refuse(TRACE_FILE, f"{where}: {error}", "a JSON object")
+            self.reader.refuse(rules.TRACE_FILE, f"{where}: {error}", "a JSON object")
         if not isinstance(value, dict):
-            self.reader.refuse(TRACE_FILE, f"{where}: a {type(value).__name__}", "a JSON object")
+            self.reader.refuse(rules.TRACE_FILE, f"{where}: a {type(value).__name__}", "a JSON object")
         return value
 
     def _read_line(self, number: int, text: str) -> None:
@@ -269,7 +262,7 @@ class _Loader:
                 raise MismatchError(f"a refused call of {', '.join(line)}")
             error, call, given, allowed, labels = (decode(type, line[name], name) for name, type in wanted.items())
         except MismatchError as mismatch:
-            self.reader.refuse(TRACE_COMMAND, f"{where}: {mismatch}", "what rhi.trace.save writes")
+            self.reader.refuse(rules.TRACE_COMMAND, f"{where}: {mismatch}", "what rhi.trace.save writes")
         site = find_site(code, 0)
         self.stream.add_refusal(Refusal(len(self.stream), error, call, given, allowed, site, labels))
 
@@ -300,7 +293,7 @@ class _Loader:
                 for name, type in types.items()
             ]  # fmt: skip
         except (MismatchError, TypeError) as error:
-            self.reader.refuse(TRACE_COMMAND, f"{where}: {error}", "a method of rhi.Backend and its arguments")
+            self.reader.refuse(rules.TRACE_COMMAND, f"{where}: {error}", "a method of rhi.Backend and its arguments")
         if op is Op.CREATE_PROGRAM:
             self._read_sources(values[0], values[1])
         values = self._check(where, op, values, failure)
@@ -310,7 +303,7 @@ class _Loader:
 
     def _read_array(self, where: str, number: object) -> NDArray[Any]:
         if type(number) is not int:
-            self.reader.refuse(TRACE_ARRAY, f"{where}: array {number!r}", "the number of an array")
+            self.reader.refuse(rules.TRACE_ARRAY, f"{where}: array {number!r}", "the number of an array")
         if number not in self.arrays:
             self.arrays[number] = self.reader.read_array(number)
         return self.arrays[number]
@@ -337,7 +330,7 @@ class _Loader:
                     and array.shape == _texel_shape(texture, values[2])
                 )
             if not plain:
-                self.reader.refuse(TRACE_ARRAY, f"{where}: {array.dtype} of shape {array.shape}",
+                self.reader.refuse(rules.TRACE_ARRAY, f"{where}: {array.dtype} of shape {array.shape}",
                                    "uint8 in one dimension, or the texels that the region has")  # fmt: skip
             values = [*values[:-1], array.tobytes()]
         self.validator.check(op, values, failure is not None, where, self.reader)

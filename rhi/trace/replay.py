@@ -24,17 +24,8 @@ from numpy.typing import NDArray
 from rhi.commands.context import StreamContext
 from rhi.commands.ops import CLOSES, CREATIONS, ID_ARGUMENTS, WIDTHS, Op
 from rhi.commands.stream import CommandStream, Failure, Refusal
-from rhi.contract.descriptors import (
-    DRAW,
-    DRAW_UNINDEXED,
-    BufferDescriptor,
-    BufferUsage,
-    Id,
-    ProgramDescriptor,
-    Region,
-    TextureDescriptor,
-    VertexArrayDescriptor,
-)
+from rhi.contract import descriptors
+from rhi.contract.descriptors import Id
 from rhi.contract.limits import Faults, dispatch_faults, draw_faults
 from rhi.contract.queries import list_draws
 from rhi.contract.states import STATE_TYPES, StateChange, default_values
@@ -184,8 +175,8 @@ class _Player:
     def create(self, op: Op, values: list[Any]) -> None:
         recorded, descriptor = values
         new = self.core.new_id()
-        if isinstance(descriptor, BufferDescriptor):
-            descriptor = dataclasses.replace(descriptor, usage=BufferUsage.STATIC)
+        if isinstance(descriptor, descriptors.BufferDescriptor):
+            descriptor = dataclasses.replace(descriptor, usage=descriptors.BufferUsage.STATIC)
         self.methods[op](new, map_ids(descriptor, self.result.ids.__getitem__))
         self.result.ids[recorded] = new
         self.context.follow(op, values)
@@ -211,11 +202,11 @@ class _Player:
         """Draw, after a look at the arguments."""
         vertex_array, _, buffer, offset, draws, stride, count_buffer, count_offset = values
         made = self.context.resources[vertex_array]
-        if self.checks_indirect and isinstance(made, VertexArrayDescriptor):
+        if self.checks_indirect and isinstance(made, descriptors.VertexArrayDescriptor):
             if count_buffer:
                 count = self.core.backend.read_buffer(self.result.ids[count_buffer], count_offset, 4)
                 draws = min(draws, int(np.frombuffer(count, np.uint32)[0]))
-            record = DRAW if made.index_buffer else DRAW_UNINDEXED
+            record = descriptors.DRAW if made.index_buffer else descriptors.DRAW_UNINDEXED
             data = self.read(buffer, offset, (draws - 1) * stride + record.itemsize) if draws else b""
             elements = find_elements(self.context.resources, made)
             for draw in list_draws(np.ndarray((draws,), record, data, strides=(stride,))):
@@ -226,7 +217,7 @@ class _Player:
     def dispatch_indirect(self, op: Op, values: list[Any]) -> None:
         """Dispatch, after a look at the number of groups."""
         program = self.context.resources[self.context.program]
-        if self.checks_indirect and isinstance(program, ProgramDescriptor):
+        if self.checks_indirect and isinstance(program, descriptors.ProgramDescriptor):
             groups: list[int] = np.frombuffer(self.read(values[0], values[1], 12), np.uint32).tolist()
             self.require(dispatch_faults(groups, f"{groups}", self.core.capabilities))
             self.require(work_faults(math.prod(groups) * math.prod(program.work_group)))
@@ -254,9 +245,9 @@ class _Player:
         self.presents_left -= bool(texture)
         if texture and not self.presents_left:  # read it now, since later commands may draw to it
             descriptor = self.context.resources[values[0]]
-            assert isinstance(descriptor, TextureDescriptor)
+            assert isinstance(descriptor, descriptors.TextureDescriptor)
             if descriptor.samples == 1:
-                whole = Region(0, 0, *descriptor.size)
+                whole = descriptors.Region(0, 0, *descriptor.size)
                 self.result.image = self.core.backend.read_texture(texture, 0, whole, False)[0]
 
     def fail_again(self, index: int, op: Op, values: list[Any]) -> None:

@@ -22,6 +22,7 @@ from typing import Any, Final, TypeAlias, TypeVar
 from rhi.commands.context import StreamContext
 from rhi.commands.ops import CREATIONS, DISPATCHES, DRAWS, WIDTHS, Descriptor, Op
 from rhi.commands.stream import CommandStream
+from rhi.contract import limits
 from rhi.contract.backend import Capabilities
 from rhi.contract.blocks import BLOCK
 from rhi.contract.descriptors import (
@@ -39,58 +40,9 @@ from rhi.contract.descriptors import (
     VertexArrayDescriptor,
 )
 from rhi.contract.layout import VectorType
-from rhi.contract.limits import (
-    ANY_DEVICE,
-    ElementCounts,
-    Fault,
-    Faults,
-    buffer_copy_faults,
-    condition_faults,
-    count_elements,
-    count_faults,
-    dispatch_faults,
-    draw_faults,
-    indirect_dispatch_faults,
-    indirect_faults,
-    level_faults,
-    mipmap_faults,
-    pass_faults,
-    plain_faults,
-    program_faults,
-    query_faults,
-    range_faults,
-    read_faults,
-    region_faults,
-    resolve_faults,
-    row_faults,
-    sampler_faults,
-    show_stages,
-    single_sample_faults,
-    state_faults,
-    texture_copy_faults,
-    texture_faults,
-    vertex_array_faults,
-    written_faults,
-)
+from rhi.contract.limits import ANY_DEVICE, Fault, Faults
 from rhi.contract.states import PER_TARGET, PlatformState, StateChange
-from rhi.errors import refuse
-from rhi.errors.rules import (
-    BINDING_MISSING,
-    BINDING_SIZE,
-    BINDING_TYPE,
-    BUFFER_ALIGNMENT,
-    BUFFER_RANGE,
-    BUFFER_SIZE,
-    DEVICE_CAPABILITY,
-    DISPATCH_SIZE,
-    DRAW_COUNT,
-    MESH_ATTRIBUTE,
-    MESH_DATA,
-    PASS_EMPTY,
-    PROGRAM_STAGE,
-    TEXTURE_DATA,
-    TEXTURE_REGION,
-)
+from rhi.errors import refuse, rules
 from rhi.trace.archive import ArchiveReader
 from rhi.trace.codec import read_image_type
 from rhi.trace.ids import kinds_of
@@ -291,60 +243,56 @@ _Made: TypeAlias = Mapping[Id, Any]
 def _buffer_range(made: _Made, buffer: Id, offset: int, size: int) -> Faults:
     whole = made[buffer].size
     if offset < 0 or size < 0 or offset + size > whole:
-        yield Fault(BUFFER_RANGE, f"bytes {offset} to {offset + size}", f"within {whole} bytes")
+        yield Fault(rules.BUFFER_RANGE, f"bytes {offset} to {offset + size}", f"within {whole} bytes")
 
 
-def _create_buffer(made: _Made, limits: Capabilities, buffer: Id, descriptor: BufferDescriptor) -> Faults:
+def _create_buffer(made: _Made, device: Capabilities, buffer: Id, descriptor: BufferDescriptor) -> Faults:
     if descriptor.size <= 0:
-        yield Fault(BUFFER_SIZE, f"{descriptor.size} bytes", "1 or more")
+        yield Fault(rules.BUFFER_SIZE, f"{descriptor.size} bytes", "1 or more")
 
 
-def _create_program(made: _Made, limits: Capabilities, program: Id, descriptor: ProgramDescriptor) -> Faults:
+def _create_program(made: _Made, device: Capabilities, program: Id, descriptor: ProgramDescriptor) -> Faults:
     stages = descriptor.stages
     if stages != {Stage.COMPUTE} and (Stage.VERTEX not in stages or Stage.COMPUTE in stages):
-        yield Fault(PROGRAM_STAGE, show_stages(descriptor), "a vertex stage, or a compute stage alone")
-    yield from program_faults(descriptor, limits)
+        yield Fault(rules.PROGRAM_STAGE, limits.show_stages(descriptor), "a vertex stage, or a compute stage alone")
+    yield from limits.program_faults(descriptor, device)
 
 
 def _create_vertex_array(
-    made: _Made, limits: Capabilities, vertex_array: Id, descriptor: VertexArrayDescriptor
+    made: _Made, device: Capabilities, vertex_array: Id, descriptor: VertexArrayDescriptor
 ) -> Faults:
-    yield from vertex_array_faults(descriptor, lambda buffer: int(made[buffer].size))
+    yield from limits.vertex_array_faults(descriptor, lambda buffer: int(made[buffer].size))
     given = [attribute for stream in descriptor.streams for attribute in stream.attributes]
     inputs = {attribute.location: attribute.type for attribute in made[descriptor.program].attributes}
     if sorted(attribute.location for attribute in given) != sorted(inputs):
-        yield Fault(MESH_ATTRIBUTE, f"{given}", f"each of the locations {sorted(inputs)} once")
+        yield Fault(rules.MESH_ATTRIBUTE, f"{given}", f"each of the locations {sorted(inputs)} once")
     if not all(stream.attributes for stream in descriptor.streams):
-        yield Fault(MESH_DATA, "a stream without attributes", "one or more in each")
+        yield Fault(rules.MESH_DATA, "a stream without attributes", "one or more in each")
     for attribute in given:
         wanted = inputs[attribute.location]
         size, scalar = (wanted.size, wanted.scalar) if isinstance(wanted, VectorType) else (1, wanted)
         if attribute.format.components < size or attribute.format.kind != str(scalar):
-            yield Fault(MESH_ATTRIBUTE, f"{attribute}", f"as {wanted}")
+            yield Fault(rules.MESH_ATTRIBUTE, f"{attribute}", f"as {wanted}")
 
 
-def _write_buffer(made: _Made, limits: Capabilities, buffer: Id, offset: int, data: bytes) -> Faults:
-    return _buffer_range(made, buffer, offset, len(data))
-
-
-def _clear_buffer(made: _Made, limits: Capabilities, buffer: Id, offset: int, size: int, value: int) -> Faults:
+def _clear_buffer(made: _Made, device: Capabilities, buffer: Id, offset: int, size: int, value: int) -> Faults:
     yield from _buffer_range(made, buffer, offset, size)
     if offset % 4 or size % 4:
-        yield Fault(BUFFER_ALIGNMENT, f"{size} bytes at {offset}", "whole words")
+        yield Fault(rules.BUFFER_ALIGNMENT, f"{size} bytes at {offset}", "whole words")
 
 
 def _copy_buffer(
-    made: _Made, limits: Capabilities, source: Id, offset: int, target: Id, target_offset: int, size: int
+    made: _Made, device: Capabilities, source: Id, offset: int, target: Id, target_offset: int, size: int
 ) -> Faults:
     sizes = (made[source].size, offset, made[target].size, target_offset, size)
-    return buffer_copy_faults(*sizes, source == target, limits)
+    return limits.buffer_copy_faults(*sizes, source == target, device)
 
 
-def _write_texture(made: _Made, limits: Capabilities, texture: Id, level: int, region: Region, data: bytes) -> Faults:
+def _write_texture(made: _Made, device: Capabilities, texture: Id, level: int, region: Region, data: bytes) -> Faults:
     descriptor: TextureDescriptor = made[texture]
-    yield from written_faults(descriptor)
-    yield from region_faults(descriptor, level, region)
-    yield from single_sample_faults(descriptor)
+    yield from limits.written_faults(descriptor)
+    yield from limits.region_faults(descriptor, level, region)
+    yield from limits.single_sample_faults(descriptor)
     wanted = region.width * region.height * region.layers * descriptor.format.transfer_bytes
     if descriptor.compressed is not None:
         columns, rows = -(-region.width // BLOCK), -(-region.height // BLOCK)
@@ -353,130 +301,130 @@ def _write_texture(made: _Made, limits: Capabilities, texture: Id, level: int, r
         right, bottom = region.x + region.width, region.y + region.height
         inner = [region.x, region.y, *([right] if right < width else []), *([bottom] if bottom < height else [])]
         if any(edge % BLOCK for edge in inner):
-            yield Fault(TEXTURE_REGION, f"{region}", f"whole blocks of {width}×{height} texels")
+            yield Fault(rules.TEXTURE_REGION, f"{region}", f"whole blocks of {width}×{height} texels")
     if len(data) != wanted:
-        yield Fault(TEXTURE_DATA, f"{len(data)} bytes", f"{wanted}")
+        yield Fault(rules.TEXTURE_DATA, f"{len(data)} bytes", f"{wanted}")
 
 
 def _copy_texture(
-    made: _Made, limits: Capabilities, source: Id, level: int, region: Region, target: Id, target_level: int, x: int,
+    made: _Made, device: Capabilities, source: Id, level: int, region: Region, target: Id, target_level: int, x: int,
     y: int, layer: int,
 ) -> Faults:  # fmt: skip
     end = Region(x, y, region.width, region.height, layer, region.layers)
-    return texture_copy_faults(made[source], level, region, made[target], target_level, end, source == target)
+    return limits.texture_copy_faults(made[source], level, region, made[target], target_level, end, source == target)
 
 
 def _copy_texture_to_buffer(
-    made: _Made, limits: Capabilities, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+    made: _Made, device: Capabilities, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
 ) -> Faults:
-    return row_faults(made[source], level, region, offset, row_bytes, made[target].size, limits)
+    return limits.row_faults(made[source], level, region, offset, row_bytes, made[target].size, device)
 
 
 def _copy_buffer_to_texture(
-    made: _Made, limits: Capabilities, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    made: _Made, device: Capabilities, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
 ) -> Faults:
-    yield from written_faults(made[target])
-    yield from row_faults(made[target], level, region, offset, row_bytes, made[source].size, limits)
+    yield from limits.written_faults(made[target])
+    yield from limits.row_faults(made[target], level, region, offset, row_bytes, made[source].size, device)
 
 
-def _begin_pass(made: _Made, limits: Capabilities, descriptor: PassDescriptor) -> Faults:
+def _begin_pass(made: _Made, device: Capabilities, descriptor: PassDescriptor) -> Faults:
     targets = [target for target in (*descriptor.colors, descriptor.depth) if target is not None]
     if not targets:
-        yield Fault(PASS_EMPTY, "no color and no depth", "a target")
+        yield Fault(rules.PASS_EMPTY, "no color and no depth", "a target")
     for target in targets:
-        yield from level_faults(made[target.texture], target.level, target.layer)
-    yield from pass_faults(descriptor, made, limits)
+        yield from limits.level_faults(made[target.texture], target.level, target.layer)
+    yield from limits.pass_faults(descriptor, made, device)
 
 
-def _set_states(made: _Made, limits: Capabilities, changes: Sequence[StateChange]) -> Faults:
+def _set_states(made: _Made, device: Capabilities, changes: Sequence[StateChange]) -> Faults:
     for kind, value in changes:
-        if kind is PlatformState and limits is ANY_DEVICE:
+        if kind is PlatformState and device is ANY_DEVICE:
             continue  # the file's reader knows this state, so some device has it
         states: Any = value if isinstance(value, tuple) else (value,)
         if kind in PER_TARGET and len(set(states)) > 1:
             states = [state.at(target) for target, state in enumerate(states)]
         for state in states:
-            yield from state_faults(state, limits)
+            yield from limits.state_faults(state, device)
 
 
-def _slot(slots: str, made: _Made, limits: Capabilities, slot: int, *_: int) -> Faults:
-    most = getattr(limits, slots)
+def _slot(slots: str, made: _Made, device: Capabilities, slot: int, *_: int) -> Faults:
+    most = getattr(device, slots)
     if not 0 <= slot < most:
-        yield Fault(DEVICE_CAPABILITY, f"slot {slot}", f"{most} slots")
+        yield Fault(rules.DEVICE_CAPABILITY, f"slot {slot}", f"{most} slots")
 
 
 def _bind_range(
-    kind: BindingKind, slots: str, made: _Made, limits: Capabilities, slot: int, buffer: Id, offset: int, size: int
+    kind: BindingKind, slots: str, made: _Made, device: Capabilities, slot: int, buffer: Id, offset: int, size: int
 ) -> Faults:
-    yield from _slot(slots, made, limits, slot)
+    yield from _slot(slots, made, device, slot)
     yield from _buffer_range(made, buffer, offset, size)
-    yield from range_faults(kind, offset, size, 0, limits)
+    yield from limits.range_faults(kind, offset, size, 0, device)
 
 
-def _bind_image(made: _Made, limits: Capabilities, slot: int, texture: Id, level: int, layer: int) -> Faults:
-    yield from _slot("max_image_slots", made, limits, slot)
-    yield from plain_faults(made[texture])
-    yield from level_faults(made[texture], level, max(layer, 0))
+def _bind_image(made: _Made, device: Capabilities, slot: int, texture: Id, level: int, layer: int) -> Faults:
+    yield from _slot("max_image_slots", made, device, slot)
+    yield from limits.plain_faults(made[texture])
+    yield from limits.level_faults(made[texture], level, max(layer, 0))
 
 
 def _draw(
-    made: _Made, limits: Capabilities, vertex_array: Id, primitive: object, first: int, count: int, instances: int,
+    made: _Made, device: Capabilities, vertex_array: Id, primitive: object, first: int, count: int, instances: int,
     base_vertex: int, base_instance: int,
 ) -> Faults:  # fmt: skip
     descriptor: VertexArrayDescriptor = made[vertex_array]
     elements = find_elements(made, descriptor)
     numbers = (first, count, instances, base_vertex, base_instance)
-    yield from draw_faults(elements, bool(descriptor.index_buffer), *numbers)
+    yield from limits.draw_faults(elements, bool(descriptor.index_buffer), *numbers)
     yield from work_faults(count * instances)
 
 
-def find_elements(made: Mapping[Id, Any], descriptor: VertexArrayDescriptor) -> ElementCounts:
+def find_elements(made: Mapping[Id, Any], descriptor: VertexArrayDescriptor) -> limits.ElementCounts:
     """Return how many elements the buffers of a vertex array hold; one that was destroyed holds none."""
-    return count_elements(descriptor, lambda buffer: made[buffer].size if buffer in made else 0)
+    return limits.count_elements(descriptor, lambda buffer: made[buffer].size if buffer in made else 0)
 
 
 def work_faults(elements: int) -> Faults:
     """Yield that a command would run for very long."""
     if elements > MAX_WORK:
-        yield Fault(DRAW_COUNT, f"{elements:,} vertices or invocations", f"up to {MAX_WORK:,} in one command")
+        yield Fault(rules.DRAW_COUNT, f"{elements:,} vertices or invocations", f"up to {MAX_WORK:,} in one command")
 
 
 def _draw_indirect(
-    made: _Made, limits: Capabilities, vertex_array: Id, primitive: object, buffer: Id, offset: int, draws: int,
+    made: _Made, device: Capabilities, vertex_array: Id, primitive: object, buffer: Id, offset: int, draws: int,
     stride: int, count_buffer: Id, count_offset: int,
 ) -> Faults:  # fmt: skip
-    yield from indirect_faults(draws, offset, stride, count_offset, made[buffer].size)
+    yield from limits.indirect_faults(draws, offset, stride, count_offset, made[buffer].size)
     if count_buffer:
-        yield from count_faults(count_offset, made[count_buffer].size, limits)
+        yield from limits.count_faults(count_offset, made[count_buffer].size, device)
 
 
-def _dispatch(made: _Made, limits: Capabilities, *groups: int) -> Faults:
+def _dispatch(made: _Made, device: Capabilities, *groups: int) -> Faults:
     if 0 in groups:
-        yield Fault(DISPATCH_SIZE, f"{groups}", "no empty dispatch")
-    yield from dispatch_faults(groups, f"{groups}", limits)
+        yield Fault(rules.DISPATCH_SIZE, f"{groups}", "no empty dispatch")
+    yield from limits.dispatch_faults(groups, f"{groups}", device)
 
 
 _FAULTS: Final[dict[Op, Callable[..., Faults]]] = {
     Op.CREATE_BUFFER: _create_buffer,
     Op.CREATE_VERTEX_ARRAY: _create_vertex_array,
-    Op.WRITE_BUFFER: _write_buffer,
-    Op.READ_BUFFER: lambda made, limits, *place: _buffer_range(made, *place),
+    Op.WRITE_BUFFER: lambda made, device, buffer, offset, data: _buffer_range(made, buffer, offset, len(data)),
+    Op.READ_BUFFER: lambda made, device, *place: _buffer_range(made, *place),
     Op.CLEAR_BUFFER: _clear_buffer,
     Op.WRITE_TEXTURE: _write_texture,
-    Op.READ_TEXTURE: lambda made, limits, texture, *place: read_faults(made[texture], *place),
+    Op.READ_TEXTURE: lambda made, device, texture, *place: limits.read_faults(made[texture], *place),
     Op.COPY_TEXTURE: _copy_texture,
-    Op.RESOLVE_TEXTURE: lambda made, limits, source, target: resolve_faults(made[source], made[target], limits),
-    Op.GENERATE_MIPMAPS: lambda made, limits, texture: mipmap_faults(made[texture]),
+    Op.RESOLVE_TEXTURE: lambda made, device, source, target: limits.resolve_faults(made[source], made[target], device),
+    Op.GENERATE_MIPMAPS: lambda made, device, texture: limits.mipmap_faults(made[texture]),
     Op.DRAW: _draw,
-    Op.DISPATCH_INDIRECT: lambda made, limits, buffer, offset: indirect_dispatch_faults(offset, made[buffer].size),
+    Op.DISPATCH_INDIRECT: lambda made, device, buffer, at: limits.indirect_dispatch_faults(at, made[buffer].size),
 }
-"""By op, the function of existing resources, limits and the op's arguments that yields the faults: here on any
+"""By op, the function of existing resources, device and the op's arguments that yields the faults: here on any
 device."""
 _LIMIT_FAULTS: Final[dict[Op, Callable[..., Faults]]] = {
-    Op.CREATE_TEXTURE: lambda made, limits, texture, descriptor: texture_faults(descriptor, limits),
-    Op.CREATE_SAMPLER: lambda made, limits, sampler, descriptor: sampler_faults(descriptor, limits),
+    Op.CREATE_TEXTURE: lambda made, device, texture, descriptor: limits.texture_faults(descriptor, device),
+    Op.CREATE_SAMPLER: lambda made, device, sampler, descriptor: limits.sampler_faults(descriptor, device),
     Op.CREATE_PROGRAM: _create_program,
-    Op.CREATE_QUERY: lambda made, limits, query, kind: query_faults(kind, limits),
+    Op.CREATE_QUERY: lambda made, device, query, kind: limits.query_faults(kind, device),
     Op.COPY_BUFFER: _copy_buffer,
     Op.COPY_TEXTURE_TO_BUFFER: _copy_texture_to_buffer,
     Op.COPY_BUFFER_TO_TEXTURE: _copy_buffer_to_texture,
@@ -488,7 +436,7 @@ _LIMIT_FAULTS: Final[dict[Op, Callable[..., Faults]]] = {
     Op.BIND_IMAGE: _bind_image,
     Op.DRAW_INDIRECT: _draw_indirect,
     Op.DISPATCH: _dispatch,
-    Op.BEGIN_CONDITIONAL: lambda made, limits, query, inverted: condition_faults(limits),
+    Op.BEGIN_CONDITIONAL: lambda made, device, query, inverted: limits.condition_faults(device),
 }
 """Here on a device with these limits."""
 _ALL_FAULTS: Final = _FAULTS | _LIMIT_FAULTS
@@ -502,21 +450,23 @@ def binding_faults(context: StreamContext) -> Faults:
     for binding in program.bindings if isinstance(program, ProgramDescriptor) else ():
         bound = context.slots.get((binding.kind, binding.slot))
         if bound is None or bound[0] not in context.resources:
-            yield Fault(BINDING_MISSING, f"nothing in {binding.kind.value} slot {binding.slot}", binding.name)
+            yield Fault(rules.BINDING_MISSING, f"nothing in {binding.kind.value} slot {binding.slot}", binding.name)
             return
         made: Any = context.resources[bound[0]]
         if isinstance(made, TextureDescriptor):
             layered = binding.kind is BindingKind.TEXTURE or bound[2] < 0
             kind, wanted = made.kind if layered else TextureKind.D2, read_image_type(str(binding.type))
             if wanted is not None and (wanted[0] is not kind or wanted[1] not in (None, made.format)):
-                yield Fault(BINDING_TYPE, f"{kind.value} of {made.format.name}", f"{binding.name}: {binding.type}")
+                yield Fault(
+                    rules.BINDING_TYPE, f"{kind.value} of {made.format.name}", f"{binding.name}: {binding.type}"
+                )
             if made.samples != 1:
-                yield Fault(BINDING_TYPE, f"{made.samples} samples", f"{binding.name}: 1")
+                yield Fault(rules.BINDING_TYPE, f"{made.samples} samples", f"{binding.name}: 1")
         elif binding.kind is BindingKind.UNIFORM and bound[2] < binding.size:
-            yield Fault(BINDING_SIZE, f"{bound[2]} bytes", f"{binding.name}: {binding.size}")
+            yield Fault(rules.BINDING_SIZE, f"{bound[2]} bytes", f"{binding.name}: {binding.size}")
 
 
-def check_capabilities(stream: CommandStream, limits: Capabilities) -> None:
+def check_capabilities(stream: CommandStream, device: Capabilities) -> None:
     """Refuse a trace that a device can't replay, and name the first command that it doesn't support.
 
     Raises:
@@ -536,16 +486,16 @@ def check_capabilities(stream: CommandStream, limits: Capabilities) -> None:
             entry = tuple(data[place:end])
             if entry not in checked:
                 checked.add(entry)
-                for fault in _LIMIT_FAULTS[op](made, limits, *entry[1:]):
+                for fault in _LIMIT_FAULTS[op](made, device, *entry[1:]):
                     given = f"command {index}: {stream[index]}: {fault.given}"
-                    refuse(TRACE_CAPABILITY, f"rhi.trace.replay on {limits.backend}", given, fault.allowed)
-        if limits.shading and index not in failures:
+                    refuse(TRACE_CAPABILITY, f"rhi.trace.replay on {device.backend}", given, fault.allowed)
+        if device.shading and index not in failures:
             if op in _CHANGES_BINDINGS:
                 context.follow(op, data[place + 1 : end])
                 bound = False
             elif op in _STAGES and not bound:
                 for fault in binding_faults(context):
                     given = f"command {index}: {stream[index]}: {fault.given}"
-                    refuse(TRACE_REFERENCE, f"rhi.trace.replay on {limits.backend}", given, fault.allowed)
+                    refuse(TRACE_REFERENCE, f"rhi.trace.replay on {device.backend}", given, fault.allowed)
                 bound = True
         place, index = end + 2, index + 1

@@ -27,21 +27,9 @@ from rhi.backends.cl.memory.textures import Textures
 from rhi.backends.cl.programs import ComputePrograms
 from rhi.backends.cl.raster.query_sets import ClQuerySet
 from rhi.backends.cl.raster.rasteriser import Rasteriser
+from rhi.contract import descriptors
 from rhi.contract.backend import Capabilities, PreparedQueries
-from rhi.contract.descriptors import (
-    BindingKind,
-    BufferDescriptor,
-    Id,
-    PassDescriptor,
-    Primitive,
-    ProgramDescriptor,
-    QueryKind,
-    Region,
-    SamplerDescriptor,
-    Stage,
-    TextureDescriptor,
-    VertexArrayDescriptor,
-)
+from rhi.contract.descriptors import Id
 from rhi.contract.formats import Format
 from rhi.contract.limits import dispatch_faults
 from rhi.contract.states import StateChange
@@ -87,7 +75,7 @@ class ClBackend:
         self._programs = ComputePrograms(context, self._buffers, self._textures, self._samplers)
         self._timestamps = Timestamps(context.queue)
         self._program: Id = 0
-        self._render_pass = PassDescriptor((0, 0))
+        self._render_pass = descriptors.PassDescriptor((0, 0))
         self._labels: list[str] = []  # the open ones, outermost first
         self._rasteriser = Rasteriser(context, self._buffers, self._textures, self._samplers, in_flight)
         self._slots = self._rasteriser.bindings.slots
@@ -101,7 +89,7 @@ class ClBackend:
         self._fence = Fence(context.queue, in_flight)
         self._held = context.programs
         self._destroyers: dict[Id, Callable[[Id], None]] = {}
-        self._kinds: dict[Id, QueryKind] = {}
+        self._kinds: dict[Id, descriptors.QueryKind] = {}
 
     @property
     def capabilities(self) -> Capabilities:
@@ -130,32 +118,32 @@ class ClBackend:
 
     # -- resources ---------------------------------------------------------------------------------------
 
-    def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
+    def create_buffer(self, buffer: Id, descriptor: descriptors.BufferDescriptor) -> None:
         self._buffers.create(buffer, descriptor)
         self._destroyers[buffer] = self._destroy_buffer
 
-    def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
+    def create_texture(self, texture: Id, descriptor: descriptors.TextureDescriptor) -> None:
         self._textures.create(texture, descriptor)
         self._destroyers[texture] = self._destroy_texture
 
-    def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
+    def create_sampler(self, sampler: Id, descriptor: descriptors.SamplerDescriptor) -> None:
         self._samplers.create(sampler, descriptor)
         self._destroyers[sampler] = self._samplers.destroy
 
-    def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
-        if Stage.VERTEX in descriptor.stages:
+    def create_program(self, program: Id, descriptor: descriptors.ProgramDescriptor) -> None:
+        if descriptors.Stage.VERTEX in descriptor.stages:
             self._rasteriser.create_program(program, descriptor)
             self._destroyers[program] = self._rasteriser.destroy_program
         else:
             self._programs.create(program, descriptor)
             self._destroyers[program] = self._programs.destroy
 
-    def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
+    def create_vertex_array(self, vertex_array: Id, descriptor: descriptors.VertexArrayDescriptor) -> None:
         self._rasteriser.create_vertex_array(vertex_array, descriptor)
         self._destroyers[vertex_array] = self._destroy_vertex_array
 
-    def create_query(self, query: Id, kind: QueryKind) -> None:
-        queries = self._timestamps if kind is QueryKind.TIMESTAMP else self._sample_queries
+    def create_query(self, query: Id, kind: descriptors.QueryKind) -> None:
+        queries = self._timestamps if kind is descriptors.QueryKind.TIMESTAMP else self._sample_queries
         queries.create(query, kind)
         self._kinds[query] = kind
         self._destroyers[query] = self._destroy_query
@@ -182,7 +170,7 @@ class ClBackend:
 
     def _destroy_query(self, query: Id) -> None:
         kind = self._kinds.pop(query)
-        (self._timestamps if kind is QueryKind.TIMESTAMP else self._sample_queries).destroy(query)
+        (self._timestamps if kind is descriptors.QueryKind.TIMESTAMP else self._sample_queries).destroy(query)
 
     # -- memory ------------------------------------------------------------------------------------------
 
@@ -215,12 +203,12 @@ class ClBackend:
         self._buffers.clear(buffer, offset, size, value)
 
     @_reports_errors_as("Texture.write")
-    def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
+    def write_texture(self, texture: Id, level: int, region: descriptors.Region, data: BytesLike) -> None:
         self._flush()
         self._textures.write(texture, level, region, data)
 
     @_reports_errors_as("Texture.read")
-    def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
+    def read_texture(self, texture: Id, level: int, region: descriptors.Region, stencil: bool) -> NDArray[np.generic]:
         self._flush()
         texels = self._textures.read(texture, level, region, stencil)
         self._fence.release()
@@ -228,15 +216,15 @@ class ClBackend:
 
     @_reports_errors_as("Texture.copy_to")
     def copy_texture(
-        self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int, y: int,
-        layer: int,
+        self, source: Id, source_level: int, source_region: descriptors.Region, target: Id, target_level: int, x: int,
+        y: int, layer: int,
     ) -> None:  # fmt: skip
         self._flush()
         self._textures.copy(source, source_level, source_region, target, target_level, x, y, layer)
 
     @_reports_errors_as("Texture.copy_to_buffer")
     def copy_texture_to_buffer(
-        self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+        self, source: Id, level: int, region: descriptors.Region, target: Id, offset: int, row_bytes: int
     ) -> None:
         self._flush()
         self._vertex_arrays.change(target)
@@ -244,7 +232,7 @@ class ClBackend:
 
     @_reports_errors_as("Texture.copy_from_buffer")
     def copy_buffer_to_texture(
-        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: descriptors.Region
     ) -> None:
         self._flush()
         self._textures.copy_from_buffer(self._buffers[source].cl, offset, row_bytes, target, level, region)
@@ -262,7 +250,7 @@ class ClBackend:
     # -- passes and bindings -----------------------------------------------------------------------------
 
     @_reports_errors_as("device.render_pass")
-    def begin_pass(self, descriptor: PassDescriptor) -> None:
+    def begin_pass(self, descriptor: descriptors.PassDescriptor) -> None:
         self._flush()
         self._render_pass = descriptor
         self._draw_state.begin_pass(descriptor)
@@ -282,16 +270,16 @@ class ClBackend:
         self._rasteriser.bind_program(program)
 
     def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        self._bind(BindingKind.UNIFORM, slot, (buffer, offset, size))
+        self._bind(descriptors.BindingKind.UNIFORM, slot, (buffer, offset, size))
 
     def bind_storage(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        self._bind(BindingKind.STORAGE, slot, (buffer, offset, size))
+        self._bind(descriptors.BindingKind.STORAGE, slot, (buffer, offset, size))
 
     def bind_texture(self, slot: int, texture: Id, sampler: Id) -> None:
-        self._bind(BindingKind.TEXTURE, slot, (texture, sampler))
+        self._bind(descriptors.BindingKind.TEXTURE, slot, (texture, sampler))
 
     def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
-        self._bind(BindingKind.IMAGE, slot, (texture, level, layer))
+        self._bind(descriptors.BindingKind.IMAGE, slot, (texture, level, layer))
 
     def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
         """See `rhi.contract.backend.PreparesDraws`."""
@@ -300,13 +288,13 @@ class ClBackend:
     # -- work --------------------------------------------------------------------------------------------
 
     def draw(
-        self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int, base_vertex: int,
-        base_instance: int,
+        self, vertex_array: Id, primitive: descriptors.Primitive, first: int, count: int, instances: int,
+        base_vertex: int, base_instance: int,
     ) -> None:  # fmt: skip
         self._draws.draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
 
     def prepare_draw(
-        self, program: Id, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int,
+        self, program: Id, vertex_array: Id, primitive: descriptors.Primitive, first: int, count: int, base_vertex: int,
         base_instance: int,
     ) -> Callable[[int], object]:  # fmt: skip
         """See `rhi.contract.backend.PreparesDraws`."""
@@ -329,14 +317,14 @@ class ClBackend:
 
     @_reports_errors_as("device.draw_clipped")
     def draw_clipped(
-        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], clips: NDArray[np.int64]
+        self, vertex_array: Id, primitive: descriptors.Primitive, draws: NDArray[Any], clips: NDArray[np.int64]
     ) -> None:
         """See `rhi.contract.backend.ClipsDraws`."""
         self._draws.draw_clipped(vertex_array, primitive, draws, clips)
 
     @_reports_errors_as("device.draw_indirect")
     def draw_indirect(
-        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
+        self, vertex_array: Id, primitive: descriptors.Primitive, buffer: Id, offset: int, draws: int, stride: int,
         count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
         """Read the arguments back, which waits if the device wrote them, and draw them as direct draws."""
@@ -380,14 +368,14 @@ class ClBackend:
 
     @_reports_errors_as("a timestamp")
     def write_query(self, query: Id) -> None:
-        if self._kinds[query] is QueryKind.TIMESTAMP:
+        if self._kinds[query] is descriptors.QueryKind.TIMESTAMP:
             self._flush()
             self._timestamps.write(query)
         else:
             self._sample_queries.take(query)
 
     def read_query(self, query: Id) -> int | None:
-        queries = self._timestamps if self._kinds[query] is QueryKind.TIMESTAMP else self._sample_queries
+        queries = self._timestamps if self._kinds[query] is descriptors.QueryKind.TIMESTAMP else self._sample_queries
         return queries.read(query)
 
     def read_issue_time(self, query: Id) -> int | None:

@@ -20,96 +20,62 @@ from numpy.typing import NDArray
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.platform_states import DepthClamp
-from rhi.contract.states import (
-    DEFAULTS,
-    MAX_TARGETS,
-    PER_TARGET,
-    AlphaFunction,
-    AlphaReference,
-    AlphaTest,
-    AlphaToCoverage,
-    BlendColor,
-    BlendFactor,
-    BlendFunction,
-    BlendOperation,
-    ColorWrite,
-    Comparison,
-    CullMode,
-    DepthBias,
-    DepthFunction,
-    DepthTest,
-    DepthWrite,
-    FrontFace,
-    LineWidth,
-    PlatformState,
-    PolygonMode,
-    PolygonOffset,
-    Scissor,
-    StateChange,
-    StencilBack,
-    StencilFront,
-    StencilOperation,
-    StencilReadMask,
-    StencilReference,
-    StencilTest,
-    StencilWriteMask,
-    Viewport,
-)
+from rhi.contract import states
 
 COMPARISONS: Final = {
-    Comparison.NEVER: enums.NEVER,
-    Comparison.LESS: enums.LESS,
-    Comparison.EQUAL: enums.EQUAL,
-    Comparison.LESS_EQUAL: enums.LEQUAL,
-    Comparison.GREATER: enums.GREATER,
-    Comparison.NOT_EQUAL: enums.NOTEQUAL,
-    Comparison.GREATER_EQUAL: enums.GEQUAL,
-    Comparison.ALWAYS: enums.ALWAYS,
+    states.Comparison.NEVER: enums.NEVER,
+    states.Comparison.LESS: enums.LESS,
+    states.Comparison.EQUAL: enums.EQUAL,
+    states.Comparison.LESS_EQUAL: enums.LEQUAL,
+    states.Comparison.GREATER: enums.GREATER,
+    states.Comparison.NOT_EQUAL: enums.NOTEQUAL,
+    states.Comparison.GREATER_EQUAL: enums.GEQUAL,
+    states.Comparison.ALWAYS: enums.ALWAYS,
 }
-_DEPTH_FUNCTIONS: Final = {f: COMPARISONS[Comparison(f.value)] for f in DepthFunction}
-_FACES: Final = {CullMode.FRONT: enums.FRONT, CullMode.BACK: enums.BACK}
-_WINDINGS: Final = {FrontFace.COUNTER_CLOCKWISE: enums.CW, FrontFace.CLOCKWISE: enums.CCW}  # y is flipped
+_DEPTH_FUNCTIONS: Final = {f: COMPARISONS[states.Comparison(f.value)] for f in states.DepthFunction}
+_FACES: Final = {states.CullMode.FRONT: enums.FRONT, states.CullMode.BACK: enums.BACK}
+_WINDINGS: Final = {states.FrontFace.COUNTER_CLOCKWISE: enums.CW, states.FrontFace.CLOCKWISE: enums.CCW}  # y is flipped
 _FACTORS: Final = {
-    BlendFactor.ZERO: enums.ZERO,
-    BlendFactor.ONE: enums.ONE,
-    BlendFactor.SOURCE_COLOR: enums.SRC_COLOR,
-    BlendFactor.ONE_MINUS_SOURCE_COLOR: enums.ONE_MINUS_SRC_COLOR,
-    BlendFactor.SOURCE_ALPHA: enums.SRC_ALPHA,
-    BlendFactor.ONE_MINUS_SOURCE_ALPHA: enums.ONE_MINUS_SRC_ALPHA,
-    BlendFactor.DESTINATION_COLOR: enums.DST_COLOR,
-    BlendFactor.ONE_MINUS_DESTINATION_COLOR: enums.ONE_MINUS_DST_COLOR,
-    BlendFactor.DESTINATION_ALPHA: enums.DST_ALPHA,
-    BlendFactor.ONE_MINUS_DESTINATION_ALPHA: enums.ONE_MINUS_DST_ALPHA,
-    BlendFactor.CONSTANT: enums.CONSTANT_COLOR,
-    BlendFactor.ONE_MINUS_CONSTANT: enums.ONE_MINUS_CONSTANT_COLOR,
-    BlendFactor.SOURCE_ALPHA_SATURATE: enums.SRC_ALPHA_SATURATE,
+    states.BlendFactor.ZERO: enums.ZERO,
+    states.BlendFactor.ONE: enums.ONE,
+    states.BlendFactor.SOURCE_COLOR: enums.SRC_COLOR,
+    states.BlendFactor.ONE_MINUS_SOURCE_COLOR: enums.ONE_MINUS_SRC_COLOR,
+    states.BlendFactor.SOURCE_ALPHA: enums.SRC_ALPHA,
+    states.BlendFactor.ONE_MINUS_SOURCE_ALPHA: enums.ONE_MINUS_SRC_ALPHA,
+    states.BlendFactor.DESTINATION_COLOR: enums.DST_COLOR,
+    states.BlendFactor.ONE_MINUS_DESTINATION_COLOR: enums.ONE_MINUS_DST_COLOR,
+    states.BlendFactor.DESTINATION_ALPHA: enums.DST_ALPHA,
+    states.BlendFactor.ONE_MINUS_DESTINATION_ALPHA: enums.ONE_MINUS_DST_ALPHA,
+    states.BlendFactor.CONSTANT: enums.CONSTANT_COLOR,
+    states.BlendFactor.ONE_MINUS_CONSTANT: enums.ONE_MINUS_CONSTANT_COLOR,
+    states.BlendFactor.SOURCE_ALPHA_SATURATE: enums.SRC_ALPHA_SATURATE,
 }
 _EQUATIONS: Final = {
-    BlendOperation.ADD: enums.FUNC_ADD,
-    BlendOperation.SUBTRACT: enums.FUNC_SUBTRACT,
-    BlendOperation.REVERSE_SUBTRACT: enums.FUNC_REVERSE_SUBTRACT,
-    BlendOperation.MINIMUM: enums.MIN,
-    BlendOperation.MAXIMUM: enums.MAX,
+    states.BlendOperation.ADD: enums.FUNC_ADD,
+    states.BlendOperation.SUBTRACT: enums.FUNC_SUBTRACT,
+    states.BlendOperation.REVERSE_SUBTRACT: enums.FUNC_REVERSE_SUBTRACT,
+    states.BlendOperation.MINIMUM: enums.MIN,
+    states.BlendOperation.MAXIMUM: enums.MAX,
 }
 _STENCIL_OPERATIONS: Final = {
-    StencilOperation.KEEP: enums.KEEP,
-    StencilOperation.ZERO: enums.ZERO,
-    StencilOperation.REPLACE: enums.REPLACE,
-    StencilOperation.INCREMENT: enums.INCR,
-    StencilOperation.INCREMENT_WRAP: enums.INCR_WRAP,
-    StencilOperation.DECREMENT: enums.DECR,
-    StencilOperation.DECREMENT_WRAP: enums.DECR_WRAP,
-    StencilOperation.INVERT: enums.INVERT,
+    states.StencilOperation.KEEP: enums.KEEP,
+    states.StencilOperation.ZERO: enums.ZERO,
+    states.StencilOperation.REPLACE: enums.REPLACE,
+    states.StencilOperation.INCREMENT: enums.INCR,
+    states.StencilOperation.INCREMENT_WRAP: enums.INCR_WRAP,
+    states.StencilOperation.DECREMENT: enums.DECR,
+    states.StencilOperation.DECREMENT_WRAP: enums.DECR_WRAP,
+    states.StencilOperation.INVERT: enums.INVERT,
 }
 _SCISSOR_LIMIT: Final = 1 << 16  # larger than any target, and x + width can't overflow
 
-_ALL_COLORS: Final = (ColorWrite.ON,) * MAX_TARGETS
-_ALL_STENCIL: Final = StencilWriteMask()
-_TARGET: Final = Viewport.TARGET
-_UNCUT: Final = Scissor.OFF
-_TESTS_DEPTH: Final = DepthTest.ON  # looking up a member through its class costs 80 ns in Python 3.11
-_WRITES_DEPTH: Final = DepthWrite.ON
-_WIREFRAME: Final = PolygonMode.LINE
+_ALL_COLORS: Final = (states.ColorWrite.ON,) * states.MAX_TARGETS
+_ALL_STENCIL: Final = states.StencilWriteMask()
+_TARGET: Final = states.Viewport.TARGET
+_UNCUT: Final = states.Scissor.OFF
+_TESTS_DEPTH: Final = states.DepthTest.ON  # looking up a member through its class costs 80 ns in Python 3.11
+_WRITES_DEPTH: Final = states.DepthWrite.ON
+_WIREFRAME: Final = states.PolygonMode.LINE
 
 
 class RenderStates:
@@ -127,35 +93,36 @@ class RenderStates:
         self._size = (0, 0)
         self._depth_range: tuple[float, float] | None = None
         self.values: dict[type, Any] = {
-            state: (value,) * MAX_TARGETS if state in PER_TARGET else value for state, value in DEFAULTS.items()
-        } | {PlatformState: ()}
+            state: (value,) * states.MAX_TARGETS if state in states.PER_TARGET else value
+            for state, value in states.DEFAULTS.items()
+        } | {states.PlatformState: ()}
         self._alpha_changed = alpha_changed
         self._apply: dict[type, Callable[[Any], None]] = {
-            CullMode: self._cull,
-            FrontFace: lambda value: gl.FrontFace(_WINDINGS[value]),
-            DepthTest: self._depth_test,
-            DepthWrite: self._depth_write,
-            DepthFunction: self._depth_test,
-            AlphaTest: self._alpha,
-            AlphaFunction: self._alpha,
-            AlphaReference: self._alpha,
-            ColorWrite: self._color_write,
-            BlendFunction: self._blend,
-            BlendColor: lambda value: gl.BlendColor(value.red, value.green, value.blue, value.alpha),
-            StencilTest: lambda value: self._switch(enums.STENCIL_TEST, value is StencilTest.ON),
-            StencilFront: self._stencil_front,
-            StencilBack: self._stencil_back,
-            StencilReference: self._stencil_functions,
-            StencilReadMask: self._stencil_functions,
-            StencilWriteMask: self._stencil_write_mask,
-            Viewport: self._viewport,
-            Scissor: self._scissor,
-            DepthBias: self._offset,
-            PolygonOffset: self._offset,
-            LineWidth: lambda value: gl.LineWidth(value.width),
-            PolygonMode: self._polygon_mode,
-            PlatformState: self._platform,
-            AlphaToCoverage: lambda value: self._switch(enums.SAMPLE_ALPHA_TO_COVERAGE, value is AlphaToCoverage.ON),
+            states.CullMode: self._cull,
+            states.FrontFace: lambda value: gl.FrontFace(_WINDINGS[value]),
+            states.DepthTest: self._depth_test,
+            states.DepthWrite: self._depth_write,
+            states.DepthFunction: self._depth_test,
+            states.AlphaTest: self._alpha,
+            states.AlphaFunction: self._alpha,
+            states.AlphaReference: self._alpha,
+            states.ColorWrite: self._color_write,
+            states.BlendFunction: self._blend,
+            states.BlendColor: lambda value: gl.BlendColor(value.red, value.green, value.blue, value.alpha),
+            states.StencilTest: lambda value: self._switch(enums.STENCIL_TEST, value is states.StencilTest.ON),
+            states.StencilFront: self._stencil_front,
+            states.StencilBack: self._stencil_back,
+            states.StencilReference: self._stencil_functions,
+            states.StencilReadMask: self._stencil_functions,
+            states.StencilWriteMask: self._stencil_write_mask,
+            states.Viewport: self._viewport,
+            states.Scissor: self._scissor,
+            states.DepthBias: self._offset,
+            states.PolygonOffset: self._offset,
+            states.LineWidth: lambda value: gl.LineWidth(value.width),
+            states.PolygonMode: self._polygon_mode,
+            states.PlatformState: lambda value: self._switch(enums.DEPTH_CLAMP, DepthClamp.ON in value),
+            states.AlphaToCoverage: self._alpha_to_coverage,
         }
         self.apply_all()
 
@@ -163,10 +130,10 @@ class RenderStates:
         """Set all states anew, whatever GL's are. Programs do the alpha test."""
         self._depth_range = None
         for state, value in self.values.items():
-            if state not in (AlphaTest, AlphaFunction, AlphaReference):
+            if state not in (states.AlphaTest, states.AlphaFunction, states.AlphaReference):
                 self._apply[state](value)
 
-    def set(self, changes: Sequence[StateChange]) -> None:
+    def set(self, changes: Sequence[states.StateChange]) -> None:
         values, apply = self.values, self._apply
         try:
             for state, value in changes:
@@ -181,32 +148,32 @@ class RenderStates:
         """Set the size of the pass that begins, to which `Viewport.TARGET` refers."""
         if size != self._size:
             self._size = size
-            if self.values[Viewport] == _TARGET:
+            if self.values[states.Viewport] == _TARGET:
                 self._viewport(_TARGET)
 
     def open_masks(self, color: bool, depth: bool, stencil: bool) -> None:
         """Let clears of these buffers ignore scissor and write masks, until `close_masks`."""
         gl, values = self._gl, self.values
-        if values[Scissor] != _UNCUT:
+        if values[states.Scissor] != _UNCUT:
             gl.Disable(enums.SCISSOR_TEST)
-        if color and values[ColorWrite] != _ALL_COLORS:
+        if color and values[states.ColorWrite] != _ALL_COLORS:
             gl.ColorMask(1, 1, 1, 1)
-        if depth and values[DepthWrite] is not _WRITES_DEPTH:
+        if depth and values[states.DepthWrite] is not _WRITES_DEPTH:
             gl.DepthMask(1)
-        if stencil and values[StencilWriteMask] != _ALL_STENCIL:
+        if stencil and values[states.StencilWriteMask] != _ALL_STENCIL:
             self._stencil_write_mask(_ALL_STENCIL)
 
     def close_masks(self, color: bool, depth: bool, stencil: bool) -> None:
         """Restore what `open_masks` changed; takes the same arguments."""
         gl, values = self._gl, self.values
-        if values[Scissor] != _UNCUT:
+        if values[states.Scissor] != _UNCUT:
             gl.Enable(enums.SCISSOR_TEST)
-        if color and values[ColorWrite] != _ALL_COLORS:
-            self._color_write(values[ColorWrite])
-        if depth and values[DepthWrite] is not _WRITES_DEPTH:
+        if color and values[states.ColorWrite] != _ALL_COLORS:
+            self._color_write(values[states.ColorWrite])
+        if depth and values[states.DepthWrite] is not _WRITES_DEPTH:
             gl.DepthMask(0)
-        if stencil and values[StencilWriteMask] != _ALL_STENCIL:
-            self._stencil_write_mask(values[StencilWriteMask])
+        if stencil and values[states.StencilWriteMask] != _ALL_STENCIL:
+            self._stencil_write_mask(values[states.StencilWriteMask])
 
     def _switch(self, capability: int, on: bool) -> None:
         if on:
@@ -214,7 +181,7 @@ class RenderStates:
         else:
             self._gl.Disable(capability)
 
-    def _cull(self, value: CullMode) -> None:
+    def _cull(self, value: states.CullMode) -> None:
         face = _FACES.get(value)
         if face is None:
             self._gl.Disable(enums.CULL_FACE)
@@ -224,34 +191,37 @@ class RenderStates:
 
     def _depth_test(self, _: object) -> None:
         gl, values = self._gl, self.values
-        if values[DepthTest] is _TESTS_DEPTH:
+        if values[states.DepthTest] is _TESTS_DEPTH:
             gl.Enable(enums.DEPTH_TEST)
-            gl.DepthFunc(_DEPTH_FUNCTIONS[values[DepthFunction]])
-        elif values[DepthWrite] is _WRITES_DEPTH:
+            gl.DepthFunc(_DEPTH_FUNCTIONS[values[states.DepthFunction]])
+        elif values[states.DepthWrite] is _WRITES_DEPTH:
             gl.Enable(enums.DEPTH_TEST)
             gl.DepthFunc(enums.ALWAYS)
         else:
             gl.Disable(enums.DEPTH_TEST)
 
-    def _depth_write(self, value: DepthWrite) -> None:
+    def _depth_write(self, value: states.DepthWrite) -> None:
         self._gl.DepthMask(value is _WRITES_DEPTH)
-        if self.values[DepthTest] is not _TESTS_DEPTH:
+        if self.values[states.DepthTest] is not _TESTS_DEPTH:
             self._depth_test(None)
 
     def _alpha(self, _: object) -> None:
         self._alpha_changed()
 
-    def _color_write(self, targets: tuple[ColorWrite, ...]) -> None:
+    def _alpha_to_coverage(self, value: states.AlphaToCoverage) -> None:
+        self._switch(enums.SAMPLE_ALPHA_TO_COVERAGE, value is states.AlphaToCoverage.ON)
+
+    def _color_write(self, targets: tuple[states.ColorWrite, ...]) -> None:
         first = targets[0]
-        if targets.count(first) == MAX_TARGETS:
+        if targets.count(first) == states.MAX_TARGETS:
             self._gl.ColorMask(first.red, first.green, first.blue, first.alpha)
             return
         for index, write in enumerate(targets):
             self._gl.ColorMaski(index, write.red, write.green, write.blue, write.alpha)
 
-    def _blend(self, targets: tuple[BlendFunction, ...]) -> None:
+    def _blend(self, targets: tuple[states.BlendFunction, ...]) -> None:
         gl, first = self._gl, targets[0]
-        if targets.count(first) == MAX_TARGETS:
+        if targets.count(first) == states.MAX_TARGETS:
             if first.is_off:
                 gl.Disable(enums.BLEND)
                 return
@@ -267,26 +237,26 @@ class RenderStates:
             gl.BlendEquationSeparatei(index, *_blend_equations(function))
             gl.BlendFuncSeparatei(index, *_blend_factors(function))
 
-    def _stencil_front(self, front: StencilFront) -> None:
+    def _stencil_front(self, front: states.StencilFront) -> None:
         self._gl.StencilOpSeparate(enums.FRONT, *_stencil_operations(front))
         self._stencil_functions(None)
 
-    def _stencil_back(self, back: StencilBack) -> None:
+    def _stencil_back(self, back: states.StencilBack) -> None:
         self._gl.StencilOpSeparate(enums.BACK, *_stencil_operations(back))
         self._stencil_functions(None)
 
     def _stencil_functions(self, _: object) -> None:
         gl, values = self._gl, self.values
-        reference, mask = values[StencilReference], values[StencilReadMask]
-        front, back = COMPARISONS[values[StencilFront].function], COMPARISONS[values[StencilBack].function]
+        reference, mask = values[states.StencilReference], values[states.StencilReadMask]
+        front, back = (COMPARISONS[values[face].function] for face in (states.StencilFront, states.StencilBack))
         gl.StencilFuncSeparate(enums.FRONT, front, int(reference.front), int(mask.front))
         gl.StencilFuncSeparate(enums.BACK, back, int(reference.back), int(mask.back))
 
-    def _stencil_write_mask(self, mask: StencilWriteMask) -> None:
+    def _stencil_write_mask(self, mask: states.StencilWriteMask) -> None:
         self._gl.StencilMaskSeparate(enums.FRONT, int(mask.front))
         self._gl.StencilMaskSeparate(enums.BACK, int(mask.back))
 
-    def _viewport(self, value: Viewport) -> None:
+    def _viewport(self, value: states.Viewport) -> None:
         gl = self._gl
         if value == _TARGET:
             gl.Viewport(0, 0, *self._size)
@@ -297,7 +267,7 @@ class RenderStates:
             self._depth_range = depth_range
             gl.DepthRangef(*depth_range)
 
-    def _scissor(self, value: Scissor) -> None:
+    def _scissor(self, value: states.Scissor) -> None:
         if value == _UNCUT:
             self._gl.Disable(enums.SCISSOR_TEST)
             return
@@ -320,20 +290,17 @@ class RenderStates:
                 scissor(*corner)
                 call(*each)
         finally:
-            self._scissor(self.values[Scissor])
+            self._scissor(self.values[states.Scissor])
 
-    def _polygon_mode(self, mode: PolygonMode) -> None:
+    def _polygon_mode(self, mode: states.PolygonMode) -> None:
         self._gl.PolygonMode(enums.FRONT_AND_BACK, enums.LINE if mode is _WIREFRAME else enums.FILL)
         self._offset(None)
 
-    def _platform(self, values: tuple[PlatformState, ...]) -> None:
-        self._switch(enums.DEPTH_CLAMP, DepthClamp.ON in values)
-
     def _offset(self, _: object) -> None:
-        offset: PolygonOffset = self.values[PolygonOffset]
-        slope, units = offset.slope, self.values[DepthBias].units
+        offset: states.PolygonOffset = self.values[states.PolygonOffset]
+        slope, units = offset.slope, self.values[states.DepthBias].units
         self._switch(enums.POLYGON_OFFSET_FILL, bool(units or slope))
-        if self.values[PolygonMode] is _WIREFRAME:
+        if self.values[states.PolygonMode] is _WIREFRAME:
             self._switch(enums.POLYGON_OFFSET_LINE, bool(units or slope))
         if self._has_offset_clamp:
             self._gl.PolygonOffsetClamp(slope, units, offset.clamp)
@@ -341,11 +308,11 @@ class RenderStates:
             self._gl.PolygonOffset(slope, units)
 
 
-def _blend_equations(function: BlendFunction) -> tuple[int, int]:
+def _blend_equations(function: states.BlendFunction) -> tuple[int, int]:
     return _EQUATIONS[function.operation], _EQUATIONS[function.operation_alpha or function.operation]
 
 
-def _blend_factors(function: BlendFunction) -> tuple[int, int, int, int]:
+def _blend_factors(function: states.BlendFunction) -> tuple[int, int, int, int]:
     return (
         _FACTORS[function.source],
         _FACTORS[function.destination],
@@ -354,7 +321,7 @@ def _blend_factors(function: BlendFunction) -> tuple[int, int, int, int]:
     )
 
 
-def _stencil_operations(face: StencilFront | StencilBack) -> tuple[int, int, int]:
+def _stencil_operations(face: states.StencilFront | states.StencilBack) -> tuple[int, int, int]:
     return (
         _STENCIL_OPERATIONS[face.stencil_fail],
         _STENCIL_OPERATIONS[face.depth_fail],

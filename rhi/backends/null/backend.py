@@ -32,20 +32,9 @@ from rhi.backends.null.shaders import Shaders, StandIn
 from rhi.backends.null.textures import Textures
 from rhi.commands.ops import WIDTHS, Op
 from rhi.commands.recorder import CommandMethods
+from rhi.contract import descriptors
 from rhi.contract.backend import Capabilities
-from rhi.contract.descriptors import (
-    BufferDescriptor,
-    BufferUsage,
-    Id,
-    PassDescriptor,
-    Primitive,
-    ProgramDescriptor,
-    QueryKind,
-    Region,
-    SamplerDescriptor,
-    TextureDescriptor,
-    VertexArrayDescriptor,
-)
+from rhi.contract.descriptors import Id
 
 COMMAND_NANOSECONDS: Final = 1000
 QUEUED_BYTES: Final = 1 << 24
@@ -154,24 +143,24 @@ class NullBackend(CommandMethods):
 
     # -- immediate calls -----------------------------------------------------------------------------------
 
-    def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
+    def create_buffer(self, buffer: Id, descriptor: descriptors.BufferDescriptor) -> None:
         self._buffers.create_buffer(buffer, descriptor)
-        if descriptor.usage is BufferUsage.STREAM:
+        if descriptor.usage is descriptors.BufferUsage.STREAM:
             self._streams.add(buffer)
 
-    def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
+    def create_texture(self, texture: Id, descriptor: descriptors.TextureDescriptor) -> None:
         self._textures.create_texture(texture, descriptor)
 
-    def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
+    def create_sampler(self, sampler: Id, descriptor: descriptors.SamplerDescriptor) -> None:
         self._state.create(sampler, descriptor)
 
-    def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
+    def create_program(self, program: Id, descriptor: descriptors.ProgramDescriptor) -> None:
         self._state.create(program, descriptor)
 
-    def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
+    def create_vertex_array(self, vertex_array: Id, descriptor: descriptors.VertexArrayDescriptor) -> None:
         self._state.create(vertex_array, descriptor)
 
-    def create_query(self, query: Id, kind: QueryKind) -> None:
+    def create_query(self, query: Id, kind: descriptors.QueryKind) -> None:
         self._queries.create_query(query, kind)
 
     def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> None:
@@ -180,7 +169,7 @@ class NullBackend(CommandMethods):
         else:
             self._enqueue_bytes(Op.WRITE_BUFFER, (buffer, offset), bytes(data))
 
-    def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
+    def write_texture(self, texture: Id, level: int, region: descriptors.Region, data: BytesLike) -> None:
         self._enqueue_bytes(Op.WRITE_TEXTURE, (texture, level, region), bytes(data))
 
     def _enqueue_bytes(self, op: Op, arguments: tuple[Any, ...], data: bytes) -> None:
@@ -195,7 +184,7 @@ class NullBackend(CommandMethods):
         self._run()
         return self._buffers.read_buffer(buffer, offset, size)
 
-    def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
+    def read_texture(self, texture: Id, level: int, region: descriptors.Region, stencil: bool) -> NDArray[np.generic]:
         self._run()
         return self._textures.read_texture(texture, level, region, stencil)
 
@@ -277,19 +266,19 @@ class NullBackend(CommandMethods):
         self._streams.discard(resource)
 
     def _copy_texture_to_buffer(
-        self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+        self, source: Id, level: int, region: descriptors.Region, target: Id, offset: int, row_bytes: int
     ) -> None:
         rows = self._textures.copy_rows(source, level, region)
         self._buffers.rows(target, offset, row_bytes, *rows.shape)[:] = rows
 
     def _copy_buffer_to_texture(
-        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: descriptors.Region
     ) -> None:
         rows = self._textures.copy_rows(target, level, region)
         data = self._buffers.rows(source, offset, row_bytes, *rows.shape)
         self._textures.write_texture(target, level, region, data.tobytes())
 
-    def _begin_pass(self, descriptor: PassDescriptor) -> None:
+    def _begin_pass(self, descriptor: descriptors.PassDescriptor) -> None:
         self._state.begin_pass(descriptor)
         self._textures.begin_pass(descriptor)
 
@@ -309,7 +298,7 @@ class NullBackend(CommandMethods):
         self._state.decide(self._queries.samples(query), inverted)
 
     def _draw(
-        self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
+        self, vertex_array: Id, primitive: descriptors.Primitive, first: int, count: int, instances: int,
         base_vertex: int, base_instance: int,
     ) -> None:  # fmt: skip
         if self._follows_draws:
@@ -318,7 +307,7 @@ class NullBackend(CommandMethods):
             self._count_unfollowed(1, count > 0 and instances > 0)
 
     def _draw_indirect(
-        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
+        self, vertex_array: Id, primitive: descriptors.Primitive, buffer: Id, offset: int, draws: int, stride: int,
         count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
         indexed = self._state.find_vertex_array(vertex_array).index_buffer != 0
@@ -344,7 +333,7 @@ class NullBackend(CommandMethods):
         )
 
     def _follow_draw(
-        self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
+        self, vertex_array: Id, primitive: descriptors.Primitive, first: int, count: int, instances: int,
         base_vertex: int, base_instance: int,
     ) -> None:  # fmt: skip
         """Process an executed draw whose samples are counted, or whose program has a stand-in."""

@@ -27,18 +27,9 @@ from rhi.backends.wgpu.samplers import Samplers
 from rhi.backends.wgpu.stream import Stream
 from rhi.backends.wgpu.textures import Textures
 from rhi.backends.wgpu.tools import Tools
+from rhi.contract import descriptors
 from rhi.contract.backend import Capabilities
-from rhi.contract.descriptors import (
-    BufferDescriptor,
-    Id,
-    PassDescriptor,
-    Primitive,
-    ProgramDescriptor,
-    QueryKind,
-    SamplerDescriptor,
-    TextureDescriptor,
-    VertexArrayDescriptor,
-)
+from rhi.contract.descriptors import Id
 from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.states import StateChange
 
@@ -121,19 +112,19 @@ class WgpuBackend:
 
     # -- resources ---------------------------------------------------------------------------------------
 
-    def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
+    def create_buffer(self, buffer: Id, descriptor: descriptors.BufferDescriptor) -> None:
         self._buffers.create(buffer, descriptor)
         self._destroyers[buffer] = self._buffers.destroy
 
-    def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
+    def create_texture(self, texture: Id, descriptor: descriptors.TextureDescriptor) -> None:
         self._textures.create(texture, descriptor)
         self._destroyers[texture] = self._textures.destroy
 
-    def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
+    def create_sampler(self, sampler: Id, descriptor: descriptors.SamplerDescriptor) -> None:
         self._samplers.create(sampler, descriptor)
         self._destroyers[sampler] = self._samplers.destroy
 
-    def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
+    def create_program(self, program: Id, descriptor: descriptors.ProgramDescriptor) -> None:
         self._programs[program] = GpuProgram(self.device, program, descriptor)
         self._destroyers[program] = self._destroy_program
 
@@ -142,11 +133,11 @@ class WgpuBackend:
         if self._draws.program is gone:
             self._draws.program = None
 
-    def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
+    def create_vertex_array(self, vertex_array: Id, descriptor: descriptors.VertexArrayDescriptor) -> None:
         self._draws.create_array(vertex_array, descriptor)
         self._destroyers[vertex_array] = self._draws.destroy_array
 
-    def create_query(self, query: Id, kind: QueryKind) -> None:
+    def create_query(self, query: Id, kind: descriptors.QueryKind) -> None:
         self._queries.create(query, kind)
         self._destroyers[query] = self._queries.destroy
 
@@ -156,7 +147,7 @@ class WgpuBackend:
 
     # -- passes, bindings and draws ----------------------------------------------------------------------
 
-    def begin_pass(self, descriptor: PassDescriptor) -> None:
+    def begin_pass(self, descriptor: descriptors.PassDescriptor) -> None:
         textures = self._textures
         colors = tuple(textures[color.texture].descriptor.format for color in descriptor.colors)
         depth = textures[descriptor.depth.texture].descriptor.format if descriptor.depth is not None else None
@@ -173,7 +164,7 @@ class WgpuBackend:
         return self._bindings.prepare_uniform(buffer)
 
     def prepare_draw(
-        self, program: Id, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int,
+        self, program: Id, vertex_array: Id, primitive: descriptors.Primitive, first: int, count: int, base_vertex: int,
         base_instance: int,
     ) -> Callable[[int], object]:  # fmt: skip
         """See `rhi.contract.backend.PreparesDraws`."""

@@ -14,7 +14,6 @@ import weakref
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from threading import get_ident
-from types import TracebackType
 from typing import Any, ClassVar, Final, NoReturn, Protocol, TypeVar, cast
 
 import numpy as np
@@ -31,19 +30,7 @@ from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.scopes import Scope
 from rhi.device.core.state_cache import StateCache, StateVector
 from rhi.device.core.timeline import Timeline
-from rhi.errors import DeviceError, Rule, find_call_site
-from rhi.errors.rules import (
-    DEVICE_CAPABILITY,
-    DEVICE_CLOSED,
-    DEVICE_CONTEXT,
-    DEVICE_FORKED,
-    DEVICE_MEMORY,
-    DEVICE_THREAD,
-    LOCK_OPEN,
-    RECORD_TRANSIENT,
-    RESOURCE_DESTROYED,
-    RESOURCE_FOREIGN,
-)
+from rhi.errors import DeviceError, Rule, find_call_site, rules
 from rhi.shading.language.bindings import UniformRange
 
 D = TypeVar("D")
@@ -115,9 +102,7 @@ class Creation:
             self._outer = False
             self._core.created = []
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         core = self._core
         made: list[Id] = []
         if not self._outer:
@@ -277,7 +262,7 @@ class Core:
         try:
             make(resource, descriptor)
         except DeviceError as error:
-            if error.rule is not DEVICE_MEMORY or not self.timeline.reclaim():
+            if error.rule is not rules.DEVICE_MEMORY or not self.timeline.reclaim():
                 raise
             make(resource, descriptor)
         self.timeline.living[resource] = size
@@ -298,7 +283,7 @@ class Core:
         if self.closed:
             if self.thread == ENDING:
                 stop_thread()
-            self.refuse(DEVICE_CLOSED, "device", "a closed device")
+            self.refuse(rules.DEVICE_CLOSED, "device", "a closed device")
 
     check_command = check_open
     """Refuse a command that happens thousands of times a frame. With validation it is `check_ready`."""
@@ -322,9 +307,11 @@ class Core:
         """Refuse calls on any thread but the device's own. A closed device has none."""
         if get_ident() != self.thread and not self.closed:
             if self.thread == FORKED:
-                self.refuse(DEVICE_FORKED, call, "a device of the process that was forked", "devices of this process")
+                self.refuse(
+                    rules.DEVICE_FORKED, call, "a device of the process that was forked", "devices of this process"
+                )
             allowed = name_thread(self.thread) if self.thread != NO_THREAD else "none before make_current()"
-            self.refuse(DEVICE_THREAD, call, f"a call on {name_thread(get_ident())}", allowed)
+            self.refuse(rules.DEVICE_THREAD, call, f"a call on {name_thread(get_ident())}", allowed)
 
     def resume(self) -> bool:
         """Make the platform's context current again; return whether another one was current."""
@@ -371,17 +358,19 @@ class Core:
         if not self.capabilities.shares_textures:
             given = f"a {self.capabilities.backend} device that stands alone"
             tip = 'create it beside a context: rhi.create_device("gl", context=…)'
-            self.refuse(DEVICE_CAPABILITY, call, given, "needs capabilities.shares_textures", tip)
+            self.refuse(rules.DEVICE_CAPABILITY, call, given, "needs capabilities.shares_textures", tip)
         return cast("SharesTextures", find_part(self.backend, "adopting_texture"))
 
     def check_usable(self, owner: Owner, call: str) -> None:
         """Refuse a resource that is destroyed, locked, or of another device."""
         if owner.core is not self:
-            self.refuse(RECORD_TRANSIENT if owner.core.records else RESOURCE_FOREIGN, call, describe_object(owner))
+            self.refuse(
+                rules.RECORD_TRANSIENT if owner.core.records else rules.RESOURCE_FOREIGN, call, describe_object(owner)
+            )
         if owner.destroyed:
-            self.refuse(RESOURCE_DESTROYED, call, describe_object(owner))
+            self.refuse(rules.RESOURCE_DESTROYED, call, describe_object(owner))
         if self.locked and self.is_locked(owner):
-            self.refuse(LOCK_OPEN, call, f"{describe_object(owner)}, which has an open lock")
+            self.refuse(rules.LOCK_OPEN, call, f"{describe_object(owner)}, which has an open lock")
 
     def has_open_pass(self) -> bool:
         """Return whether a pass is open; end one whose block has been left without its end."""
@@ -507,7 +496,7 @@ class Core:
             self.check_ready()
             if len(self._samplers) >= MAX_SAMPLERS:
                 more = f"one more sampler, {descriptor}"
-                self.refuse(DEVICE_CAPABILITY, "device.sampler", more, f"up to {MAX_SAMPLERS} different ones")
+                self.refuse(rules.DEVICE_CAPABILITY, "device.sampler", more, f"up to {MAX_SAMPLERS} different ones")
             with HeldInterrupts():  # it belongs to the device, not to whoever asks first
                 sampler = self.new_id()
                 self.backend.create_sampler(sampler, descriptor)
@@ -572,7 +561,7 @@ def find_part(backend: Backend, method: str) -> object | None:
 def lost_pass() -> DeviceError:
     """Return the error of a render pass during which other code made another context current."""
     given = "another context, made current by other code inside a render pass; draws since then are lost"
-    return DeviceError(DEVICE_CONTEXT, "device.render_pass", given)
+    return DeviceError(rules.DEVICE_CONTEXT, "device.render_pass", given)
 
 
 def stop_thread() -> None:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import threading
 from _signal import SIGINT, getsignal, signal  # type: ignore[import-not-found]  # without enums, a tenth of the time
 from collections.abc import Callable
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Final
 
 _MAIN: Final = threading.main_thread()
@@ -48,9 +48,7 @@ class HeldInterrupts:
             before(number, frame)
         self._came = number, frame
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         before = self._before
         if before is not None:
             signal(SIGINT, before)

@@ -7,7 +7,6 @@ their command (`Command.failure`) and are not kept here.
 
 from __future__ import annotations
 
-from types import TracebackType
 from typing import Final, NoReturn
 
 from rhi.commands.recorder import Recorder
@@ -46,9 +45,7 @@ class RefusalLog:
     def __enter__(self) -> None:
         pass
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, RhiError):
             self.note(error)
 

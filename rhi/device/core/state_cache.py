@@ -16,7 +16,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import TracebackType
 from typing import Final, Protocol
 
 from rhi.contract.backend import Capabilities
@@ -193,7 +192,7 @@ class StateCache:
                 values[index] = (state,) * MAX_TARGETS
             else:
                 per_target = list(values[index])  # type: ignore[call-overload]
-                per_target[target] = _without_target(state)
+                per_target[target] = replace(state, target=None)  # type: ignore[type-var]
                 values[index] = tuple(per_target)
         self._reserve()
         vector = self._intern(tuple(values))
@@ -244,10 +243,6 @@ def _change_platform(values: object, state: object) -> tuple[PlatformState, ...]
     return tuple(sorted(kept, key=lambda each: each.full_name))
 
 
-def _without_target(state: State) -> State:
-    return replace(state, target=None)  # type: ignore[type-var]
-
-
 class StateScope(Scope):
     """A `with device.states(...)` block: sets states on entry and always restores the earlier ones on exit.
 
@@ -290,9 +285,7 @@ class StateScope(Scope):
         cache.wanted = target
         cache.software_changes += count
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         cache = self.cache
         scopes = cache.scopes
         index, data = scopes._index - 1, scopes._data
@@ -330,9 +323,7 @@ class ValidatedScope(StateScope):
         super().__enter__()
         self.cache.scopes.keep_line()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if self.cache.validator is not None:
             self.cache.validator.check_thread("the end of device.states(…)")
         super().__exit__(kind, error, trace)

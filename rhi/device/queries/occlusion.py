@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import time
 from threading import get_ident
-from types import TracebackType
 from typing import Final, Generic, Self, TypeVar
 
 from rhi.contract.descriptors import Id, QueryKind
@@ -20,19 +19,8 @@ from rhi.device.core.core import Core, describe_object
 from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.scopes import Scope
 from rhi.device.resources.lifetime import drop
-from rhi.errors import DeviceError
+from rhi.errors import DeviceError, rules
 from rhi.errors.arguments import Arguments
-from rhi.errors.rules import (
-    CONDITION_NESTED,
-    DEVICE_ANSWER,
-    DEVICE_CAPABILITY,
-    DRAW_OUTSIDE_PASS,
-    QUERY_NESTED,
-    QUERY_STATE,
-    QUERY_UNFINISHED,
-    RESOURCE_DESTROYED,
-    RESOURCE_FOREIGN,
-)
 
 T = TypeVar("T")
 
@@ -51,7 +39,7 @@ class PendingQuery(Generic[T]):
         capabilities = core.capabilities
         self.emulated = emulated or not capabilities.occlusion_queries
         if self.emulated and not capabilities.sample_counter:
-            core.refuse(DEVICE_CAPABILITY, call, "an emulated query", "needs capabilities.sample_counter")
+            core.refuse(rules.DEVICE_CAPABILITY, call, "an emulated query", "needs capabilities.sample_counter")
         self._core = core
         self._ids: list[Id] = []
         kind = QueryKind.COUNTER if self.emulated else QueryKind.OCCLUSION
@@ -106,7 +94,7 @@ class PendingQuery(Generic[T]):
         if not self.is_finished:
             call = f"{type(self).__name__}.visible_samples"
             self.check_ended(self._core, call)
-            self._core.refuse(QUERY_UNFINISHED, call, "an unfinished query")
+            self._core.refuse(rules.QUERY_UNFINISHED, call, "an unfinished query")
         assert self._answer is not None
         return self._answer
 
@@ -124,7 +112,7 @@ class PendingQuery(Generic[T]):
             while not self.is_finished:  # a driver may publish the result a moment after the fence
                 if time.monotonic() > deadline:
                     given = f"query {self._ids[-1]}: no answer {ANSWER_SECONDS:g} s after the GPU passed its end"
-                    self._core.refusals.fail(DeviceError(DEVICE_ANSWER, call, given))
+                    self._core.refusals.fail(DeviceError(rules.DEVICE_ANSWER, call, given))
                 time.sleep(0)
         assert self._answer is not None
         return self._answer
@@ -132,7 +120,9 @@ class PendingQuery(Generic[T]):
     def destroy(self) -> None:
         """Destroy the query; an open query can't be destroyed."""
         if self._state is _OPEN:
-            self._core.refuse(QUERY_STATE, f"{type(self).__name__}.destroy", "an open query", "a query that was ended")
+            self._core.refuse(
+                rules.QUERY_STATE, f"{type(self).__name__}.destroy", "an open query", "a query that was ended"
+            )
         if not self.destroyed:
             self._core.check_thread("destroy")
             with HeldInterrupts():
@@ -159,7 +149,7 @@ class PendingQuery(Generic[T]):
         """Refuse a query that was not ended or is destroyed, in a call of `core`."""
         if self._state is not _ENDED or self.destroyed:
             state = "destroyed" if self.destroyed else self._state
-            core.refuse(QUERY_STATE, call, f"a query that is {state}", "a query that was ended")
+            core.refuse(rules.QUERY_STATE, call, f"a query that is {state}", "a query that was ended")
 
 
 class QueryScope(Scope):
@@ -229,11 +219,11 @@ class OcclusionQuery(PendingQuery[int], QueryScope):
         if checks or core.closed:
             core.check_ready()
         if self.destroyed:
-            core.refuse(RESOURCE_DESTROYED, "OcclusionQuery.begin", "a destroyed query")
+            core.refuse(rules.RESOURCE_DESTROYED, "OcclusionQuery.begin", "a destroyed query")
         if core.open_query is not None:
-            core.refuse(QUERY_NESTED, "OcclusionQuery.begin", "a second open query")
+            core.refuse(rules.QUERY_NESTED, "OcclusionQuery.begin", "a second open query")
         if core.render_pass is None:
-            core.refuse(DRAW_OUTSIDE_PASS, "OcclusionQuery.begin", "no open pass")
+            core.refuse(rules.DRAW_OUTSIDE_PASS, "OcclusionQuery.begin", "no open pass")
         scopes = core.scopes
         index = scopes._index  # from here on nothing may be interrupted before the `try`, so it calls nothing
         try:
@@ -265,7 +255,7 @@ class OcclusionQuery(PendingQuery[int], QueryScope):
             self.finish(False)
             return
         if self._state is not _OPEN:
-            core.refuse(QUERY_STATE, "OcclusionQuery.end", f"a query that is {self._state}", "an open query")
+            core.refuse(rules.QUERY_STATE, "OcclusionQuery.end", f"a query that is {self._state}", "an open query")
         self._leave(None, again=True)
 
     def _leave(self, error: BaseException | None, *, again: bool) -> None:
@@ -299,9 +289,7 @@ class OcclusionQuery(PendingQuery[int], QueryScope):
         self.begin()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         core = self._core
         scopes = core.scopes
         if scopes._data[scopes._index - 1] is self:
@@ -323,9 +311,9 @@ class OcclusionQuery(PendingQuery[int], QueryScope):
     def check_usable(self, core: Core, call: str) -> None:
         """Refuse a destroyed query, and one of another device."""
         if self._core is not core:
-            core.refuse(RESOURCE_FOREIGN, call, describe_object(self))
+            core.refuse(rules.RESOURCE_FOREIGN, call, describe_object(self))
         if self.destroyed:
-            core.refuse(RESOURCE_DESTROYED, call, "a destroyed query")
+            core.refuse(rules.RESOURCE_DESTROYED, call, "a destroyed query")
 
     def write_begin(self, core: Core) -> None:
         """Send the begin of the query to `core`: the device's, or a command buffer's."""
@@ -356,7 +344,7 @@ class Conditional(Scope):
             check.instance("query", query, OcclusionQuery, "an OcclusionQuery from device.occlusion_query()")
             inverted = check.flag("inverted", inverted)
         if query.emulated:
-            core.refuse(DEVICE_CAPABILITY, call, "an emulated query", "a native one: device.occlusion_query()")
+            core.refuse(rules.DEVICE_CAPABILITY, call, "an emulated query", "a native one: device.occlusion_query()")
         self._core = core
         self._query = query
         self._inverted = inverted
@@ -371,7 +359,7 @@ class Conditional(Scope):
         core = self._core
         core.check_scope()
         if core.condition_open:
-            core.refuse(CONDITION_NESTED, "device.conditional", "a condition inside another")
+            core.refuse(rules.CONDITION_NESTED, "device.conditional", "a condition inside another")
         self._check()
         core.scopes.push(self)
         core.condition_open = True
@@ -382,9 +370,7 @@ class Conditional(Scope):
             raise
         core.condition_count += 1
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         core = self._core
         if core.closed:
             return

@@ -13,7 +13,6 @@ from collections import deque
 from dataclasses import dataclass, field
 from threading import get_ident
 from time import perf_counter
-from types import TracebackType
 from typing import Final, TypeAlias, cast
 
 from rhi.contract.backend import DatesTimestamps
@@ -209,9 +208,7 @@ class EventScope(Scope):
         else:
             self._timers.begin(_EventAgain(self, self._core, self._timers, self.label))
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         core = self._core
         if core.closed:
             return

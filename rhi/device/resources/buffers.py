@@ -30,15 +30,8 @@ from rhi.device.core.core import Core
 from rhi.device.resources.lifetime import Resource, drop, retire
 from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
-from rhi.errors import ValidationError
+from rhi.errors import ValidationError, rules
 from rhi.errors.arguments import Arguments, as_whole
-from rhi.errors.rules import (
-    BUFFER_ALIGNMENT,
-    BUFFER_DTYPE,
-    BUFFER_RANGE,
-    BUFFER_SIZE,
-    LAYOUT_MISMATCH,
-)
 from rhi.shading import Struct, ivec3, uint, uvec3, value_type_of, vec3
 from rhi.shading.language.bindings import StorageRange, UniformRange
 from rhi.shading.language.vectors import CLASSES, Composite
@@ -73,11 +66,11 @@ class Buffer(Resource):
         check.choice("usage", usage, BufferUsage)
         check.text("label", label)
         if not _is_plain(dtype) or dtype.itemsize == 0:
-            core.refuse(BUFFER_DTYPE, "device.buffer", f"dtype {dtype}", "a dtype of plain numbers")
+            core.refuse(rules.BUFFER_DTYPE, "device.buffer", f"dtype {dtype}", "a dtype of plain numbers")
         size = count * dtype.itemsize
         if not 0 < size < MAX_BYTES:
             core.refuse(
-                BUFFER_SIZE,
+                rules.BUFFER_SIZE,
                 "device.buffer",
                 f"{count} elements of {dtype.itemsize} bytes",
                 f"1 to {MAX_BYTES - 1} bytes",
@@ -181,7 +174,7 @@ class Buffer(Resource):
         core.check_ready()
         core.check_usable(self, "Buffer.clear")
         if self.size % 4:
-            self.core.refuse(BUFFER_ALIGNMENT, "Buffer.clear", f"{self.size} bytes", "a multiple of 4 bytes")
+            self.core.refuse(rules.BUFFER_ALIGNMENT, "Buffer.clear", f"{self.size} bytes", "a multiple of 4 bytes")
         core.backend.clear_buffer(self.id, 0, self.size, value & 0xFFFFFFFF)
 
     def _copy(
@@ -212,7 +205,7 @@ class Buffer(Resource):
             given = f"shape {array.shape} of {array.dtype}"
             if base.names:
                 given = compare_layouts(base, array.dtype)
-            self.core.refuse(BUFFER_DTYPE, call, given, str(self.dtype))
+            self.core.refuse(rules.BUFFER_DTYPE, call, given, str(self.dtype))
         return np.ascontiguousarray(array).reshape(-1, *shape)
 
     def _range(self, call: str, first: int, count: int | None) -> tuple[int, int]:
@@ -221,7 +214,7 @@ class Buffer(Resource):
         count = self.count - first if count is None else check.whole("count", count)
         self._check(call)
         if first < 0 or count < 0 or first + count > self.count:
-            self.core.refuse(BUFFER_RANGE, call, f"{count} elements from {first}", f"0 to {self.count} elements")
+            self.core.refuse(rules.BUFFER_RANGE, call, f"{count} elements from {first}", f"0 to {self.count} elements")
         return first, count
 
     def _upload(self, array: NDArray[Any], first: int) -> None:
@@ -275,7 +268,7 @@ class UniformBuffer(UniformRange[T], Resource):
         if fields:
             if value is not None or not issubclass(self.type, Struct):  # type: ignore[arg-type]
                 given = f"{', '.join(fields)} beside a value" if value is not None else ", ".join(fields)
-                core.refuse(LAYOUT_MISMATCH, call, given, f"a {_name(self.type)}, or fields of a struct")
+                core.refuse(rules.LAYOUT_MISMATCH, call, given, f"a {_name(self.type)}, or fields of a struct")
             with core.refusals:
                 parts = [self.type.pack_field(name, part) for name, part in fields.items()]  # type: ignore[attr-defined]
             self.owner._check(call)
@@ -283,11 +276,11 @@ class UniformBuffer(UniformRange[T], Resource):
                 self.owner._upload_bytes(data, offset)
             return
         with core.refusals:
-            layout, constants = as_constants(Arguments(call, rule=LAYOUT_MISMATCH), value)
+            layout, constants = as_constants(Arguments(call, rule=rules.LAYOUT_MISMATCH), value)
             if layout is int and self.type in (float, uint):  # as an int is converted in a field of a struct
                 layout, constants = self.type, _wrapper(self.type)(value=value)
         if layout is not self.type:
-            core.refuse(LAYOUT_MISMATCH, call, f"{value!r}, a {type(value).__name__}", f"a {_name(self.type)}")
+            core.refuse(rules.LAYOUT_MISMATCH, call, f"{value!r}, a {type(value).__name__}", f"a {_name(self.type)}")
         self.owner._check(call)
         self.owner._upload_bytes(constants.to_bytes(), 0)
 
@@ -394,7 +387,7 @@ class StorageBuffer(StorageRange[T], Resource):
     def _typed(self) -> Buffer:
         if self.owner.dtype != self.dtype:
             self.owner.core.refuse(
-                BUFFER_DTYPE,
+                rules.BUFFER_DTYPE,
                 "StorageBuffer",
                 str(self.owner.dtype),
                 f"a buffer of {self.dtype}, or its own methods",
@@ -433,7 +426,7 @@ def as_storage(
         check.fail("source", source, "a number of elements, or an array")
     size = array.nbytes if array is not None else (count or 0) * dtype.itemsize
     if not 0 < size <= most:
-        core.refuse(BUFFER_SIZE, check.call, f"{size} bytes", f"1 to {most} bytes")
+        core.refuse(rules.BUFFER_SIZE, check.call, f"{size} bytes", f"1 to {most} bytes")
     return np.zeros(count or 0, dtype) if array is None else np.ascontiguousarray(array)
 
 
@@ -480,12 +473,15 @@ def match_layout(core: Core, array: ArrayLike, expected: np.dtype[Any], call: st
         given = np.concatenate([given, np.zeros_like(given[..., :1])], axis=-1)
     if not accepts(base, given.dtype):
         core.refuse(
-            LAYOUT_MISMATCH, call, f"shape {given.shape} of\n{compare_layouts(base, given.dtype)}", str(shape or "")
+            rules.LAYOUT_MISMATCH,
+            call,
+            f"shape {given.shape} of\n{compare_layouts(base, given.dtype)}",
+            str(shape or ""),
         )
     if shape and given.shape[-len(shape) :] != shape:
         allowed = f"(n, {', '.join(map(str, shape))}) of {base}"
         core.refuse(
-            LAYOUT_MISMATCH, call, f"shape {given.shape} of {given.dtype}", allowed, "give an array of this shape"
+            rules.LAYOUT_MISMATCH, call, f"shape {given.shape} of {given.dtype}", allowed, "give an array of this shape"
         )
     return given if given.dtype == base else np.ascontiguousarray(given).view(base)
 
@@ -499,7 +495,7 @@ def _convert(core: Core, numbers: NDArray[Any], wanted: np.dtype[Any], call: str
         else:  # back and forth is exact, unless the sign was lost on the way
             fits = (converted.astype(numbers.dtype) == numbers) & ((converted < 0) == (numbers < 0))
     if not fits.all():
-        core.refuse(LAYOUT_MISMATCH, call, f"{numbers[~fits][0]} of {numbers.dtype}", f"what {wanted} holds", "")
+        core.refuse(rules.LAYOUT_MISMATCH, call, f"{numbers[~fits][0]} of {numbers.dtype}", f"what {wanted} holds", "")
     return converted
 
 

@@ -9,7 +9,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any
 
 from numpy.typing import NDArray
@@ -58,9 +57,7 @@ class Lock:
             raise
         return array
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         core = self._owner.core
         core.check_thread("the end of a lock")
         array, self._array = self._array, None

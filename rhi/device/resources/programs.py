@@ -25,21 +25,8 @@ from rhi.device.resources.draw_code import MISSING, PendingConstants, compile_dr
 from rhi.device.resources.lifetime import retire
 from rhi.device.resources.meshes import Drawable, check_instance_end, reads_instances
 from rhi.device.resources.textures import Texture
-from rhi.errors import CallSite, ShaderWarning, ValidationError, find_call_site
+from rhi.errors import CallSite, ShaderWarning, ValidationError, find_call_site, rules
 from rhi.errors.arguments import Arguments
-from rhi.errors.rules import (
-    BINDING_MISSING,
-    BINDING_NAME,
-    BINDING_TYPE,
-    BINDING_UNKNOWN,
-    DEVICE_ARGUMENT,
-    DRAW_COUNT,
-    DRAW_OUTSIDE_PASS,
-    PASS_FEEDBACK,
-    PASS_OPEN,
-    PROGRAM_OUTPUT,
-    PROGRAM_STAGE,
-)
 from rhi.shading import Precision, Shader, Struct
 from rhi.shading.compile import describe_in, find_exact
 from rhi.shading.language.bindings import ImageBinding, StorageRange, TextureBinding, UniformRange
@@ -159,15 +146,15 @@ class Program(Generic[P]):
         core.check_command()
         core.check_usable(self, call)
         if Stage.VERTEX not in self.descriptor.stages:
-            core.refuse(PROGRAM_STAGE, call, show_stages(self.descriptor), "a program with a vertex stage")
+            core.refuse(rules.PROGRAM_STAGE, call, show_stages(self.descriptor), "a program with a vertex stage")
         if core.render_pass is None:
-            core.refuse(DRAW_OUTSIDE_PASS, call, "no open pass")
+            core.refuse(rules.DRAW_OUTSIDE_PASS, call, "no open pass")
         for buffer in mesh.buffers:
             core.check_usable(buffer, call)
         for output, kind in zip(self.descriptor.outputs, core.target_kinds, strict=False):
             if output.kind != kind:
                 core.refuse(
-                    PROGRAM_OUTPUT,
+                    rules.PROGRAM_OUTPUT,
                     call,
                     f"{output.name}: {output.kind}",
                     f"{kind}, as target {output.location} is",
@@ -180,9 +167,9 @@ class Program(Generic[P]):
         core.check_open()
         core.check_usable(self, call)
         if Stage.COMPUTE not in self.descriptor.stages:
-            core.refuse(PROGRAM_STAGE, call, show_stages(self.descriptor), "a program with a compute stage")
+            core.refuse(rules.PROGRAM_STAGE, call, show_stages(self.descriptor), "a program with a compute stage")
         if core.has_open_pass():
-            core.refuse(PASS_OPEN, call, "an open render pass")
+            core.refuse(rules.PASS_OPEN, call, "an open render pass")
 
     def make_current(self) -> None:
         """Bind this program and make it the current one; while a resource is locked, none is current."""
@@ -276,7 +263,7 @@ class Program(Generic[P]):
             return
         call = f"{binding.name}= of program {self.name!r}"
         if value is MISSING or value is None:
-            self.core.refuse(BINDING_MISSING, call, "nothing", _wanted(binding))
+            self.core.refuse(rules.BINDING_MISSING, call, "nothing", _wanted(binding))
         match binding.kind:
             case BindingKind.UNIFORM | BindingKind.STORAGE:
                 self._check_range(binding, value, call)
@@ -289,17 +276,19 @@ class Program(Generic[P]):
         fits = isinstance(value, _RANGES[binding.kind])
         if not fits or value.type is not binding.type:
             tip = "" if isinstance(value, UniformRange | StorageRange) else _how_to_make(binding)
-            self.core.refuse(BINDING_TYPE, call, _given(value), _wanted(binding), tip)
+            self.core.refuse(rules.BINDING_TYPE, call, _given(value), _wanted(binding), tip)
         self.core.check_usable(value.owner, call)
         if binding.writes and not isinstance(value.owner, Buffer):
             tip = "make it with device.storage(…): shaders can't write transient memory"
-            self.core.refuse(BINDING_TYPE, call, "transient storage, which shaders only read", _wanted(binding), tip)
+            self.core.refuse(
+                rules.BINDING_TYPE, call, "transient storage, which shaders only read", _wanted(binding), tip
+            )
         faults = range_faults(binding.kind, value.offset, value.size, binding.size, self.core.capabilities)
         self.core.require(call, faults)
 
     def _check_texture(self, binding: Binding, value: Any, call: str) -> None:
         if not isinstance(value, TextureBinding) or not isinstance(value.owner, Texture):
-            self.core.refuse(BINDING_TYPE, call, _given(value), _wanted(binding))
+            self.core.refuse(rules.BINDING_TYPE, call, _given(value), _wanted(binding))
         texture = value.owner
         self.core.check_usable(texture, call)
         self._check_feedback(texture, call)
@@ -309,19 +298,19 @@ class Program(Generic[P]):
                 f"{texture!r} of {texture.samples} samples",
                 "resolve it first: texture.resolve_to(…)",
             )
-            self.core.refuse(BINDING_TYPE, call, given, "a single-sampled texture", tip)
+            self.core.refuse(rules.BINDING_TYPE, call, given, "a single-sampled texture", tip)
         if texture.kind is not wanted.kind:
-            self.core.refuse(BINDING_TYPE, call, f"{texture!r}, {texture.kind.name}", _wanted(binding))
+            self.core.refuse(rules.BINDING_TYPE, call, f"{texture!r}, {texture.kind.name}", _wanted(binding))
         compares = self.core.sampler_descriptors[value.sampler].compare is not None
         if wanted.compare != compares:
             tip = "use texture.sampled(SamplerDescriptor(compare=…))" if wanted.compare else ""
             given = "a sampler that compares" if compares else "a sampler that does not compare"
-            self.core.refuse(BINDING_TYPE, call, given, _wanted(binding), tip)
+            self.core.refuse(rules.BINDING_TYPE, call, given, _wanted(binding), tip)
         if wanted.compare and not texture.format.is_depth:
-            self.core.refuse(BINDING_TYPE, call, texture.format.name, "a depth format")
+            self.core.refuse(rules.BINDING_TYPE, call, texture.format.name, "a depth format")
         if shader_kind(texture.format) != str(wanted.scalar):
             self.core.refuse(
-                BINDING_TYPE,
+                rules.BINDING_TYPE,
                 call,
                 f"{texture.format.name}, read as {shader_kind(texture.format)}",
                 _wanted(binding),
@@ -329,20 +318,20 @@ class Program(Generic[P]):
 
     def _check_image(self, binding: Binding, value: Any, call: str) -> None:
         if not isinstance(value, ImageBinding) or not isinstance(value.owner, Texture):
-            self.core.refuse(BINDING_TYPE, call, _given(value), _wanted(binding), "use texture.image(level)")
+            self.core.refuse(rules.BINDING_TYPE, call, _given(value), _wanted(binding), "use texture.image(level)")
         texture = value.owner
         self.core.check_usable(texture, call)
         self._check_feedback(texture, call)
         wanted: Any = binding.type
         if texture.format is not wanted.format or texture.samples != 1:
-            self.core.refuse(BINDING_TYPE, call, repr(texture), _wanted(binding))
+            self.core.refuse(rules.BINDING_TYPE, call, repr(texture), _wanted(binding))
         kind = TextureKind.D2 if value.layer is not None else texture.kind
         if kind is not wanted.kind:
-            self.core.refuse(BINDING_TYPE, call, f"{texture!r}, {kind.name}", _wanted(binding))
+            self.core.refuse(rules.BINDING_TYPE, call, f"{texture!r}, {kind.name}", _wanted(binding))
 
     def _check_feedback(self, texture: Texture, call: str) -> None:
         if texture.id in self.core.targets:
-            self.core.refuse(PASS_FEEDBACK, call, f"{texture!r}, a target of the open pass")
+            self.core.refuse(rules.PASS_FEEDBACK, call, f"{texture!r}, a target of the open pass")
 
     def explain(self, error: Exception, values: tuple[Any, ...], *meshes: object) -> Exception:
         """Return the refusal of the argument that caused a Python error in a generated function, or else that error."""
@@ -350,7 +339,7 @@ class Program(Generic[P]):
             for mesh in meshes:
                 if not isinstance(mesh, Drawable):
                     call = f"draw of program {self.name!r}"
-                    self.core.refuse(DEVICE_ARGUMENT, call, repr(mesh), "a Mesh from device.mesh(…)")
+                    self.core.refuse(rules.DEVICE_ARGUMENT, call, repr(mesh), "a Mesh from device.mesh(…)")
             for index, value in enumerate(values):
                 self.check(index, value)
         except ValidationError as refusal:
@@ -364,7 +353,7 @@ class Program(Generic[P]):
         self.check_unknown(names - wanted)
         if wanted - names:
             call, shown = f"draw of program {self.name!r}", ", ".join(sorted(wanted))
-            self.core.refuse(BINDING_MISSING, call, f"nothing for {', '.join(sorted(wanted - names))}", shown)
+            self.core.refuse(rules.BINDING_MISSING, call, f"nothing for {', '.join(sorted(wanted - names))}", shown)
 
     def check_unknown(self, names: Iterable[str]) -> None:
         """Refuse names that aren't bindings; those that the shader declares and doesn't read are a warning, once."""
@@ -372,7 +361,7 @@ class Program(Generic[P]):
         unknown = sorted(set(names) - self._left_out.keys())
         if unknown:
             shown = ", ".join(sorted(wanted)) or "no bindings"
-            self.core.refuse(BINDING_UNKNOWN, f"draw of program {self.name!r}", ", ".join(unknown), shown)
+            self.core.refuse(rules.BINDING_UNKNOWN, f"draw of program {self.name!r}", ", ".join(unknown), shown)
         for name in sorted(names):
             if name not in wanted and not self._left_out[name]:
                 self._left_out[name] = True
@@ -383,7 +372,7 @@ class Program(Generic[P]):
     def check_instances(self, instances: Any, mesh: Drawable) -> int:
         """Return the number of instances as an int; refuse an invalid one, and one that `mesh` doesn't have."""
         if instances.__class__ is not int or not 0 <= instances <= MAX_INSTANCES:
-            check = Arguments(f"draw of program {self.name!r}", self.core.refuse, DRAW_COUNT)
+            check = Arguments(f"draw of program {self.name!r}", self.core.refuse, rules.DRAW_COUNT)
             instances = check.whole("instances", instances, 0, MAX_INSTANCES)
         if mesh.instance_fields and instances:
             self._check_instance_end(mesh, instances)
@@ -466,4 +455,4 @@ def _check_limits(core: Core, descriptor: ProgramDescriptor) -> None:
     core.require(call, program_faults(descriptor, core.capabilities))
     for binding in descriptor.bindings:
         if binding.name == "self" or keyword.iskeyword(binding.name):
-            core.refuse(BINDING_NAME, call, binding.name, "a name that can be a keyword argument")
+            core.refuse(rules.BINDING_NAME, call, binding.name, "a name that can be a keyword argument")

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rhi.contract import limits
 from rhi.contract.blocks import BLOCK, CompressedFormat, decode_level
 from rhi.contract.descriptors import (
     Access,
@@ -27,33 +28,14 @@ from rhi.contract.descriptors import (
     TextureKind,
 )
 from rhi.contract.formats import Format
-from rhi.contract.limits import (
-    compressed_faults,
-    level_faults,
-    mipmap_faults,
-    plain_faults,
-    read_faults,
-    region_faults,
-    resolve_faults,
-    row_faults,
-    show_texture,
-    single_sample_faults,
-    texture_copy_faults,
-    texture_faults,
-    written_faults,
-)
 from rhi.device.core.core import Core
 from rhi.device.resources.buffers import Buffer, StorageBuffer, check_buffer
 from rhi.device.resources.images import make_picture, write_image
 from rhi.device.resources.lifetime import Resource, drop, retire
 from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
+from rhi.errors import rules
 from rhi.errors.arguments import Arguments, Fields
-from rhi.errors.rules import (
-    TEXTURE_DATA,
-    TEXTURE_FORMAT,
-    TEXTURE_REGION,
-)
 from rhi.shading.language.bindings import ImageBinding, TextureBinding
 
 _LINEAR = SamplerDescriptor()
@@ -107,8 +89,8 @@ class Texture(TextureBinding, Resource):
             whole = not any(size % step for size in descriptor.size)
             if compressed in core.capabilities.compressed_formats and whole:
                 descriptor = self.requested
-        core.require("device.texture", texture_faults(descriptor, core.capabilities))
-        core.require("device.texture", compressed_faults(self.requested))
+        core.require("device.texture", limits.texture_faults(descriptor, core.capabilities))
+        core.require("device.texture", limits.compressed_faults(self.requested))
         self.core = core
         self.descriptor = descriptor
         integer_or_depth = descriptor.format.is_integer or descriptor.format.is_depth
@@ -164,7 +146,7 @@ class Texture(TextureBinding, Resource):
         return self.descriptor.label
 
     def __repr__(self) -> str:
-        return show_texture(self.requested)
+        return limits.show_texture(self.requested)
 
     def destroy(self) -> None:
         """Destroy the texture once the GPU no longer uses it. A second call does nothing."""
@@ -178,7 +160,7 @@ class Texture(TextureBinding, Resource):
     def at(self, level: int = 0, layer: int = 0) -> TextureTarget:
         """Return one level and layer as a render target."""
         level, layer = self._check("Texture.at", level, layer)
-        self.core.require("Texture.at", plain_faults(self.requested))
+        self.core.require("Texture.at", limits.plain_faults(self.requested))
         return TextureTarget(self, level, layer)
 
     def sampled(self, sampler: Sampler | SamplerDescriptor) -> TextureBinding:
@@ -198,7 +180,7 @@ class Texture(TextureBinding, Resource):
         """Return a binding of one level, with all layers or one, for a shader's loads and stores."""
         level, first = self._check("Texture.image", level, 0 if layer is None else layer)
         layer = None if layer is None else first
-        self.core.require("Texture.image", plain_faults(self.requested))
+        self.core.require("Texture.image", limits.plain_faults(self.requested))
         return ImageBinding(self.id, level, layer, self)
 
     # -- memory ------------------------------------------------------------------------------------------
@@ -226,7 +208,7 @@ class Texture(TextureBinding, Resource):
             Arguments("Texture.save", self.core.refuse).fail("path", path, "a str or a Path")
         picture = make_picture(self.format, self.read(level, layer))
         if picture is None:
-            self.core.refuse(TEXTURE_FORMAT, "Texture.save", self.format.name, "a format of colors or depth")
+            self.core.refuse(rules.TEXTURE_FORMAT, "Texture.save", self.format.name, "a format of colors or depth")
         write_image(picture, path)
 
     def _repr_png_(self) -> bytes | None:
@@ -257,9 +239,9 @@ class Texture(TextureBinding, Resource):
         Without `capabilities.texture_buffer_copies` the texels are read now, and the future is done.
         """
         call, core = "Texture.read_async", self.core
-        self.core.require(call, plain_faults(self.requested))
+        self.core.require(call, limits.plain_faults(self.requested))
         level, where = self._region(call, level, layer, region)
-        self.core.require(call, single_sample_faults(self.descriptor))
+        self.core.require(call, limits.single_sample_faults(self.descriptor))
         shape: tuple[int, ...] = (where.height, where.width)
         if self.format.components > 1:
             shape = (*shape, self.format.components)
@@ -293,8 +275,8 @@ class Texture(TextureBinding, Resource):
             x, y = check.whole("x", x), check.whole("y", y)
             self._write_blocks(call, self.compressed, blocks, level, layer, x, y)
             return
-        self.core.require(call, written_faults(self.descriptor))
-        self.core.require(call, single_sample_faults(self.descriptor))
+        self.core.require(call, limits.written_faults(self.descriptor))
+        self.core.require(call, limits.single_sample_faults(self.descriptor))
         self.core.check_ready()
         array = check.array("texels", texels)
         components = self.format.components
@@ -306,7 +288,7 @@ class Texture(TextureBinding, Resource):
             array = _add_alpha(array, self.format)
         if array.dtype != self.format.dtype or array.ndim != 4 or array.shape[3] != components:
             allowed = f"(height, width, {components}) of {self.format.dtype}"
-            self.core.refuse(TEXTURE_DATA, call, f"shape {np.shape(texels)} of {array.dtype}", allowed)
+            self.core.refuse(rules.TEXTURE_DATA, call, f"shape {np.shape(texels)} of {array.dtype}", allowed)
         layers, height, width = array.shape[:3]
         region = Region(check.whole("x", x), check.whole("y", y), width, height, layer, layers)
         self._check_region(call, level, region)
@@ -321,14 +303,14 @@ class Texture(TextureBinding, Resource):
             blocks = blocks[None]
         if blocks.dtype != np.uint8 or blocks.ndim != 4 or blocks.shape[3] != compressed.block_bytes:
             allowed = f"(rows, columns, {compressed.block_bytes}) of uint8"
-            self.core.refuse(TEXTURE_DATA, call, f"shape {blocks.shape} of {blocks.dtype}", allowed)
+            self.core.refuse(rules.TEXTURE_DATA, call, f"shape {blocks.shape} of {blocks.dtype}", allowed)
         layers, rows, columns = blocks.shape[:3]
         right, bottom = (size - at for size, at in zip(self.descriptor.level_size(level), (x, y), strict=True))
         region = Region(x, y, min(columns * BLOCK, max(right, 0)), min(rows * BLOCK, max(bottom, 0)), layer, layers)
         whole = columns * BLOCK - region.width < BLOCK and rows * BLOCK - region.height < BLOCK
         if x % BLOCK or y % BLOCK or not whole:
             allowed = f"blocks inside {self.descriptor.level_size(level)}, from multiples of {BLOCK} on"
-            self.core.refuse(TEXTURE_REGION, call, f"{columns}×{rows} blocks at {x}, {y}", allowed)
+            self.core.refuse(rules.TEXTURE_REGION, call, f"{columns}×{rows} blocks at {x}, {y}", allowed)
         self._check_region(call, level, region)
         data: NDArray[Any] = np.ascontiguousarray(blocks)
         if self.descriptor.compressed is None:
@@ -345,7 +327,7 @@ class Texture(TextureBinding, Resource):
         """Send a `generate_mipmaps` to `core`: the texture's own, or a command buffer's."""
         call = "Texture.generate_mipmaps"
         self._check(call, core=core)
-        self.core.require(call, mipmap_faults(self.requested))
+        self.core.require(call, limits.mipmap_faults(self.requested))
         if self.levels > 1:
             core.check_ready()
             core.backend.generate_mipmaps(self.id)
@@ -377,7 +359,7 @@ class Texture(TextureBinding, Resource):
         x, y = check.whole("x", x), check.whole("y", y)
         end = Region(x, y, source_region.width, source_region.height, layer, source_region.layers)
         places = (self.requested, level, source_region, target.requested, target_level, end)
-        core.require(call, texture_copy_faults(*places, same=target is self))
+        core.require(call, limits.texture_copy_faults(*places, same=target is self))
         core.check_ready()
         core.backend.copy_texture(self.id, level, source_region, target.id, target_level, x, y, layer)
 
@@ -444,7 +426,7 @@ class Texture(TextureBinding, Resource):
     ) -> None:
         """Send a `copy_from_buffer` to `core`."""
         call = "Texture.copy_from_buffer"
-        self.core.require(call, written_faults(self.descriptor))
+        self.core.require(call, limits.written_faults(self.descriptor))
         level, region = self._whole(call, level, core, region)
         buffer, offset, row_bytes = self._check_rows(call, source, level, region, offset, row_bytes, core)
         core.backend.copy_buffer_to_texture(buffer.id, offset, row_bytes, self.id, level, region)
@@ -465,7 +447,7 @@ class Texture(TextureBinding, Resource):
         offset, row_bytes = check.whole("offset", offset), check.whole_or_none("row_bytes", row_bytes)
         core.check_usable(buffer, call)
         row_bytes = self._tight_row(region) if row_bytes is None else row_bytes
-        faults = row_faults(self.requested, level, region, offset, row_bytes, buffer.size, core.capabilities)
+        faults = limits.row_faults(self.requested, level, region, offset, row_bytes, buffer.size, core.capabilities)
         core.require(call, faults)
         core.check_ready()
         return buffer, offset, row_bytes
@@ -486,7 +468,7 @@ class Texture(TextureBinding, Resource):
         Arguments(call, self.core.refuse).instance("target", target, Texture, "a Texture")
         self._check(call, core=core)
         target._check(call, core=core)
-        self.core.require(call, resolve_faults(self.requested, target.requested, self.core.capabilities))
+        self.core.require(call, limits.resolve_faults(self.requested, target.requested, self.core.capabilities))
         core.check_ready()
         core.backend.resolve_texture(self.id, target.id)
 
@@ -494,10 +476,10 @@ class Texture(TextureBinding, Resource):
         """Create a lock: `with texture.lock(Access.WRITE) as texels:`, (height, width, channels), top row first."""
         call = "Texture.lock"
         Arguments(call, self.core.refuse).choice("access", access, Access)
-        self.core.require(call, plain_faults(self.requested))
+        self.core.require(call, limits.plain_faults(self.requested))
         if self.format.is_depth and access.writes:
-            self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
-        self.core.require(call, single_sample_faults(self.descriptor))
+            self.core.refuse(rules.TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
+        self.core.require(call, limits.single_sample_faults(self.descriptor))
         level, where = self._region(call, level, layer, region)
         return Lock(
             self,
@@ -516,12 +498,12 @@ class Texture(TextureBinding, Resource):
         core = core or self.core
         core.check_open()
         core.check_usable(self, call)
-        self.core.require(call, level_faults(self.descriptor, level, layer))
+        self.core.require(call, limits.level_faults(self.descriptor, level, layer))
         return level, layer
 
     def _check_region(self, call: str, level: int, region: Region) -> None:
         self._check(call)
-        self.core.require(call, region_faults(self.descriptor, level, region))
+        self.core.require(call, limits.region_faults(self.descriptor, level, region))
 
     def _whole(self, call: str, level: int, core: Core, region: Region | None = None) -> tuple[int, Region]:
         """Return a level, and the region of it that was given, or else all of its texels and layers."""
@@ -546,7 +528,7 @@ class Texture(TextureBinding, Resource):
 
     def _read(self, call: str, level: int, region: Region, stencil: bool) -> NDArray[Any]:
         self._check(call)
-        self.core.require(call, read_faults(self.requested, level, region, stencil))
+        self.core.require(call, limits.read_faults(self.requested, level, region, stencil))
         self.core.check_ready()
         return self.core.backend.read_texture(self.id, level, region, stencil)
 

@@ -13,19 +13,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhi.contract import layout
 from rhi.contract.descriptors import Stage
-from rhi.contract.layout import (
-    BOOL,
-    INT,
-    UINT,
-    ArrayType,
-    HostType,
-    Layout,
-    StructType,
-    dtype_of,
-    element_dtype,
-    shape_of,
-)
 from rhi.errors import refuse
 from rhi.shading.compile import compile_shader
 from rhi.shading.ir import tree
@@ -44,7 +33,7 @@ from rhi.shading.parser.stage import parse_function
 
 Array = NDArray[Any]
 
-_DTYPES: Final = {INT: np.int32, UINT: np.uint32, BOOL: np.bool_}
+_DTYPES: Final = {layout.INT: np.int32, layout.UINT: np.uint32, layout.BOOL: np.bool_}
 _functions: weakref.WeakKeyDictionary[FunctionType, tuple[tree.Function, LaneFunction]] = weakref.WeakKeyDictionary()
 _shaders: weakref.WeakKeyDictionary[type[Shader], NumpyKernel] = weakref.WeakKeyDictionary()
 FORGOTTEN.extend((_functions.clear, _shaders.clear))
@@ -108,9 +97,9 @@ def _by_name(
     return [given[name] for name in names]
 
 
-def scalars_of(type: HostType, value: Any, dtype: Any, call: str) -> list[Any]:
+def scalars_of(type: layout.HostType, value: Any, dtype: Any, call: str) -> list[Any]:
     """Split an argument into its components, each an array over all evaluations."""
-    if isinstance(type, StructType):
+    if isinstance(type, layout.StructType):
         if isinstance(value, Struct):
             value = {field.name: getattr(value, field.name) for field in type.fields}
         parts = []
@@ -126,8 +115,8 @@ def scalars_of(type: HostType, value: Any, dtype: Any, call: str) -> list[Any]:
                 )
             parts.extend(scalars_of(field.type, inner, dtype, f"{call}.{field.name}"))
         return parts
-    kinds, shape = all_kinds(type), shape_of(type)
-    if isinstance(type, ArrayType) and isinstance(type.element, StructType):
+    kinds, shape = all_kinds(type), layout.shape_of(type)
+    if isinstance(type, layout.ArrayType) and isinstance(type.element, layout.StructType):
         refuse(rules.WRONG_ARGUMENTS, call, str(type), "arrays of numbers and vectors")
     array = np.asarray(value, _DTYPES.get(kinds[0], dtype))
     if array.shape[array.ndim - len(shape) :] != shape or array.ndim < len(shape):
@@ -143,9 +132,9 @@ def scalars_of(type: HostType, value: Any, dtype: Any, call: str) -> list[Any]:
     return [flat[..., i] for i in range(len(kinds))]
 
 
-def assemble(type: HostType, scalars: list[Any], shape: tuple[int, ...], dtype: Any) -> Any:
+def assemble(type: layout.HostType, scalars: list[Any], shape: tuple[int, ...], dtype: Any) -> Any:
     """Join the components of a result into one array, a structured one for a struct."""
-    if isinstance(type, StructType):
+    if isinstance(type, layout.StructType):
         formats = [(field.name, _field_dtype(field.type, dtype)) for field in type.fields]
         result = np.zeros(shape, np.dtype(formats))
         start = 0
@@ -155,16 +144,16 @@ def assemble(type: HostType, scalars: list[Any], shape: tuple[int, ...], dtype: 
             start += size
         return result
     arrays = [np.broadcast_to(scalar, shape) for scalar in scalars]
-    if not shape_of(type):
+    if not layout.shape_of(type):
         return np.array(arrays[0], _DTYPES.get(all_kinds(type)[0], dtype))[()]
     whole = np.stack(arrays, axis=-1).astype(_DTYPES.get(all_kinds(type)[0], dtype))
-    return whole.reshape(*shape, *shape_of(type))
+    return whole.reshape(*shape, *layout.shape_of(type))
 
 
-def _field_dtype(type: HostType, dtype: Any) -> Any:
-    if isinstance(type, StructType):
+def _field_dtype(type: layout.HostType, dtype: Any) -> Any:
+    if isinstance(type, layout.StructType):
         return np.dtype([(field.name, _field_dtype(field.type, dtype)) for field in type.fields])
-    return np.dtype((_DTYPES.get(all_kinds(type)[0], dtype), shape_of(type)))
+    return np.dtype((_DTYPES.get(all_kinds(type)[0], dtype), layout.shape_of(type)))
 
 
 # -- compute -----------------------------------------------------------------------------------------------
@@ -258,13 +247,13 @@ def _compiled_shader(shader: type[Shader]) -> NumpyKernel:
     return known
 
 
-def storage_words(element: HostType, value: Any, call: str) -> tuple[Array, Array]:
+def storage_words(element: layout.HostType, value: Any, call: str) -> tuple[Array, Array]:
     """Return a copy of a storage buffer's contents, and a view of it as words.
 
     Raises:
         ValidationError `shading-arguments`: `value` is not an array of the element's std430 dtype.
     """
-    wanted = element_dtype(element, Layout.STD430)
+    wanted = layout.element_dtype(element, layout.Layout.STD430)
     base, shape = wanted.subdtype if wanted.subdtype is not None else (wanted, ())
     if isinstance(value, int):
         whole = np.zeros((value, *shape), base)
@@ -295,7 +284,7 @@ def host_texture(type: TextureType | ImageType, value: Any, call: str) -> HostTe
     return value
 
 
-def uniform_words(type: HostType, value: Any, call: str) -> Array:
+def uniform_words(type: layout.HostType, value: Any, call: str) -> Array:
     """Return the contents of a uniform block as words.
 
     Raises:
@@ -303,12 +292,12 @@ def uniform_words(type: HostType, value: Any, call: str) -> Array:
     """
     if isinstance(value, Struct) and value.shading_type == type:
         return np.frombuffer(value.to_bytes(), np.uint32)
-    dtype = dtype_of(type, Layout.STD140)
+    dtype = layout.dtype_of(type, layout.Layout.STD140)
     base, shape = dtype.subdtype if dtype.subdtype is not None else (dtype, ())
     array = np.zeros(shape, base)
     try:
         natural = np.asarray(value, base)
-        if natural.shape not in (shape_of(type), array.shape) or isinstance(type, StructType):
+        if natural.shape not in (layout.shape_of(type), array.shape) or isinstance(type, layout.StructType):
             raise ValueError
         array[tuple(slice(0, n) for n in natural.shape)] = natural
     except (ValueError, TypeError):

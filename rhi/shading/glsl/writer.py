@@ -5,18 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from rhi.contract.layout import (
-    BOOL,
-    FLOAT,
-    INT,
-    UINT,
-    ArrayType,
-    HostType,
-    MatrixType,
-    ScalarType,
-    StructType,
-    VectorType,
-)
+from rhi.contract import layout
 from rhi.shading.ir import tree
 from rhi.shading.ir.tree import Expression, Operator
 from rhi.shading.language.builtins import SideEffect
@@ -25,11 +14,11 @@ from rhi.shading.language.types import ImageType, TextureType, Type, VoidType, s
 from rhi.shading.text.writer import TextWriter, int_text, is_plain, unknown_indices
 
 _SHAPES: Final = {"2d": "2D", "2d_array": "2DArray", "3d": "3D", "cube": "Cube"}
-_PREFIX: Final = {FLOAT: "", INT: "i", UINT: "u"}
+_PREFIX: Final = {layout.FLOAT: "", layout.INT: "i", layout.UINT: "u"}
 _CONVERSIONS: Final = {
-    INT: "int rhi_to_int(float x) { return x >= 2147483648.0 ? 2147483647 : x > -2147483648.0 ? int(x) : "
+    layout.INT: "int rhi_to_int(float x) { return x >= 2147483648.0 ? 2147483647 : x > -2147483648.0 ? int(x) : "
     "isnan(x) ? 0 : (-2147483647 - 1); }",
-    UINT: "uint rhi_to_uint(float x) { return x >= 4294967296.0 ? 4294967295u : x > 0.0 ? uint(x) : 0u; }",
+    layout.UINT: "uint rhi_to_uint(float x) { return x >= 4294967296.0 ? 4294967295u : x > 0.0 ? uint(x) : 0u; }",
 }
 _FIELDS: Final = {
     "bitfield_extract": "TYPE v, int at, int bits) { uint start = min(uint(at), 32u); "
@@ -52,12 +41,12 @@ class Writer(TextWriter):
         match type:
             case VoidType():
                 return "void"
-            case StructType(name=name):
+            case layout.StructType(name=name):
                 return self.globals.get(type, name)
-            case ArrayType():
+            case layout.ArrayType():
                 lengths = ""
-                element: HostType = type
-                while isinstance(element, ArrayType):
+                element: layout.HostType = type
+                while isinstance(element, layout.ArrayType):
                     lengths += f"[{element.length}]"
                     element = element.element
                 return self.type(element) + lengths
@@ -67,16 +56,16 @@ class Writer(TextWriter):
                 return f"{_PREFIX[type.scalar]}image{_SHAPES[kind.value]}"
         return str(type)
 
-    def zero(self, type: HostType) -> str:
+    def zero(self, type: layout.HostType) -> str:
         """Return a value of this type whose components are all zero."""
         match type:
-            case ScalarType():
+            case layout.ScalarType():
                 return {"bool": "false", "int": "0", "uint": "0u", "float": "0.0"}[type.name]
-            case VectorType() | MatrixType():
-                return f"{type}({self.zero(scalar_of(type) or FLOAT)})"
-            case ArrayType(element=element, length=length):
+            case layout.VectorType() | layout.MatrixType():
+                return f"{type}({self.zero(scalar_of(type) or layout.FLOAT)})"
+            case layout.ArrayType(element=element, length=length):
                 return f"{self.type(type)}({', '.join([self.zero(element)] * length)})"
-            case StructType(fields=fields):
+            case layout.StructType(fields=fields):
                 return f"{self.type(type)}({', '.join(self.zero(field.type) for field in fields)})"
 
     def builtin(self, node: tree.BuiltinCall) -> str:
@@ -127,7 +116,7 @@ class Writer(TextWriter):
         assert scalar is not None
         name = f"rhi_to_{scalar}"
         self.helpers[name] = _CONVERSIONS[scalar]
-        if isinstance(type, VectorType):
+        if isinstance(type, layout.VectorType):
             parts = ", ".join(f"{name}(x.{axis})" for axis in "xyzw"[: type.size])
             self.helpers[f"{name}({type})"] = f"{type} {name}({source} x) {{ return {type}({parts}); }}"
         return name
@@ -145,11 +134,11 @@ class Writer(TextWriter):
     def constant(self, node: tree.Constant) -> str:
         """Return a scalar literal."""
         value = node.value
-        if node.type is BOOL:
+        if node.type is layout.BOOL:
             return "true" if value else "false"
-        if node.type is UINT:
+        if node.type is layout.UINT:
             return f"{int(value)}u"
-        if node.type is INT:
+        if node.type is layout.INT:
             return int_text(int(value))
         number = float(value)
         if math.isnan(number):
@@ -163,7 +152,7 @@ class Writer(TextWriter):
         name = "rhi_floor_divide" if divide else "rhi_modulo"
         type = self.type(node.type)
         zero = self.zero(node.type)  # type: ignore[arg-type]
-        if isinstance(node.type, ScalarType):
+        if isinstance(node.type, layout.ScalarType):
             # However `/` rounds negative operands, |r| < |b| holds, and r's sign tells whether to correct the result.
             wrong = "r != 0 && (r < 0) != (b < 0)"
             result = f"{wrong} ? q - 1 : q" if divide else f"{wrong} ? r + b : r"
@@ -173,7 +162,7 @@ class Writer(TextWriter):
         # A division by 0 is one by 1, and so is that of the least int by -1.
         least = "a == (-2147483647 - 1)"
         divisor = f"if (b == 0 || (b == -1 && {least})) b = 1;"
-        if not isinstance(node.type, ScalarType):
+        if not isinstance(node.type, layout.ScalarType):
             least = f"{type}(equal(b, {type}(-1))) * {type}(equal(a, {type}(-2147483647 - 1)))"
             divisor = f"b += {type}(equal(b, {zero})) + 2 * {least};"
         body = f"{divisor} {type} q = a / b; {type} r = a - q * b; return {result};"
@@ -181,7 +170,7 @@ class Writer(TextWriter):
 
     def float_modulo(self, node: tree.Binary, left: str, right: str) -> str:
         """Return `%` of floats. GLSL's mod is x - y floor(x / y), which has the sign of y as in Python."""
-        if isinstance(node.left.type, ScalarType) and isinstance(node.type, VectorType):
+        if isinstance(node.left.type, layout.ScalarType) and isinstance(node.type, layout.VectorType):
             left = f"{node.type}({left})"
         return f"mod({left}, {right})"
 
@@ -189,7 +178,9 @@ class Writer(TextWriter):
         """Write the assignment of a value."""
         match target:
             case tree.Index(base=tree.Index(base=matrix) as row, index=column) if (
-                isinstance(matrix.type, MatrixType) and _is_bound(matrix) and not isinstance(column, tree.Constant)
+                isinstance(matrix.type, layout.MatrixType)
+                and _is_bound(matrix)
+                and not isinstance(column, tree.Constant)
             ):
                 # NVIDIA's compiler refuses to store through an unknown column of a matrix in memory.
                 with self.lines.braces(f"switch ({self.place(target)})", self.file, place.line):
@@ -202,7 +193,11 @@ class Writer(TextWriter):
     def declare(self, local: tree.Local, value: Expression | None, place: SourceSpan) -> None:
         """Write the declaration of a local variable."""
         name, type = self.names.get(local, local.name), self.type(local.type)
-        if isinstance(value, tree.Zeros) and isinstance(local.type, ArrayType) and local.type.length > _LONGEST_LIST:
+        if (
+            isinstance(value, tree.Zeros)
+            and isinstance(local.type, layout.ArrayType)
+            and local.type.length > _LONGEST_LIST
+        ):
             self.line(f"{type} {name};", place)
             index = self.names.get((local, "zero"), f"{name}_index")
             zero = self.zero(local.type.element)
@@ -230,7 +225,7 @@ class Writer(TextWriter):
         return f"int({base}.length())"
 
     def operation(self, node: tree.Binary, left: str) -> str:
-        both = isinstance(node.type, MatrixType) and node.left.type == node.right.type
+        both = isinstance(node.type, layout.MatrixType) and node.left.type == node.right.type
         if both and node.operator is Operator.MULTIPLY:
             return f"matrixCompMult({left}, {self.expression(node.right)})"
         return super().operation(node, left)

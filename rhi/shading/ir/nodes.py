@@ -19,7 +19,7 @@ def _choose_reader(kind: type, of: str) -> _Reader:
     """Return the function that reads the fields of a class of nodes that are declared as `of`, or as a tuple of it."""
     found = [(field.name, str(field.type)) for field in fields(kind) if re.search(rf"\b{of}\b", str(field.type))]
     if not found:
-        return _read_nothing
+        return lambda node: ()
     read = attrgetter(*(name for name, _ in found))
     if all(type == of for _, type in found):
         return read if len(found) > 1 else lambda node: (read(node),)
@@ -34,10 +34,6 @@ def _choose_reader(kind: type, of: str) -> _Reader:
         return tuple(parts)
 
     return read_mixed
-
-
-def _read_nothing(node: Any) -> tuple[Any, ...]:
-    return ()
 
 
 def operands(node: Any, of: str) -> tuple[Any, ...]:

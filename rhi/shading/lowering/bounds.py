@@ -24,36 +24,19 @@ from typing import Final, TypeAlias, TypeGuard
 
 from rhi.contract.layout import FLOAT
 from rhi.shading.ir import lanes, nodes
-from rhi.shading.ir.lanes import (
-    AddressSpace,
-    Apply,
-    Argument,
-    Get,
-    Let,
-    Literal,
-    Load,
-    PositionBounds,
-    Set,
-    StageCode,
-    Uniformity,
-    Value,
-    Variable,
-    apply,
-    literal,
-)
 
 _INPUTS: Final = "inputs_"
 _REACHES: Final = "reaches_"
-_FIXED: Final = (AddressSpace.UNIFORM, AddressSpace.STORAGE, AddressSpace.CONSTANT)
+_FIXED: Final = (lanes.AddressSpace.UNIFORM, lanes.AddressSpace.STORAGE, lanes.AddressSpace.CONSTANT)
 _MORE: Final = 1.001
 _LEAST: Final = 2.0**-64
 _ROUNDING: Final = 2.0**-22
 
-_Magnitude: TypeAlias = "tuple[Value, int]"
+_Magnitude: TypeAlias = "tuple[lanes.Value, int]"
 """The magnitude of a component, and the greatest number of roundings in its computation."""
 
 
-def bound_positions(stage: StageCode) -> PositionBounds | None:
+def bound_positions(stage: lanes.StageCode) -> lanes.PositionBounds | None:
     """Return the bounds of a vertex stage; None if positions aren't affine or it does more than compute outputs."""
     code = stage.code
     positions = [value for word, value in zip(stage.words, code.results, strict=False) if word < 4]
@@ -63,7 +46,7 @@ def bound_positions(stage: StageCode) -> PositionBounds | None:
     for statement in code.block:
         analysis.add(statement)
     found = [analysis.measure(value) for value in positions]
-    slacks = [size * literal((roundings + 4) * _ROUNDING) for size, roundings in filter(None, found)]
+    slacks = [size * lanes.literal((roundings + 4) * _ROUNDING) for size, roundings in filter(None, found)]
     results = (*positions, *slacks)
     block = _slice(analysis.block, results)
     if len(slacks) < 4 or block is None:
@@ -73,7 +56,7 @@ def bound_positions(stage: StageCode) -> PositionBounds | None:
     if not inputs:
         return None
     code = replace(code, block=block, results=results)
-    return PositionBounds(replace(stage, code=code, words=tuple(range(8))), tuple(inputs))
+    return lanes.PositionBounds(replace(stage, code=code, words=tuple(range(8))), tuple(inputs))
 
 
 class _Analysis:
@@ -94,59 +77,59 @@ class _Analysis:
         magnitude = self.measure(value) if value is not None else None
         for variable in _written(statement):
             self._known.pop(id(variable), None)
-            if magnitude is not None and variable.uniformity is Uniformity.VARYING:
+            if magnitude is not None and variable.uniformity is lanes.Uniformity.VARYING:
                 self._known[id(variable)] = self._name(magnitude, variable.name, statement.line)
 
-    def measure(self, value: Value) -> _Magnitude | None:
+    def measure(self, value: lanes.Value) -> _Magnitude | None:
         """Return the magnitude of a component; None if it isn't affine."""
         if value.kind is not FLOAT:
             return None
         if _is_fixed(value):
-            size = literal(abs(value.value)) if isinstance(value, Literal) else apply("abs", value)
+            size = lanes.literal(abs(value.value)) if isinstance(value, lanes.Literal) else lanes.apply("abs", value)
             return _extend(size), 0
         match value:
-            case Argument(name=name) if name.startswith(_INPUTS):
-                reach = Argument(FLOAT, Uniformity.LANES, f"{_REACHES}{name[len(_INPUTS) :]}")
+            case lanes.Argument(name=name) if name.startswith(_INPUTS):
+                reach = lanes.Argument(FLOAT, lanes.Uniformity.LANES, f"{_REACHES}{name[len(_INPUTS) :]}")
                 return _extend(reach), 0
-            case Get(variable=variable):
+            case lanes.Get(variable=variable):
                 return self._known.get(id(variable))
-            case Apply(operation="negate", arguments=(one,)):
+            case lanes.Apply(operation="negate", arguments=(one,)):
                 return self.measure(one)
-            case Apply(operation="add" | "subtract" | "multiply" as operation, arguments=(a, b)):
+            case lanes.Apply(operation="add" | "subtract" | "multiply" as operation, arguments=(a, b)):
                 scales = operation == "multiply"
                 left, right = self.measure(a), self.measure(b)
                 if left is None or right is None or (scales and not (_is_fixed(a) or _is_fixed(b))):
                     return None
-                size = left[0] * right[0] + literal(_LEAST) if scales else left[0] + right[0]
+                size = left[0] * right[0] + lanes.literal(_LEAST) if scales else left[0] + right[0]
                 return size, max(left[1], right[1]) + 1
         return None
 
     def _name(self, magnitude: _Magnitude, name: str, line: tuple[str, int]) -> _Magnitude:
         value, roundings = magnitude
-        variable = Variable(f"reach_{len(self.block)}_{name}", FLOAT, Uniformity.LANES)
-        self.block.append(Let(line, variable, value))
-        return Get(FLOAT, Uniformity.LANES, variable), roundings
+        variable = lanes.Variable(f"reach_{len(self.block)}_{name}", FLOAT, lanes.Uniformity.LANES)
+        self.block.append(lanes.Let(line, variable, value))
+        return lanes.Get(FLOAT, lanes.Uniformity.LANES, variable), roundings
 
 
-def _extend(value: Value) -> Value:
-    if isinstance(value, Literal):
-        return literal(value.value * _MORE + _LEAST)
-    return value * literal(_MORE) + literal(_LEAST)
+def _extend(value: lanes.Value) -> lanes.Value:
+    if isinstance(value, lanes.Literal):
+        return lanes.literal(value.value * _MORE + _LEAST)
+    return value * lanes.literal(_MORE) + lanes.literal(_LEAST)
 
 
-def _inputs_of(value: Value) -> Iterator[int]:
+def _inputs_of(value: lanes.Value) -> Iterator[int]:
     """Yield the inputs that a value reads."""
     for part in lanes.within(value):
-        if isinstance(part, Argument) and part.name.startswith(_INPUTS):
+        if isinstance(part, lanes.Argument) and part.name.startswith(_INPUTS):
             yield int(part.name[len(_INPUTS) :])
 
 
-def _is_fixed(value: Value) -> bool:
+def _is_fixed(value: lanes.Value) -> bool:
     """Return whether all vertices of an instance share a value."""
     return not any(
-        part.uniformity is Uniformity.VARYING
-        or (isinstance(part, Get) and part.variable.uniformity is Uniformity.VARYING)
-        or (isinstance(part, Load) and part.memory.space not in _FIXED)
+        part.uniformity is lanes.Uniformity.VARYING
+        or (isinstance(part, lanes.Get) and part.variable.uniformity is lanes.Uniformity.VARYING)
+        or (isinstance(part, lanes.Load) and part.memory.space not in _FIXED)
         for part in lanes.within(value)
     )
 
@@ -155,30 +138,30 @@ def _has_effect(statement: lanes.Statement) -> bool:
     """Return whether a statement has side effects beyond variables and private memory."""
     match statement:
         case lanes.Store(memory=memory):
-            return memory.space is not AddressSpace.PRIVATE
+            return memory.space is not lanes.AddressSpace.PRIVATE
         case lanes.TextureAccess(operation=operation):
             return operation == "store"
     return isinstance(statement, lanes.Atomic | lanes.Barrier)
 
 
-def _written(statement: lanes.Statement) -> Iterator[Variable]:
+def _written(statement: lanes.Statement) -> Iterator[lanes.Variable]:
     """Yield the variables that a statement and its nested statements write."""
     for one in nodes.walk([statement]):
         match one:
-            case Let(variable=variable) | Set(variable=variable):
+            case lanes.Let(variable=variable) | lanes.Set(variable=variable):
                 yield variable
             case lanes.TextureAccess(results=results):
                 yield from results
-            case lanes.Atomic(result=Variable() as result):
+            case lanes.Atomic(result=lanes.Variable() as result):
                 yield result
 
 
-def _is_assignment(statement: lanes.Statement) -> TypeGuard[Let | Set]:
+def _is_assignment(statement: lanes.Statement) -> TypeGuard[lanes.Let | lanes.Set]:
     """Return whether a statement assigns a variable in all lanes."""
-    return isinstance(statement, Let) or (isinstance(statement, Set) and statement.mask is None)
+    return isinstance(statement, lanes.Let) or (isinstance(statement, lanes.Set) and statement.mask is None)
 
 
-def _slice(block: lanes.Block, results: tuple[Value, ...]) -> lanes.Block | None:
+def _slice(block: lanes.Block, results: tuple[lanes.Value, ...]) -> lanes.Block | None:
     """Return the statements that results depend on; None unless all are plain assignments of fixed or affine values."""
     needed = {id(variable) for value in results for variable in lanes.variables_of(value)}
     kept: lanes.Block = []
@@ -188,7 +171,7 @@ def _slice(block: lanes.Block, results: tuple[Value, ...]) -> lanes.Block | None
         if not _is_assignment(statement):
             return None
         kept.append(statement)
-        if isinstance(statement, Let):
+        if isinstance(statement, lanes.Let):
             needed.discard(id(statement.variable))
         if statement.value is not None:
             if not _is_plain(statement.value):
@@ -197,6 +180,6 @@ def _slice(block: lanes.Block, results: tuple[Value, ...]) -> lanes.Block | None
     return kept[::-1]
 
 
-def _is_plain(value: Value) -> bool:
+def _is_plain(value: lanes.Value) -> bool:
     """Return whether a value reads memory at fixed indices only."""
-    return all(_is_fixed(part) for part in lanes.within(value) if isinstance(part, Load))
+    return all(_is_fixed(part) for part in lanes.within(value) if isinstance(part, lanes.Load))

@@ -22,24 +22,12 @@ from typing import Final, NoReturn, TypeVar
 from rhi.contract.layout import BOOL, ScalarType
 from rhi.errors import Rule
 from rhi.shading.ir import lanes, nodes, tree
-from rhi.shading.ir.lanes import (
-    FALSE,
-    TRUE,
-    Get,
-    InlinedCall,
-    MemoryRegion,
-    Uniformity,
-    Value,
-    Variable,
-    apply,
-    get,
-)
 from rhi.shading.language.source import SourceSpan, refuse_at
 from rhi.shading.lowering.lvalues import Home, Slot
 
 R = TypeVar("R")
 
-_UNKNOWN: Final = (Uniformity.DISPATCH, 0)
+_UNKNOWN: Final = (lanes.Uniformity.DISPATCH, 0)
 
 HEAVY: Final = 24
 """A masked block with more statements than this is skipped if no lane is active, even if it accesses no memory."""
@@ -55,8 +43,8 @@ class MaskScope:
 
     kind: str
     parent: MaskScope | None
-    uniformity: Uniformity
-    mask: Variable | None
+    uniformity: lanes.Uniformity
+    mask: lanes.Variable | None
     owns_mask: bool
     key: object = None
 
@@ -77,15 +65,15 @@ class InlinedFrame:
     function: tree.Function
     path: tuple[int, ...]
     caller: InlinedFrame | None = None
-    return_uniformity: Uniformity = Uniformity.DISPATCH
-    inlined_call: InlinedCall | None = None
+    return_uniformity: lanes.Uniformity = lanes.Uniformity.DISPATCH
+    inlined_call: lanes.InlinedCall | None = None
     results: list[Slot] = field(default_factory=list)
     textures: dict[tree.Local, tree.BindingRead] = field(default_factory=dict)
     slots: dict[tree.Local, list[Home]] = field(default_factory=dict)
 
 
-Lower = TypeVar("Lower", bound=Callable[..., list[Value]])
-_EXPRESSIONS: Final[dict[type[tree.Expression], Callable[..., list[Value]]]] = {}
+Lower = TypeVar("Lower", bound=Callable[..., list[lanes.Value]])
+_EXPRESSIONS: Final[dict[type[tree.Expression], Callable[..., list[lanes.Value]]]] = {}
 
 
 def lowers(*nodes: type[tree.Expression]) -> Callable[[Lower], Lower]:
@@ -114,7 +102,7 @@ class Lowering:
         work_group: tuple[int, int, int] = (1, 1, 1),
         *,
         checked: bool = False,
-        inputs: Mapping[str, Sequence[Value]] | None = None,
+        inputs: Mapping[str, Sequence[lanes.Value]] | None = None,
         has_helpers: bool = False,
         may_discard: bool = False,
     ) -> None:
@@ -132,8 +120,8 @@ class Lowering:
         self.inputs = inputs or {}
         self.has_helpers = has_helpers
         self.may_discard = may_discard
-        self.joined: dict[object, tuple[Uniformity, int]] = {}
-        self.memories: dict[object, MemoryRegion] = {}
+        self.joined: dict[object, tuple[lanes.Uniformity, int]] = {}
+        self.memories: dict[object, lanes.MemoryRegion] = {}
         self.start()
 
     def settle(self, run: Callable[[], R]) -> R:
@@ -146,21 +134,23 @@ class Lowering:
 
     def start(self) -> None:
         """Start a run."""
-        self.told: dict[object, tuple[Uniformity, int]] = {}
+        self.told: dict[object, tuple[lanes.Uniformity, int]] = {}
         self.block: lanes.Block = []
         self.count = 0
         self.span = SourceSpan(0)
         self.jump_pending = False  # a jump narrowed masks: test whether a lane is still active
         self.returns = 0  # the number of returns that narrowed masks
         self.private: dict[int, tuple[object, MaskScope]] = {}
-        self.scope = MaskScope("function", None, Uniformity.DISPATCH, None, False)
+        self.scope = MaskScope("function", None, lanes.Uniformity.DISPATCH, None, False)
         self.frame: InlinedFrame
         self.discards = 0  # the number of masked discards
-        self.discarded = Uniformity.DISPATCH  # how much they vary
-        self.covered: Variable  # the mask of lanes that aren't helpers
-        self.kept: Value  # the mask of covered lanes that weren't discarded
+        self.discarded = lanes.Uniformity.DISPATCH  # how much they vary
+        self.covered: lanes.Variable  # the mask of lanes that aren't helpers
+        self.kept: lanes.Value  # the mask of covered lanes that weren't discarded
 
-    def code(self, name: str, arguments: tuple[lanes.Argument, ...] = (), results: Iterable[Value] = ()) -> lanes.Code:
+    def code(
+        self, name: str, arguments: tuple[lanes.Argument, ...] = (), results: Iterable[lanes.Value] = ()
+    ) -> lanes.Code:
         """Return what the last run has emitted."""
         memories = tuple(self.memories.values())
         return lanes.Code(
@@ -169,43 +159,43 @@ class Lowering:
 
     # -- expressions
 
-    def lower(self, node: tree.Expression) -> list[Value]:
+    def lower(self, node: tree.Expression) -> list[lanes.Value]:
         """Lower an expression of the current frame to its scalars, in order."""
         return _EXPRESSIONS[type(node)](self, node)
 
-    def one(self, node: tree.Expression) -> Value:
+    def one(self, node: tree.Expression) -> lanes.Value:
         """Lower a scalar expression."""
         (value,) = self.lower(node)
         return value
 
-    def named(self, node: tree.Expression) -> list[Value]:
+    def named(self, node: tree.Expression) -> list[lanes.Value]:
         """Lower an expression whose components are used more than once."""
         return [self.let(value) for value in self.lower(node)]
 
     # -- the target
 
-    def branches(self, uniformity: Uniformity) -> bool:
+    def branches(self, uniformity: lanes.Uniformity) -> bool:
         """Return whether a condition this uniform is a real branch: a scalar in OpenCL, a single value in NumPy."""
-        return uniformity <= Uniformity.LANES if self.width else uniformity is Uniformity.DISPATCH
+        return uniformity <= lanes.Uniformity.LANES if self.width else uniformity is lanes.Uniformity.DISPATCH
 
     @property
-    def own_uniformity(self) -> Uniformity:
+    def own_uniformity(self) -> lanes.Uniformity:
         """The uniformity of a value that is private to each invocation."""
-        return Uniformity.LANES if self.width == 1 else Uniformity.VARYING
+        return lanes.Uniformity.LANES if self.width == 1 else lanes.Uniformity.VARYING
 
     # -- uniformities
 
-    def known_uniformity(self, key: object) -> Uniformity:
+    def known_uniformity(self, key: object) -> lanes.Uniformity:
         """Return the uniformity known so far."""
         return self.known(key)[0]
 
-    def known(self, key: object) -> tuple[Uniformity, int]:
+    def known(self, key: object) -> tuple[lanes.Uniformity, int]:
         """Return the uniformity and stride known so far."""
         known = self.joined.get(key, _UNKNOWN)
         self.told.setdefault(key, known)
         return known
 
-    def join(self, key: object, uniformity: Uniformity, stride: int = 0) -> tuple[Uniformity, int]:
+    def join(self, key: object, uniformity: lanes.Uniformity, stride: int = 0) -> tuple[lanes.Uniformity, int]:
         """Join a uniformity and stride with those known for a key, and return the join.
 
         Its stride is 0 unless both pairs are equal.
@@ -233,18 +223,18 @@ class Lowering:
         yield block
         self.block = before
 
-    def variable(self, name: str, kind: ScalarType, uniformity: Uniformity) -> Variable:
+    def variable(self, name: str, kind: ScalarType, uniformity: lanes.Uniformity) -> lanes.Variable:
         """Return a new variable with a unique name."""
         self.count += 1
-        return Variable(f"{name}_{self.count}", kind, uniformity)
+        return lanes.Variable(f"{name}_{self.count}", kind, uniformity)
 
-    def let(self, value: Value, name: str = "t") -> Value:
+    def let(self, value: lanes.Value, name: str = "t") -> lanes.Value:
         """Return the value as a named variable, unless it is a constant or a name already."""
-        if isinstance(value, lanes.Literal | Get | lanes.Affine | lanes.Argument):
+        if isinstance(value, lanes.Literal | lanes.Get | lanes.Affine | lanes.Argument):
             return value
         variable = self.variable(name, value.kind, value.uniformity)
         self.emit(lanes.Let(self.line, variable, value))
-        return Get(value.kind, value.uniformity, variable)
+        return lanes.Get(value.kind, value.uniformity, variable)
 
     def refuse(self, rule: Rule, given: str, allowed: str = "", tip: str = "") -> NoReturn:
         """Refuse the statement at the current span."""
@@ -253,16 +243,16 @@ class Lowering:
 
     # -- masks
 
-    def mask_value(self) -> Value:
+    def mask_value(self) -> lanes.Value:
         """Return the mask of the lanes that are active now."""
         mask = self.scope.mask
-        return get(mask) if mask is not None else TRUE
+        return lanes.get(mask) if mask is not None else lanes.TRUE
 
-    def effect_mask(self) -> Variable | None:
+    def effect_mask(self) -> lanes.Variable | None:
         """Return the mask of the lanes that may write to memory which other invocations see."""
         if not self.has_helpers:
             return self.scope.mask
-        return self.new_mask(self.mask_value() & get(self.covered), "covered")
+        return self.new_mask(self.mask_value() & lanes.get(self.covered), "covered")
 
     def scopes_up_to(self, end: object, inclusive: bool = False) -> Iterator[MaskScope]:
         """Yield the scopes from the current one outwards, up to `end`."""
@@ -273,9 +263,11 @@ class Lowering:
         if inclusive and scope is not None:
             yield scope
 
-    def new_mask(self, value: Value, name: str, uniformity: Uniformity = Uniformity.DISPATCH) -> Variable:
+    def new_mask(
+        self, value: lanes.Value, name: str, uniformity: lanes.Uniformity = lanes.Uniformity.DISPATCH
+    ) -> lanes.Variable:
         """Return a new mask that begins as `value`, and varies as it does and as what narrows it later."""
-        uniformity = Uniformity.VARYING if self.width else max(uniformity, value.uniformity)
+        uniformity = lanes.Uniformity.VARYING if self.width else max(uniformity, value.uniformity)
         mask = self.variable(name, BOOL, uniformity)
         self.emit(lanes.Let(self.line, mask, value))
         return mask
@@ -284,14 +276,14 @@ class Lowering:
         """Remove the active lanes from all masks up to and including that of `end`."""
         mask = self.scope.mask
         assert mask is not None
-        current = get(mask)
-        remaining = self.let(apply("not", current))
+        current = lanes.get(mask)
+        remaining = self.let(lanes.apply("not", current))
         for scope in self.scopes_up_to(end, inclusive=True):
             other = scope.mask
             if scope.owns_mask and other is not None and other is not mask:
-                narrowed = apply("and", get(other), remaining)
+                narrowed = lanes.apply("and", lanes.get(other), remaining)
                 self.emit(lanes.Set(self.line, other, narrowed, None))
-        self.emit(lanes.Set(self.line, mask, FALSE, None))
+        self.emit(lanes.Set(self.line, mask, lanes.FALSE, None))
 
     def emit_pending_jump(self) -> None:
         """After a masked jump, leave the enclosing loop or function if no lane is active any more."""
@@ -312,7 +304,7 @@ class Lowering:
                 return
 
     @contextmanager
-    def branch(self, condition: Value) -> Iterator[None]:
+    def branch(self, condition: lanes.Value) -> Iterator[None]:
         """Emit the statements of this context under a condition, as a real branch or under a mask."""
         outer = self.scope
         if self.branches(condition.uniformity):
@@ -323,21 +315,21 @@ class Lowering:
             if block:
                 self.emit(lanes.If(self.line, condition, block, []))
             return
-        mask = self.new_mask(apply("and", self.mask_value(), condition), "mask")
+        mask = self.new_mask(lanes.apply("and", self.mask_value(), condition), "mask")
         self.scope = MaskScope("branch", outer, condition.uniformity, mask, True)
         with self.emit_into([]) as block:
             yield
         self.scope = outer
         if is_heavy(block):
-            taken = get(mask)
+            taken = lanes.get(mask)
             self.emit(lanes.If(self.line, taken, block, [], any_lane=True))
         else:
             self.block.extend(block)
 
-    def two_branches(self, condition: Value) -> tuple[Value, Value]:
+    def two_branches(self, condition: lanes.Value) -> tuple[lanes.Value, lanes.Value]:
         """Return a condition, evaluated once, and its negation."""
         condition = self.let(condition, "condition")
-        return condition, apply("not", condition)
+        return condition, lanes.apply("not", condition)
 
 
 def is_heavy(block: lanes.Block) -> bool:

@@ -33,10 +33,6 @@ def by_component(function: Callable[..., Value]) -> Expansion:
     return expand
 
 
-def _like(value: Value, number: float) -> Value:
-    return literal(number, value.kind)
-
-
 def _if(condition: Value, then: Value, otherwise: Value) -> Value:
     return apply("select", condition, then, otherwise)
 
@@ -161,7 +157,7 @@ def clamp(x: Value, low: Value, high: Value) -> Value:
 def mix(x: Value, y: Value, a: Value) -> Value:
     if a.kind is BOOL:
         return _if(a, y, x)
-    return x * (_like(x, 1.0) - a) + y * a
+    return x * (literal(1.0, x.kind) - a) + y * a
 
 
 def float_modulo(x: Value, y: Value) -> Value:

@@ -12,18 +12,6 @@ from typing import Final
 from rhi.contract.layout import BOOL, INT, ScalarType
 from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.faults import ENDLESS
-from rhi.shading.ir.lanes import (
-    Affine,
-    Code,
-    Get,
-    InlinedCall,
-    Literal,
-    Uniformity,
-    Value,
-    apply,
-    get,
-    number,
-)
 from rhi.shading.language import rules
 from rhi.shading.language.types import VOID, TextureType
 from rhi.shading.lowering import expressions as expressions  # what it lowers
@@ -42,7 +30,7 @@ def has_lane_code(stage: tree.StageTree) -> bool:
 
 def lower_compute(
     stage: tree.StageTree, name: str, work_group: tuple[int, int, int], width: int, checked: bool = False
-) -> Code:
+) -> lanes.Code:
     """Lower a compute stage for `width` lanes, or for whole arrays of any shape with 0.
 
     Args:
@@ -56,24 +44,24 @@ def lower_compute(
     return lowering.code(name)
 
 
-def lower_function(function: tree.Function) -> Code:
+def lower_function(function: tree.Function) -> lanes.Code:
     """Lower a function of values for whole arrays. Its arguments are the scalars of the parameters."""
     lowering = Lowering(0)
     kinds: list[ScalarType] = []
     for parameter in function.parameters:
         kinds += all_kinds(parameter.type)  # type: ignore[arg-type]
-    arguments = tuple(lanes.Argument(kind, Uniformity.VARYING, f"a{i}") for i, kind in enumerate(kinds))
+    arguments = tuple(lanes.Argument(kind, lanes.Uniformity.VARYING, f"a{i}") for i, kind in enumerate(kinds))
     results = lowering.settle(lambda: lower_entry(lowering, function, arguments))
     return lowering.code(function.name, arguments, results)
 
 
-def lower_entry(lowering: Lowering, function: tree.Function, arguments: tuple[Value, ...]) -> list[Value]:
+def lower_entry(lowering: Lowering, function: tree.Function, arguments: tuple[lanes.Value, ...]) -> list[lanes.Value]:
     """Lower the outermost function and return its result's scalars."""
     lowering.frame = InlinedFrame(function, ())
     invocations = math.prod(lowering.work_group)
     if lowering.width > 1 and invocations % lowering.width:
-        first = lanes.Input(INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(lowering.width)
-        present = apply("less", lanes_from(lowering, first), number(invocations))
+        first = lanes.Input(INT, lanes.Uniformity.LANES, lanes.DispatchIndex.ITEM) * lanes.number(lowering.width)
+        present = lanes.apply("less", lanes_from(lowering, first), lanes.number(invocations))
         lowering.scope.mask, lowering.scope.owns_mask = lowering.new_mask(present, "present"), True
     return inline(lowering, function, list(arguments), ())
 
@@ -82,8 +70,8 @@ def lower_entry(lowering: Lowering, function: tree.Function, arguments: tuple[Va
 
 
 @lowers(tree.Call)
-def lower_call(lowering: Lowering, node: tree.Call) -> list[Value]:
-    values: list[Value] = []
+def lower_call(lowering: Lowering, node: tree.Call) -> list[lanes.Value]:
+    values: list[lanes.Value] = []
     textures: dict[tree.Local, tree.BindingRead] = {}
     for parameter, argument in zip(node.function.parameters, node.arguments, strict=True):
         if isinstance(parameter.type, TextureType):
@@ -96,10 +84,10 @@ def lower_call(lowering: Lowering, node: tree.Call) -> list[Value]:
 def inline(
     lowering: Lowering,
     function: tree.Function,
-    values: list[Value],
+    values: list[lanes.Value],
     path: tuple[int, ...],
     textures: dict[tree.Local, tree.BindingRead] | None = None,
-) -> list[Value]:
+) -> list[lanes.Value]:
     """Inline a call and return the scalars of its result.
 
     Args:
@@ -127,14 +115,14 @@ def inline(
     lowering.frame, lowering.jump_pending = frame, False
     masked = early and not (lowering.branches(uniformity) and lowering.width)
     if not masked:
-        uniformity = Uniformity.DISPATCH
+        uniformity = lanes.Uniformity.DISPATCH
     lowering.scope = MaskScope("function", outer, uniformity, outer.mask, False, path)
-    results: list[Value] = []
+    results: list[lanes.Value] = []
     with lowering.emit_into([]) as block:
         if masked:
             lowering.scope.mask = lowering.new_mask(lowering.mask_value(), "inside", uniformity)
             lowering.scope.owns_mask = True
-        frame.inlined_call = InlinedCall(line, f"{function.name}_{lowering.count}", block)
+        frame.inlined_call = lanes.InlinedCall(line, f"{function.name}_{lowering.count}", block)
         lowering.count += 1
         start = 0
         for parameter in function.parameters:
@@ -219,7 +207,7 @@ def lower_statement(lowering: Lowering, node: tree.Statement) -> None:
 
 def lower_if(lowering: Lowering, node: tree.If) -> None:
     condition = lowering.one(node.condition)
-    if isinstance(condition, Literal):
+    if isinstance(condition, lanes.Literal):
         lower_block(lowering, node.then if condition.value else node.otherwise)
         return
     if not lowering.branches(condition.uniformity):
@@ -246,49 +234,49 @@ def lower_for(lowering: Lowering, node: tree.For) -> None:
     start, stop, step = lowering.let(start), copy(lowering, stop), copy(lowering, step)
     key = (path, id(node), "count")
     uniformity = max(start.uniformity, step.uniformity)
-    stride = start.stride if isinstance(start, Affine) and step.uniformity < Uniformity.VARYING else 0
+    stride = start.stride if isinstance(start, lanes.Affine) and step.uniformity < lanes.Uniformity.VARYING else 0
     uniformity, stride = lowering.join(key, uniformity, stride)
-    first = start.base if stride and isinstance(start, Affine) else start
-    variable = lowering.variable(node.local.name, INT, Uniformity.LANES if stride else uniformity)
+    first = start.base if stride and isinstance(start, lanes.Affine) else start
+    variable = lowering.variable(node.local.name, INT, lanes.Uniformity.LANES if stride else uniformity)
     lowering.emit(lanes.Let(lowering.line, variable, first))
     slot = Slot(variable, stride, key, lowering.scope)
     lowering.frame.slots[node.local] = [slot]
     count = read_home(lowering, slot, None)
     if not tree.may_overflow(node):
-        advance = lanes.Set(lowering.line, variable, get(variable) + step, None)
-        order = "less" if isinstance(step, Literal) and step.value > 0 else "greater"
-        lower_loop(lowering, node, lambda: apply(order, count, stop), node.body, [advance])
+        advance = lanes.Set(lowering.line, variable, lanes.get(variable) + step, None)
+        order = "less" if isinstance(step, lanes.Literal) and step.value > 0 else "greater"
+        lower_loop(lowering, node, lambda: lanes.apply(order, count, stop), node.body, [advance])
         return
     # Whether there is a next value is known before the counter advances, which may wrap then (docs/shading.md).
-    up, down = apply("greater", step, number(0)), apply("less", step, number(0))
-    ascending, descending = apply("less", start, stop), apply("greater", start, stop)
+    up, down = lanes.apply("greater", step, lanes.number(0)), lanes.apply("less", step, lanes.number(0))
+    ascending, descending = lanes.apply("less", start, stop), lanes.apply("greater", start, stop)
     last = lowering.let(last_count(stop, step))
-    if isinstance(step, Literal):
+    if isinstance(step, lanes.Literal):
         first = ascending if step.value > 0 else descending
-        more = apply("less" if step.value > 0 else "greater", count, last)
+        more = lanes.apply("less" if step.value > 0 else "greater", count, last)
     else:
-        first = apply("select", up, ascending, apply("and", down, descending))
-        more = apply("select", up, apply("less", count, last), apply("greater", count, last))
+        first = lanes.apply("select", up, ascending, lanes.apply("and", down, descending))
+        more = lanes.apply("select", up, lanes.apply("less", count, last), lanes.apply("greater", count, last))
     going = lowering.variable("more", BOOL, max(first.uniformity, more.uniformity))
     lowering.emit(lanes.Let(lowering.line, going, first))
-    following = apply("as_int", apply("as_uint", get(variable)) + apply("as_uint", step))
+    following = lanes.apply("as_int", lanes.apply("as_uint", lanes.get(variable)) + lanes.apply("as_uint", step))
     steps: lanes.Block = [
         lanes.Set(lowering.line, going, more, None),
         lanes.Set(lowering.line, variable, following, None),
     ]
-    lower_loop(lowering, node, lambda: get(going), node.body, steps)
+    lower_loop(lowering, node, lambda: lanes.get(going), node.body, steps)
 
 
-def last_count(stop: Value, step: Value) -> Value:
+def last_count(stop: lanes.Value, step: lanes.Value) -> lanes.Value:
     """Return the value that a loop's counter must not have reached for one more step to stay before `stop`."""
-    if isinstance(stop, Literal) and isinstance(step, Literal):
-        return number(min(max(int(stop.value) - int(step.value), -(2**31)), 2**31 - 1))
-    least, most = number(-(2**31)), number(2**31 - 1)
-    above = apply("subtract", apply("max", stop, apply("add", least, step)), step)
-    below = apply("subtract", apply("min", stop, apply("add", most, step)), step)
-    if isinstance(step, Literal):
+    if isinstance(stop, lanes.Literal) and isinstance(step, lanes.Literal):
+        return lanes.number(min(max(int(stop.value) - int(step.value), -(2**31)), 2**31 - 1))
+    least, most = lanes.number(-(2**31)), lanes.number(2**31 - 1)
+    above = lanes.apply("subtract", lanes.apply("max", stop, lanes.apply("add", least, step)), step)
+    below = lanes.apply("subtract", lanes.apply("min", stop, lanes.apply("add", most, step)), step)
+    if isinstance(step, lanes.Literal):
         return above if step.value > 0 else below
-    return apply("select", apply("greater", step, number(0)), above, below)
+    return lanes.apply("select", lanes.apply("greater", step, lanes.number(0)), above, below)
 
 
 MOST_TURNS: Final = 1 << 20
@@ -296,7 +284,7 @@ MOST_TURNS: Final = 1 << 20
 
 
 def lower_loop(
-    lowering: Lowering, node: tree.Statement, test: Callable[[], Value], body: tree.Block, advance: lanes.Block
+    lowering: Lowering, node: tree.Statement, test: Callable[[], lanes.Value], body: tree.Block, advance: lanes.Block
 ) -> None:
     """Lower a loop, with a mask if its condition or one of its breaks varies."""
     key, outer, returns = (lowering.frame.path, id(node)), lowering.scope, lowering.returns
@@ -310,22 +298,22 @@ def lower_loop(
         mask = lowering.new_mask(lowering.mask_value(), "looping", uniformity)
     turns = None
     if lowering.width and isinstance(node, tree.While):
-        turns = lowering.variable("turns", INT, Uniformity.LANES)
-        lowering.emit(lanes.Let(lowering.line, turns, number(0)))
-        advance = [*advance, lanes.Set(lowering.line, turns, get(turns) + number(1), None)]
+        turns = lowering.variable("turns", INT, lanes.Uniformity.LANES)
+        lowering.emit(lanes.Let(lowering.line, turns, lanes.number(0)))
+        advance = [*advance, lanes.Set(lowering.line, turns, lanes.get(turns) + lanes.number(1), None)]
     scope = lowering.scope = MaskScope("loop", outer, uniformity, mask, masked, key)
     with lowering.emit_into([]) as block:
         condition = test()
         lowering.join((key, "loop"), condition.uniformity)
         if masked:
             assert mask is not None
-            if not (isinstance(condition, Literal) and condition.value):
-                both = apply("and", get(mask), condition)
+            if not (isinstance(condition, lanes.Literal) and condition.value):
+                both = lanes.apply("and", lanes.get(mask), condition)
                 lowering.emit(lanes.Set(lowering.line, mask, both, None))
             lowering.emit(lanes.Break(lowering.line, mask))
-        elif not (isinstance(condition, Literal) and condition.value):
+        elif not (isinstance(condition, lanes.Literal) and condition.value):
             stop: lanes.Block = [lanes.Break(lowering.line)]
-            lowering.emit(lanes.If(lowering.line, apply("not", condition), stop, []))
+            lowering.emit(lanes.If(lowering.line, lanes.apply("not", condition), stop, []))
         if not masked and mask is not None and not lowering.branches(lowering.known_uniformity((key, "returns"))):
             lowering.emit(lanes.Break(lowering.line, mask))
         if not lowering.branches(iteration_uniformity):
@@ -336,10 +324,12 @@ def lower_loop(
         if turns is not None:
             with lowering.emit_into([]) as end:
                 if lowering.checked:
-                    checked = (lanes.TRUE, get(turns), number(ENDLESS), lowering.effect_mask())
+                    checked = (lanes.TRUE, lanes.get(turns), lanes.number(ENDLESS), lowering.effect_mask())
                     lowering.emit(lanes.Check(lowering.line, *checked))
                 lowering.emit(lanes.Break(lowering.line))
-            lowering.emit(lanes.If(lowering.line, apply("equal", get(turns), number(MOST_TURNS)), end, []))
+            lowering.emit(
+                lanes.If(lowering.line, lanes.apply("equal", lanes.get(turns), lanes.number(MOST_TURNS)), end, [])
+            )
         lower_block(lowering, body)
     lowering.scope = outer
     lowering.join((key, "returns"), lowering.frame.return_uniformity)
@@ -350,7 +340,7 @@ def lower_loop(
 def jump(lowering: Lowering, kind: str, jump: lanes.Statement) -> None:
     """Lower a break, continue or return: a jump if all lanes take it, otherwise the masks lose lanes."""
     target = next(scope for scope in lowering.scopes_up_to(None) if scope.kind == kind)
-    uniformity = max([scope.uniformity for scope in lowering.scopes_up_to(target)], default=Uniformity.DISPATCH)
+    uniformity = max([scope.uniformity for scope in lowering.scopes_up_to(target)], default=lanes.Uniformity.DISPATCH)
     uniformity, _ = lowering.join((target.key, kind), uniformity)
     if kind == "function":
         lowering.frame.return_uniformity = max(lowering.frame.return_uniformity, uniformity)
@@ -369,13 +359,13 @@ def discard(lowering: Lowering) -> None:
     while frame.caller is not None and frame.caller.caller is not None:
         frame = frame.caller
     target = scopes[-2]  # the entry function's scope; the last one holds the stage's mask
-    uniformity = max([scope.uniformity for scope in scopes[:-2]], default=Uniformity.DISPATCH)
+    uniformity = max([scope.uniformity for scope in scopes[:-2]], default=lanes.Uniformity.DISPATCH)
     lowering.join((target.key, "function"), uniformity)
     lowering.discarded = max(lowering.discarded, uniformity)
     lowering.frame.return_uniformity = max(lowering.frame.return_uniformity, uniformity)
     assert frame.inlined_call is not None
-    assert isinstance(lowering.kept, Get)
-    remaining = apply("not", lowering.mask_value())
+    assert isinstance(lowering.kept, lanes.Get)
+    remaining = lanes.apply("not", lowering.mask_value())
     lowering.emit(lanes.Set(lowering.line, lowering.kept.variable, lowering.kept & remaining, None))
     if lowering.branches(uniformity) and lowering.width:
         frame.inlined_call.returns_early = True
@@ -383,10 +373,10 @@ def discard(lowering: Lowering) -> None:
     else:
         lowering.narrow(target)
         if lowering.has_helpers:  # helpers whose quad is discarded become inactive, too
-            needed = lowering.let(apply("quads", lowering.kept))
+            needed = lowering.let(lanes.apply("quads", lowering.kept))
             for scope in scopes[:-1]:
                 if scope.owns_mask and scope.mask is not None:
-                    both = get(scope.mask) & needed
+                    both = lanes.get(scope.mask) & needed
                     lowering.emit(lanes.Set(lowering.line, scope.mask, both, None))
         lowering.jump_pending = True
         lowering.discards += 1

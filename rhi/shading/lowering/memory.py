@@ -30,21 +30,10 @@ from rhi.shading.ir.tree import Expression
 from rhi.shading.language import rules
 from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.types import StorageType, count_elements
+from rhi.shading.lowering import lvalues
 from rhi.shading.lowering.components import all_kinds, leaf_kinds, word_offsets, words_of
 from rhi.shading.lowering.context import Lowering
 from rhi.shading.lowering.expansions import convert
-from rhi.shading.lowering.lvalues import (
-    Home,
-    LocalLvalue,
-    Lvalue,
-    LvalueChoice,
-    MemoryLvalue,
-    Slot,
-    element,
-    member,
-    part,
-    select_by_index,
-)
 
 # -- lvalues -----------------------------------------------------------------------------------------------
 
@@ -74,7 +63,7 @@ def region_of(lowering: Lowering, declaration: Declaration) -> MemoryRegion:
     return known
 
 
-def lvalue(lowering: Lowering, node: Expression, guards: list[Value] | None = None) -> Lvalue | None:
+def lvalue(lowering: Lowering, node: Expression, guards: list[Value] | None = None) -> lvalues.Lvalue | None:
     """Return an expression as an lvalue, or None if its value has to be computed.
 
     Args:
@@ -83,40 +72,40 @@ def lvalue(lowering: Lowering, node: Expression, guards: list[Value] | None = No
     match node:
         case tree.Read(local=local):
             homes = lowering.frame.slots[local]
-            return LocalLvalue(local.type, homes)  # type: ignore[arg-type]
+            return lvalues.LocalLvalue(local.type, homes)  # type: ignore[arg-type]
         case tree.BindingRead(declaration=declaration) if declaration.storage_class in (
             StorageClass.UNIFORM,
             StorageClass.SHARED,
         ):
             layout = Layout.STD140 if declaration.storage_class is StorageClass.UNIFORM else None
             memory = region_of(lowering, declaration)
-            return MemoryLvalue(declaration.type, memory, layout, number(0), 1, 0)  # type: ignore[arg-type]
+            return lvalues.MemoryLvalue(declaration.type, memory, layout, number(0), 1, 0)  # type: ignore[arg-type]
         case tree.ConstantArray(type=type):
-            return MemoryLvalue(type, constant_region(lowering, node), None, number(0), 1, 0)  # type: ignore[arg-type]
+            return lvalues.MemoryLvalue(type, constant_region(lowering, node), None, number(0), 1, 0)  # type: ignore[arg-type]
         case tree.Member(base=base, name=name):
             at = lvalue(lowering, base, guards)
-            return member(at, name) if at is not None else None
+            return lvalues.member(at, name) if at is not None else None
         case tree.Swizzle(base=base, components=(component,)):
             at = lvalue(lowering, base, guards)
-            return part(at, component) if at is not None else None
+            return lvalues.part(at, component) if at is not None else None
         case tree.Index(base=tree.BindingRead(declaration=declaration)) if isinstance(declaration.type, StorageType):
             memory = region_of(lowering, declaration)
             elements = lanes.ElementCount(INT, Uniformity.DISPATCH, memory)
             row, limit = bound_index(lowering, node, elements, guards, streams=True)
-            return MemoryLvalue(declaration.type.element, memory, Layout.STD430, row, memory.stride, 0, limit)
+            return lvalues.MemoryLvalue(declaration.type.element, memory, Layout.STD430, row, memory.stride, 0, limit)
         case tree.Index(base=base):
             at = lvalue(lowering, base, guards)
             if at is None:
                 return None
-            if isinstance(at, MemoryLvalue) or isinstance(at.type, ArrayType):
+            if isinstance(at, lvalues.MemoryLvalue) or isinstance(at.type, ArrayType):
                 count = number(count_elements(base.type))
                 row, limit = bound_index(lowering, node, count, guards, streams=is_whole(at))
             else:
                 row, limit = choice_of(lowering, node), None
             if isinstance(row, Literal):
-                return part(at, int(row.value))
-            at = element(settle(lowering, at), row)
-            return replace(at, limit=limit) if isinstance(at, MemoryLvalue) else at
+                return lvalues.part(at, int(row.value))
+            at = lvalues.element(settle(lowering, at), row)
+            return replace(at, limit=limit) if isinstance(at, lvalues.MemoryLvalue) else at
     return None
 
 
@@ -154,9 +143,9 @@ def is_unchecked(node: tree.Index) -> bool:
     return isinstance(node.index, tree.BuiltinCall) and node.index.builtin.name == "unchecked"
 
 
-def is_whole(at: Lvalue) -> bool:
+def is_whole(at: lvalues.Lvalue) -> bool:
     """Return whether an array is all of a work-group's shared memory of a name."""
-    if not isinstance(at, MemoryLvalue) or at.memory.space is not AddressSpace.SHARED:
+    if not isinstance(at, lvalues.MemoryLvalue) or at.memory.space is not AddressSpace.SHARED:
         return False
     return isinstance(at.index, Literal) and not at.offset and words_of(at.type) == at.memory.length
 
@@ -171,9 +160,9 @@ def choice_of(lowering: Lowering, node: tree.Index) -> Value:
     return lowering.let(convert(row, INT))
 
 
-def settle(lowering: Lowering, at: Lvalue) -> Lvalue:
+def settle(lowering: Lowering, at: lvalues.Lvalue) -> lvalues.Lvalue:
     """Return an lvalue whose index is inside, so that another can be added to it."""
-    if not isinstance(at, MemoryLvalue) or at.limit is None:
+    if not isinstance(at, lvalues.MemoryLvalue) or at.limit is None:
         return at
     return replace(at, index=nearest(lowering, at.index, at.limit), limit=None)
 
@@ -216,27 +205,27 @@ def constant_region(lowering: Lowering, node: tree.ConstantArray) -> MemoryRegio
 # -- reading -----------------------------------------------------------------------------------------------
 
 
-def read(lowering: Lowering, at: Lvalue) -> list[Value]:
+def read(lowering: Lowering, at: lvalues.Lvalue) -> list[Value]:
     """Return the scalars of an lvalue."""
     match at:
-        case LocalLvalue(type=ArrayType(length=length)):
-            return [value for i in range(length) for value in read(lowering, part(at, i))]
-        case LocalLvalue(type=StructType(fields=fields)):
-            return [value for field in fields for value in read(lowering, member(at, field.name))]
-        case LocalLvalue(homes=homes, index=index):
+        case lvalues.LocalLvalue(type=ArrayType(length=length)):
+            return [value for i in range(length) for value in read(lowering, lvalues.part(at, i))]
+        case lvalues.LocalLvalue(type=StructType(fields=fields)):
+            return [value for field in fields for value in read(lowering, lvalues.member(at, field.name))]
+        case lvalues.LocalLvalue(homes=homes, index=index):
             return [read_home(lowering, home, index) for home in homes]
-        case MemoryLvalue(type=type, layout=layout, offset=offset):
+        case lvalues.MemoryLvalue(type=type, layout=layout, offset=offset):
             offsets = word_offsets(type, layout)
             return [
                 load(lowering, at.memory, kind, at.index, at.scale, offset + place, at.limit)
                 for kind, place in zip(all_kinds(type), offsets, strict=True)
             ]
-        case LvalueChoice(index=index, choices=choices):
+        case lvalues.LvalueChoice(index=index, choices=choices):
             values_of_choices = [read(lowering, one) for one in choices]
-            return [select_by_index(index, list(values)) for values in zip(*values_of_choices, strict=True)]
+            return [lvalues.select_by_index(index, list(values)) for values in zip(*values_of_choices, strict=True)]
 
 
-def read_home(lowering: Lowering, home: Slot | MemoryRegion, index: Value | None) -> Value:
+def read_home(lowering: Lowering, home: lvalues.Slot | MemoryRegion, index: Value | None) -> Value:
     if isinstance(home, MemoryRegion):
         assert index is not None
         return load(lowering, home, home.kind, index, 1, 0)
@@ -270,7 +259,7 @@ def load(
 # -- declaring ---------------------------------------------------------------------------------------------
 
 
-def new_slot(lowering: Lowering, name: str, kind: ScalarType, key: object, value: Value | None) -> Slot:
+def new_slot(lowering: Lowering, name: str, kind: ScalarType, key: object, value: Value | None) -> lvalues.Slot:
     """Declare a component of a local."""
     stride = value.stride if isinstance(value, Affine) else 0
     if value is not None:
@@ -280,13 +269,13 @@ def new_slot(lowering: Lowering, name: str, kind: ScalarType, key: object, value
     if stride and isinstance(value, Affine):
         value = value.base
     lowering.emit(lanes.Let(lowering.line, variable, value))
-    return Slot(variable, stride, key, lowering.scope)
+    return lvalues.Slot(variable, stride, key, lowering.scope)
 
 
 def declare(lowering: Lowering, local: tree.Local, values: list[Value] | None, zeros: bool = False) -> None:
     """Declare a local, with initial scalars, zeros or no value."""
     path, type = lowering.frame.path, local.type
-    homes: list[Home] = []
+    homes: list[lvalues.Home] = []
     lowering.frame.slots[local] = homes
     has_arrays = any(count for _, count in leaf_kinds(type))  # type: ignore[arg-type]
     for i, (kind, count) in enumerate(leaf_kinds(type)):  # type: ignore[arg-type]
@@ -306,7 +295,7 @@ def declare(lowering: Lowering, local: tree.Local, values: list[Value] | None, z
             value = literal(0, kind) if zeros else values[i] if values is not None else None
             homes.append(new_slot(lowering, local.name, kind, key, value))
     if has_arrays and values is not None:
-        write(lowering, LocalLvalue(type, homes), values)  # type: ignore[arg-type]
+        write(lowering, lvalues.LocalLvalue(type, homes), values)  # type: ignore[arg-type]
 
 
 def private_uniformity(lowering: Lowering, key: object) -> Uniformity:
@@ -318,30 +307,30 @@ def private_uniformity(lowering: Lowering, key: object) -> Uniformity:
 # -- assigning ---------------------------------------------------------------------------------------------
 
 
-def write(lowering: Lowering, at: Lvalue, values: list[Value]) -> None:
+def write(lowering: Lowering, at: lvalues.Lvalue, values: list[Value]) -> None:
     """Assign scalars to an lvalue."""
     match at:
-        case LocalLvalue(type=ArrayType(length=length)):
+        case lvalues.LocalLvalue(type=ArrayType(length=length)):
             size = len(values) // length
             for i in range(length):
-                write(lowering, part(at, i), values[i * size : (i + 1) * size])
-        case LocalLvalue(type=StructType(fields=fields)):
+                write(lowering, lvalues.part(at, i), values[i * size : (i + 1) * size])
+        case lvalues.LocalLvalue(type=StructType(fields=fields)):
             start = 0
             for field in fields:
                 size = len(all_kinds(field.type))
-                write(lowering, member(at, field.name), values[start : start + size])
+                write(lowering, lvalues.member(at, field.name), values[start : start + size])
                 start += size
-        case LocalLvalue(homes=homes, index=index):
+        case lvalues.LocalLvalue(homes=homes, index=index):
             values = without_aliases(lowering, homes, values)
             for home, value in zip(homes, values, strict=True):
-                if isinstance(home, Slot):
+                if isinstance(home, lvalues.Slot):
                     assign(lowering, home, value)
                 else:
                     assert index is not None
                     store_private(lowering, home, index, value)
-        case MemoryLvalue():
+        case lvalues.MemoryLvalue():
             store(lowering, at, values)
-        case LvalueChoice(index=index, choices=choices):
+        case lvalues.LvalueChoice(index=index, choices=choices):
             values = [lowering.let(value) for value in values]
             for which, one in enumerate(choices):
                 with lowering.branch(apply("equal", index, number(which))):
@@ -353,13 +342,13 @@ def assign_to(lowering: Lowering, target: tree.Expression, values: list[Value]) 
     if isinstance(target, tree.Swizzle) and len(target.components) > 1:
         whole = lvalue(lowering, target.base, guards)
         assert whole is not None
-        if isinstance(whole, LocalLvalue):
+        if isinstance(whole, lvalues.LocalLvalue):
             homes = [whole.homes[c] for c in target.components]
             values = without_aliases(lowering, homes, values)
         values = [lowering.let(value) for value in values]
         with guarded(lowering, guards):
             for component, value in zip(target.components, values, strict=True):
-                write(lowering, part(whole, component), [value])
+                write(lowering, lvalues.part(whole, component), [value])
         return
     at = lvalue(lowering, target, guards)
     assert at is not None
@@ -369,9 +358,9 @@ def assign_to(lowering: Lowering, target: tree.Expression, values: list[Value]) 
         write(lowering, at, values)
 
 
-def without_aliases(lowering: Lowering, homes: list[Slot | MemoryRegion], values: list[Value]) -> list[Value]:
+def without_aliases(lowering: Lowering, homes: list[lvalues.Slot | MemoryRegion], values: list[Value]) -> list[Value]:
     """Return the values, copied if assigning one of them would change another: `v = v.yx`."""
-    targets = {id(home.variable) for home in homes if isinstance(home, Slot)}
+    targets = {id(home.variable) for home in homes if isinstance(home, lvalues.Slot)}
     clash = len(values) > 1 and any(
         id(variable) in targets for value in values for variable in lanes.variables_of(value)
     )
@@ -389,7 +378,7 @@ def copy(lowering: Lowering, value: Value) -> Value:
     return Get(value.kind, value.uniformity, variable)
 
 
-def assign(lowering: Lowering, slot: Slot, value: Value) -> None:
+def assign(lowering: Lowering, slot: lvalues.Slot, value: Value) -> None:
     """Assign a component of a local, blended unless all lanes that can read it are active."""
     uniformity, blend = value.uniformity, False
     for scope in lowering.scopes_up_to(slot.scope):
@@ -417,7 +406,7 @@ def store_private(lowering: Lowering, memory: MemoryRegion, index: Value, value:
     lowering.emit(lanes.Store(lowering.line, memory, index, 1, 0, (value,), mask))
 
 
-def store(lowering: Lowering, at: MemoryLvalue, values: list[Value]) -> None:
+def store(lowering: Lowering, at: lvalues.MemoryLvalue, values: list[Value]) -> None:
     memory, offsets = at.memory, word_offsets(at.type, at.layout)
     if at.index.uniformity < Uniformity.VARYING and lowering.scope.mask is None:
         check_race(lowering, memory, values)

@@ -14,21 +14,8 @@ from typing import Final
 
 from rhi.contract.descriptors import Interpolation, Stage, StageVarying
 from rhi.contract.layout import BOOL, FLOAT, INT, HostType, ScalarType, StructType
-from rhi.shading.ir import tree
+from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.interface import Interface
-from rhi.shading.ir.lanes import (
-    FIRST_VERTEX,
-    WIDTH,
-    Affine,
-    Argument,
-    Code,
-    StageCode,
-    Uniformity,
-    Value,
-    apply,
-    get,
-    literal,
-)
 from rhi.shading.lowering.components import all_kinds
 from rhi.shading.lowering.context import InlinedFrame, Lowering
 from rhi.shading.lowering.functions import inline
@@ -39,22 +26,24 @@ _DIFFERENCES: Final = frozenset({"ddx", "ddy", "fwidth", "sample", "sample_bias"
 _DEPTH: Final = -1
 
 
-def _argument(name: str, kind: ScalarType = INT, uniformity: Uniformity = Uniformity.LANES) -> Argument:
-    return Argument(kind, uniformity, name)
+def _argument(
+    name: str, kind: ScalarType = INT, uniformity: lanes.Uniformity = lanes.Uniformity.LANES
+) -> lanes.Argument:
+    return lanes.Argument(kind, uniformity, name)
 
 
-_MASK: Final = _argument("mask", BOOL, Uniformity.VARYING)
-_INPUTS: Final[dict[Stage, dict[str, tuple[Value, ...]]]] = {
+_MASK: Final = _argument("mask", BOOL, lanes.Uniformity.VARYING)
+_INPUTS: Final[dict[Stage, dict[str, tuple[lanes.Value, ...]]]] = {
     Stage.VERTEX: {
-        "vertex_index": (_argument(FIRST_VERTEX, uniformity=Uniformity.VARYING),),
+        "vertex_index": (_argument(lanes.FIRST_VERTEX, uniformity=lanes.Uniformity.VARYING),),
         "instance_index": (_argument("instance"),),
         "draw_index": (_argument("draw"),),
     },
     Stage.FRAGMENT: {
-        "fragment_coordinate": tuple(_argument(axis, FLOAT, Uniformity.VARYING) for axis in "xyzw"),
+        "fragment_coordinate": tuple(_argument(axis, FLOAT, lanes.Uniformity.VARYING) for axis in "xyzw"),
         "front_facing": (_argument("front", BOOL),),
         "primitive_index": (_argument("primitive"),),
-        "point_coordinate": tuple(_argument(axis, FLOAT, Uniformity.VARYING) for axis in ("across", "down")),
+        "point_coordinate": tuple(_argument(axis, FLOAT, lanes.Uniformity.VARYING) for axis in ("across", "down")),
     },
 }
 
@@ -63,9 +52,9 @@ def lower_stage(
     stage: tree.StageTree,
     interface: Interface,
     varyings: tuple[StageVarying, ...],
-    width: int = WIDTH,
+    width: int = lanes.WIDTH,
     checked: bool = False,
-) -> StageCode:
+) -> lanes.StageCode:
     """Lower a vertex or fragment stage for `width` lanes, or for whole arrays with 0.
 
     Args:
@@ -75,11 +64,13 @@ def lower_stage(
         ShaderError: the stage uses a feature that lane code doesn't support.
     """
     if f"opencl{width}" in stage.entry.native:
-        return StageCode(Code(interface.name, width, [], ()), (), False)
+        return lanes.StageCode(lanes.Code(interface.name, width, [], ()), (), False)
     inputs = _INPUTS[stage.stage]
     built_in = [value for values in inputs.values() for value in values]
     if stage.stage is Stage.VERTEX and width:
-        inputs = inputs | {"vertex_index": (Affine(INT, Uniformity.VARYING, _argument(FIRST_VERTEX), 1),)}
+        inputs = inputs | {
+            "vertex_index": (lanes.Affine(INT, lanes.Uniformity.VARYING, _argument(lanes.FIRST_VERTEX), 1),)
+        }
     has_helpers = stage.stage is Stage.FRAGMENT and takes_differences(stage)
     lowering = Lowering(width, checked=checked, inputs=inputs, has_helpers=has_helpers, may_discard=stage.discards)
     if stage.stage is Stage.VERTEX:
@@ -93,8 +84,10 @@ def lower_stage(
     values = [value for _, value in outputs] + depth
     if stage.stage is Stage.FRAGMENT:
         values.append(lowering.kept)
-    given = tuple(value for value in (*arguments, *built_in, _MASK) if isinstance(value, Argument))
-    return StageCode(lowering.code(interface.name, given, values), tuple(word for word, _ in outputs), bool(depth))
+    given = tuple(value for value in (*arguments, *built_in, _MASK) if isinstance(value, lanes.Argument))
+    return lanes.StageCode(
+        lowering.code(interface.name, given, values), tuple(word for word, _ in outputs), bool(depth)
+    )
 
 
 # -- inputs and outputs ------------------------------------------------------------------------------------
@@ -105,35 +98,35 @@ def _parameter_fields(stage: tree.StageTree) -> list[tuple[str, HostType]]:
     return [(field.name, field.type) for type in types if isinstance(type, StructType) for field in type.fields]
 
 
-def _vertex_arguments(stage: tree.StageTree, interface: Interface) -> list[Value]:
+def _vertex_arguments(stage: tree.StageTree, interface: Interface) -> list[lanes.Value]:
     """Return the components of the parameters: the words of the attributes in order, and zeros for those that a lean
     stage lacks, since it doesn't read them."""
     known = {attribute.name for attribute in interface.attributes}
-    values: list[Value] = []
+    values: list[lanes.Value] = []
     word = 0
     for name, type in _parameter_fields(stage):
         for kind in all_kinds(type):
             if name in known:
-                values.append(_argument(f"inputs_{word}", kind, Uniformity.VARYING))
+                values.append(_argument(f"inputs_{word}", kind, lanes.Uniformity.VARYING))
                 word += 1
             else:
-                values.append(literal(0, kind))
+                values.append(lanes.literal(0, kind))
     return values
 
 
-def _fragment_arguments(stage: tree.StageTree, varyings: tuple[StageVarying, ...]) -> list[Value]:
+def _fragment_arguments(stage: tree.StageTree, varyings: tuple[StageVarying, ...]) -> list[lanes.Value]:
     """Return the components of the parameter, with zeros for those that are never read."""
     known = {varying.name: varying for varying in varyings}
-    values: list[Value] = []
+    values: list[lanes.Value] = []
     for name, type in _parameter_fields(stage):
         varying = known.get(name)
         for i, kind in enumerate(all_kinds(type)):
             if varying is None:
-                values.append(literal(0, kind))
+                values.append(lanes.literal(0, kind))
             elif varying.interpolation is Interpolation.FLAT:
                 values.append(_argument(f"flat_{varying.word + i}", kind))
             else:
-                values.append(_argument(f"inputs_{varying.word + i}", kind, Uniformity.VARYING))
+                values.append(_argument(f"inputs_{varying.word + i}", kind, lanes.Uniformity.VARYING))
     return values
 
 
@@ -168,14 +161,14 @@ def _fragment_words(stage: tree.StageTree, interface: Interface) -> list[int | N
 # -- lowering ----------------------------------------------------------------------------------------------
 
 
-def _lower(lowering: Lowering, entry: tree.Function, arguments: list[Value]) -> list[Value]:
+def _lower(lowering: Lowering, entry: tree.Function, arguments: list[lanes.Value]) -> list[lanes.Value]:
     """Lower the whole stage and return the components of its result."""
     lowering.frame = InlinedFrame(entry, ())
     present = lowering.covered = lowering.new_mask(_MASK, "covered")
     if lowering.has_helpers:
-        present = lowering.new_mask(apply("quads", get(present)), "present")
+        present = lowering.new_mask(lanes.apply("quads", lanes.get(present)), "present")
     lowering.scope.mask, lowering.scope.owns_mask = present, True
-    lowering.kept = get(lowering.new_mask(get(lowering.covered), "kept")) if lowering.may_discard else _MASK
+    lowering.kept = lanes.get(lowering.new_mask(lanes.get(lowering.covered), "kept")) if lowering.may_discard else _MASK
     return inline(lowering, entry, list(arguments), ())
 
 

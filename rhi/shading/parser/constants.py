@@ -12,18 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rhi.contract.layout import (
-    BOOL,
-    FLOAT,
-    INT,
-    UINT,
-    ArrayType,
-    HostType,
-    MatrixType,
-    ScalarType,
-    StructType,
-    VectorType,
-)
+from rhi.contract import layout
 from rhi.shading.ir import tree
 from rhi.shading.ir.tree import Constant, Expression
 from rhi.shading.language import rules
@@ -36,7 +25,7 @@ from rhi.shading.parser.operators import convert
 MAX_CONSTANTS: Final = 16_384
 """The greatest number of scalars in a constant array: 64 KiB, the constant memory that OpenCL guarantees."""
 
-_KINDS: Final = {"f": FLOAT, "i": INT, "u": UINT, "b": BOOL}
+_KINDS: Final = {"f": layout.FLOAT, "i": layout.INT, "u": layout.UINT, "b": layout.BOOL}
 
 
 def constant(value: Any, span: SourceSpan, name: str, source: Source) -> Expression | None:
@@ -46,17 +35,17 @@ def constant(value: Any, span: SourceSpan, name: str, source: Source) -> Express
     if isinstance(value, np.ndarray):
         return _numpy_constant(value, span, name, source)
     if isinstance(value, bool | np.bool_):
-        return Constant(BOOL, span, bool(value))
+        return Constant(layout.BOOL, span, bool(value))
     if isinstance(value, numbers.Integral):
-        if isinstance(getattr(type(value), "shading_type", None), ScalarType):
-            return Constant(UINT, span, int(value))
+        if isinstance(getattr(type(value), "shading_type", None), layout.ScalarType):
+            return Constant(layout.UINT, span, int(value))
         if not -(2**31) <= int(value) < 2**32:
             source.refuse(rules.OUT_OF_RANGE, span, str(value), "32 bits")
-        return Constant(INT, span, int(value), literal=True)
+        return Constant(layout.INT, span, int(value), literal=True)
     if isinstance(value, numbers.Real):
-        return Constant(FLOAT, span, float(value))
+        return Constant(layout.FLOAT, span, float(value))
     if isinstance(value, Composite):
-        scalar = scalar_of(value.shading_type) or FLOAT
+        scalar = scalar_of(value.shading_type) or layout.FLOAT
         parts = [Constant(scalar, span, component) for component in value.components]
         return tree.Construct(value.shading_type, span, tuple(parts))
     if isinstance(value, Struct):
@@ -72,13 +61,15 @@ def _constant_array(value: tuple[Any, ...], span: SourceSpan, name: str, source:
     types = [element.type for element in elements if element is not None]
     if len(types) != len(elements):
         return None
-    element_type = FLOAT if set(types) == {INT, FLOAT} else types[0]
+    element_type = layout.FLOAT if set(types) == {layout.INT, layout.FLOAT} else types[0]
     converted = [convert(element, element_type) for element in elements if element is not None]
-    if any(element is None for element in converted) or not isinstance(element_type, ScalarType | VectorType):
+    if any(element is None for element in converted) or not isinstance(
+        element_type, layout.ScalarType | layout.VectorType
+    ):
         return None
     parts = tuple(element for element in converted if element is not None)
     _check_size(len(parts) * getattr(element_type, "size", 1), span, name, source)
-    return tree.ConstantArray(ArrayType(element_type, len(parts)), span, name, parts)
+    return tree.ConstantArray(layout.ArrayType(element_type, len(parts)), span, name, parts)
 
 
 def _numpy_constant(value: np.ndarray[Any, Any], span: SourceSpan, name: str, source: Source) -> Expression | None:
@@ -89,15 +80,15 @@ def _numpy_constant(value: np.ndarray[Any, Any], span: SourceSpan, name: str, so
     _check_size(value.size, span, name, source)
     scalar, rows = _KINDS[value.dtype.kind], value.tolist()
     numbers_of_array = [number for row in rows for number in row] if value.ndim == 2 else rows
-    for number in numbers_of_array if scalar in (INT, UINT) else ():
-        if not -(2**31) * (scalar is INT) <= number < 2 ** (31 + (scalar is UINT)):
+    for number in numbers_of_array if scalar in (layout.INT, layout.UINT) else ():
+        if not -(2**31) * (scalar is layout.INT) <= number < 2 ** (31 + (scalar is layout.UINT)):
             source.refuse(rules.OUT_OF_RANGE, span, str(number), f"{scalar}: 32 bits")
     if value.ndim == 1:
         parts: list[Expression] = [Constant(scalar, span, number) for number in rows]
-        return tree.ConstantArray(ArrayType(scalar, len(parts)), span, name, tuple(parts))
+        return tree.ConstantArray(layout.ArrayType(scalar, len(parts)), span, name, tuple(parts))
     vector = VECTORS[scalar, value.shape[1]]
     parts = [tree.Construct(vector, span, tuple(Constant(scalar, span, n) for n in row)) for row in rows]
-    return tree.ConstantArray(ArrayType(vector, len(parts)), span, name, tuple(parts))
+    return tree.ConstantArray(layout.ArrayType(vector, len(parts)), span, name, tuple(parts))
 
 
 def _check_size(scalars: int, span: SourceSpan, name: str, source: Source) -> None:
@@ -106,18 +97,18 @@ def _check_size(scalars: int, span: SourceSpan, name: str, source: Source) -> No
         source.refuse(rules.TOO_LARGE, span, given, allowed, "pass it in a buffer: Storage[…], or in a texture")
 
 
-def _typed(type: HostType, value: Any, span: SourceSpan) -> Expression:
+def _typed(type: layout.HostType, value: Any, span: SourceSpan) -> Expression:
     """Return a value of a struct, converted to the types of its fields when it was set, as a constant."""
     match type:
-        case StructType(fields=fields):
+        case layout.StructType(fields=fields):
             parts = tuple(_typed(field.type, getattr(value, field.name), span) for field in fields)
-        case ArrayType(element=element):
+        case layout.ArrayType(element=element):
             parts = tuple(_typed(element, part, span) for part in value)
-        case VectorType() | MatrixType():
+        case layout.VectorType() | layout.MatrixType():
             numbers_of_value = np.ravel(np.asarray(value)).tolist()
-            scalar = scalar_of(type) or FLOAT
+            scalar = scalar_of(type) or layout.FLOAT
             parts = tuple(Constant(scalar, span, number) for number in numbers_of_value)
-        case ScalarType():
+        case layout.ScalarType():
             return Constant(type, span, value.item() if isinstance(value, np.generic) else value)
     return tree.Construct(type, span, parts)
 

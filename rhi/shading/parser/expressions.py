@@ -6,34 +6,13 @@ import ast
 from functools import reduce
 from typing import Final
 
-from rhi.contract.layout import (
-    BOOL,
-    FLOAT,
-    INT,
-    UINT,
-    ArrayType,
-    MatrixType,
-    ScalarType,
-    StructType,
-    VectorType,
-)
+from rhi.contract import layout
 from rhi.shading.ir import tree
 from rhi.shading.ir.tree import Constant, Expression, Operator
-from rhi.shading.language import rules
+from rhi.shading.language import rules, types
 from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.source import MISSING, SourceSpan, span_of, suggest
 from rhi.shading.language.textures import methods_of
-from rhi.shading.language.types import (
-    VECTORS,
-    ImageType,
-    StorageType,
-    TextureType,
-    Type,
-    count_scalars,
-    has_array,
-    is_value,
-    scalar_of,
-)
 from rhi.shading.parser.constants import constant
 from rhi.shading.parser.context import FunctionParser, parses
 from rhi.shading.parser.operators import binary, convert, typed, unary
@@ -78,7 +57,7 @@ def parse_unary(parser: FunctionParser, node: ast.UnaryOp) -> Expression:
     op = tree.OPERATORS[type(node.op)]
     result = unary(op, operand, span_of(node))
     if result is None:
-        tip = "use invert(v)" if op is Operator.NOT and isinstance(operand.type, VectorType) else ""
+        tip = "use invert(v)" if op is Operator.NOT and isinstance(operand.type, layout.VectorType) else ""
         parser.refuse(rules.WRONG_TYPE, node, f"{op.sign} {operand.type}", tip=tip)
     return result
 
@@ -130,7 +109,7 @@ def parse_condition(parser: FunctionParser, node: ast.BoolOp) -> Expression:
             decided = condition
             operands.append(condition)
     return _join(parser, Operator.AND if is_and else Operator.OR, operands, node) or Constant(
-        BOOL, span_of(node), is_and
+        layout.BOOL, span_of(node), is_and
     )
 
 
@@ -190,24 +169,24 @@ def parse_attribute(parser: FunctionParser, node: ast.Attribute) -> Expression:
         return parser.python_value(found, node, node.attr)
     base = parser.expression(node.value)
     span = span_of(node)
-    if isinstance(base.type, StructType):
+    if isinstance(base.type, layout.StructType):
         field = base.type.field(node.attr)
         if field is None:
             names = [field.name for field in base.type.fields]
             tip = suggest(node.attr, names)
             parser.refuse(rules.UNKNOWN_MEMBER, node, f"{base.type}.{node.attr}", ", ".join(names), tip)
         return tree.Member(field.type, span, base, node.attr)
-    if isinstance(base.type, VectorType):
+    if isinstance(base.type, layout.VectorType):
         return _swizzle(parser, base, base.type, node)
     tip = member_tip(base.type) or ("use transpose(m)" if node.attr == "T" else "")
     parser.refuse(rules.UNKNOWN_MEMBER, node, f"{base.type}.{node.attr}", tip=tip)
 
 
-def _swizzle(parser: FunctionParser, base: Expression, type: VectorType, node: ast.Attribute) -> Expression:
+def _swizzle(parser: FunctionParser, base: Expression, type: layout.VectorType, node: ast.Attribute) -> Expression:
     for axes in _AXES:
         components = tuple(axes[: type.size].find(letter) for letter in node.attr)
         if len(components) <= 4 and min(components) >= 0:
-            result = type.scalar if len(components) == 1 else VECTORS[type.scalar, len(components)]
+            result = type.scalar if len(components) == 1 else types.VECTORS[type.scalar, len(components)]
             return tree.Swizzle(result, span_of(node), base, components)
     allowed = " or ".join(axes[: type.size] for axes in _AXES)
     parser.refuse(rules.UNKNOWN_MEMBER, node, f"{type}.{node.attr}", f"up to 4 of {allowed}")
@@ -229,12 +208,12 @@ def _field_of_shader(parser: FunctionParser, node: ast.Attribute) -> Expression:
 def parse_subscript(parser: FunctionParser, node: ast.Subscript) -> Expression:
     base = parser.expression(node.value)
     type, span = base.type, span_of(node)
-    if isinstance(type, StorageType | ArrayType):
-        element: Type = type.element
-    elif isinstance(type, VectorType):
+    if isinstance(type, types.StorageType | layout.ArrayType):
+        element: types.Type = type.element
+    elif isinstance(type, layout.VectorType):
         element = type.scalar
-    elif isinstance(type, MatrixType):
-        element = VECTORS[FLOAT, type.size]
+    elif isinstance(type, layout.MatrixType):
+        element = types.VECTORS[layout.FLOAT, type.size]
     else:
         parser.refuse(rules.WRONG_TYPE, node, f"{type}[…]", "arrays, storage, vectors, matrices")
     if isinstance(node.slice, ast.Slice):
@@ -242,51 +221,53 @@ def parse_subscript(parser: FunctionParser, node: ast.Subscript) -> Expression:
     if isinstance(node.slice, ast.Tuple):
         parser.refuse(rules.SYNTAX, node, f"[{ast.unparse(node.slice)}]", "one index", "write m[row][column]")
     index = parser.expression(node.slice)
-    if index.type not in (INT, UINT):
+    if index.type not in (layout.INT, layout.UINT):
         parser.refuse(rules.WRONG_TYPE, node.slice, str(index.type), "int or uint")
     if isinstance(index, Constant):
         index = _constant_index(parser, index, type, node)
     return tree.Index(element, span, base, index)
 
 
-def _constant_index(parser: FunctionParser, index: Constant, type: Type, node: ast.Subscript) -> Constant:
+def _constant_index(parser: FunctionParser, index: Constant, type: types.Type, node: ast.Subscript) -> Constant:
     value = int(index.value)
-    if isinstance(type, StorageType):
+    if isinstance(type, types.StorageType):
         if value < 0 and not parser.untaken:
             parser.refuse(rules.OUT_OF_RANGE, node.slice, str(value), "0 or more", "count back from len(…)")
         return index
-    length = type.length if isinstance(type, ArrayType) else getattr(type, "size", 0)
+    length = type.length if isinstance(type, layout.ArrayType) else getattr(type, "size", 0)
     if not -length <= value < length and not parser.untaken:
         parser.refuse(rules.OUT_OF_RANGE, node.slice, str(value), f"{-length} to {length - 1}")
-    return Constant(INT, index.span, value % length)
+    return Constant(layout.INT, index.span, value % length)
 
 
 # -- for calls and statements
 
 
-def cast(parser: FunctionParser, value: Expression, type: ScalarType | VectorType, span: SourceSpan) -> Expression:
+def cast(
+    parser: FunctionParser, value: Expression, type: layout.ScalarType | layout.VectorType, span: SourceSpan
+) -> Expression:
     """Return an explicit conversion, such as `int(x)`."""
     if value.type == type:
         return value
-    if isinstance(value, Constant) and isinstance(type, ScalarType):
+    if isinstance(value, Constant) and isinstance(type, layout.ScalarType):
         number = value.value
-        if isinstance(number, float) and type in (INT, UINT):
-            least, most = (0, 2**32 - 1) if type is UINT else (-(2**31), 2**31 - 1)
+        if isinstance(number, float) and type in (layout.INT, layout.UINT):
+            least, most = (0, 2**32 - 1) if type is layout.UINT else (-(2**31), 2**31 - 1)
             if not least - 1 < number < most + 1:
                 if not parser.untaken:
                     parser.refuse(rules.OUT_OF_RANGE, span, str(number), f"{least} to {most}")
                 number = 0
-        if type is UINT:
-            return Constant(UINT, span, int(number) & 0xFFFFFFFF)
-        converted = {BOOL: bool, INT: int, FLOAT: float}[type](number)
+        if type is layout.UINT:
+            return Constant(layout.UINT, span, int(number) & 0xFFFFFFFF)
+        converted = {layout.BOOL: bool, layout.INT: int, layout.FLOAT: float}[type](number)
         return Constant(type, span, converted)
     return tree.Convert(type, span, value)
 
 
-def check_size(parser: FunctionParser, type: Type, at: ast.AST, what: str) -> None:
+def check_size(parser: FunctionParser, type: types.Type, at: ast.AST, what: str) -> None:
     """Refuse a local array, or a struct with one, that is too large for an invocation."""
-    if isinstance(type, ArrayType | StructType) and has_array(type):
-        scalars = count_scalars(type)
+    if isinstance(type, layout.ArrayType | layout.StructType) and types.has_array(type):
+        scalars = types.count_scalars(type)
         if scalars > MAX_LOCAL:
             given, tip = (
                 f"{what}, {scalars} numbers",
@@ -297,7 +278,7 @@ def check_size(parser: FunctionParser, type: Type, at: ast.AST, what: str) -> No
 
 def check_value(parser: FunctionParser, value: Expression, at: ast.AST) -> None:
     """Refuse a value that can't be held in a variable."""
-    if not is_value(value.type):
+    if not types.is_value(value.type):
         tip = "textures and buffers are used in place" if not isinstance(value, tree.Call) else ""
         parser.refuse(rules.WRONG_TYPE, at, str(value.type), "a value", tip)
 
@@ -316,7 +297,7 @@ def check_target(parser: FunctionParser, target: Expression, node: ast.AST) -> S
         )
     declaration = root.declaration
     if declaration.storage_class is StorageClass.STORAGE:
-        assert isinstance(declaration.type, StorageType)
+        assert isinstance(declaration.type, types.StorageType)
         if not declaration.type.writable:
             tip = f"declare it as StorageRW[{declaration.type.element}]"
             parser.refuse(rules.NOT_WRITABLE, node, f"{declaration.name}: {declaration.type}", tip=tip)
@@ -340,30 +321,30 @@ def check_memory(parser: FunctionParser, target: Expression, at: ast.AST) -> Non
 
 
 def _operator_tip(op: Operator, left: Expression, right: Expression) -> str:
-    a, b = scalar_of(left.type), scalar_of(right.type)
-    vectors = isinstance(left.type, VectorType) or isinstance(right.type, VectorType)
+    a, b = types.scalar_of(left.type), types.scalar_of(right.type)
+    vectors = isinstance(left.type, layout.VectorType) or isinstance(right.type, layout.VectorType)
     if op.sign in _ORDER_FUNCTIONS and vectors:
         return f"use {_ORDER_FUNCTIONS[op.sign]}(a, b), which compares by component"
     if op is Operator.MATRIX_MULTIPLY:
-        if isinstance(left.type, MatrixType) and isinstance(right.type, VectorType):
+        if isinstance(left.type, layout.MatrixType) and isinstance(right.type, layout.VectorType):
             size = left.type.size
             return f"a mat{size} takes a vec{size}" + ("; for a point: vec4(v, 1.0)" if size == 4 else "")
         return "@ multiplies matrices; use dot(a, b) for vectors" if vectors else ""
-    if isinstance(left.type, MatrixType) and isinstance(right.type, VectorType):
+    if isinstance(left.type, layout.MatrixType) and isinstance(right.type, layout.VectorType):
         return "use @ to multiply a matrix with a vector"
-    if {a, b} == {INT, UINT}:
+    if {a, b} == {layout.INT, layout.UINT}:
         return "convert one of them: int(…) or uint(…)"
-    if BOOL in (a, b) and op in (Operator.BIT_AND, Operator.BIT_OR):
+    if layout.BOOL in (a, b) and op in (Operator.BIT_AND, Operator.BIT_OR):
         return "use `and`, `or`"
-    if op is Operator.POWER and a in (INT, UINT):
+    if op is Operator.POWER and a in (layout.INT, layout.UINT):
         return "an int's exponent must be a constant of 0 to 16; convert to float otherwise"
     return ""
 
 
-def member_tip(type: Type) -> str:
+def member_tip(type: types.Type) -> str:
     """Return a tip for the use of a value that has no fields."""
-    if isinstance(type, StorageType):
+    if isinstance(type, types.StorageType):
         return "storage is an array: index it first"
-    if isinstance(type, TextureType | ImageType):
+    if isinstance(type, types.TextureType | types.ImageType):
         return "call its methods: " + ", ".join(methods_of(type))
     return ""

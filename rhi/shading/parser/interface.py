@@ -11,17 +11,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from rhi.contract import layout
 from rhi.contract.descriptors import Attribute, FragmentOutput, Interpolation, StageVarying
-from rhi.contract.layout import (
-    BOOL,
-    FLOAT,
-    ArrayType,
-    MatrixType,
-    ScalarType,
-    StructType,
-    VectorType,
-    shape_of,
-)
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Varying
 from rhi.shading.language import rules
@@ -36,10 +27,13 @@ def vertex_inputs(vertex: Callee) -> tuple[Attribute, ...]:
     attributes: list[Attribute] = []
     source = vertex.source
     for parameter in vertex.signature.parameters:
-        if not isinstance(parameter.type, StructType):
+        if not isinstance(parameter.type, layout.StructType):
             source.refuse(rules.INTERFACE, source.node, f"{parameter.name}: {parameter.type}", "structs of attributes")
         for field in parameter.type.fields:
-            if not isinstance(field.type, ScalarType | VectorType) or scalar_of(field.type) is BOOL:
+            if (
+                not isinstance(field.type, layout.ScalarType | layout.VectorType)
+                or scalar_of(field.type) is layout.BOOL
+            ):
                 source.refuse(
                     rules.INTERFACE,
                     source.node,
@@ -73,13 +67,13 @@ def varyings_of(vertex: Callee) -> tuple[str, tuple[Varying, ...]]:
     varyings, location = [], 0
     for field in (*fields[1:], fields[0]):
         role = cls._roles.get(field.name)
-        if isinstance(field.type, StructType | ArrayType) or scalar_of(field.type) is BOOL:
+        if isinstance(field.type, layout.StructType | layout.ArrayType) or scalar_of(field.type) is layout.BOOL:
             given = f"varying {field.name}: {field.type}"
             source.refuse(rules.INTERFACE, source.node, given, "numbers, vectors, matrices")
-        if scalar_of(field.type) not in (FLOAT, None) or role is Role.POINT_SIZE:
+        if scalar_of(field.type) not in (layout.FLOAT, None) or role is Role.POINT_SIZE:
             role = Role.FLAT
         varyings.append(Varying(field.name, field.type, role, location))
-        location += field.type.size if isinstance(field.type, MatrixType) else 1
+        location += field.type.size if isinstance(field.type, layout.MatrixType) else 1
     return fields[0].name, tuple(varyings)
 
 
@@ -99,7 +93,7 @@ def check_fragment_input(fragment: Callee, varyings: tuple[Varying, ...]) -> Non
     if len(described.parameters) > 1:
         source.refuse(rules.INTERFACE, source.node, f"{len(described.parameters)} parameters", "at most one struct")
     for parameter in described.parameters:
-        if not isinstance(parameter.type, StructType):
+        if not isinstance(parameter.type, layout.StructType):
             source.refuse(rules.INTERFACE, source.node, f"{parameter.name}: {parameter.type}", "a struct")
         known = {varying.name: varying.type for varying in varyings}
         for field in parameter.type.fields:
@@ -136,7 +130,7 @@ def words_of_varyings(varyings: tuple[Varying, ...], names: set[str]) -> tuple[S
     found, word = [], 0
     for varying in varyings:
         if varying.name in names:
-            scalar, words = scalar_of(varying.type) or FLOAT, math.prod(shape_of(varying.type))
+            scalar, words = scalar_of(varying.type) or layout.FLOAT, math.prod(layout.shape_of(varying.type))
             interpolation = _INTERPOLATIONS[varying.role]
             found.append(StageVarying(varying.name, word, words, scalar.name, interpolation))
             word += words
@@ -173,7 +167,7 @@ def _fields_read(entry: tree.Function) -> set[str]:
                     whole += 1
         if whole:
             types = [parameter.type for parameter in entry.parameters]
-            return {field.name for type in types if isinstance(type, StructType) for field in type.fields}
+            return {field.name for type in types if isinstance(type, layout.StructType) for field in type.fields}
     return names
 
 
@@ -194,7 +188,7 @@ def fragment_outputs(fragment: Callee) -> tuple[str, tuple[FragmentOutput, ...]]
             depth = name
             continue
         scalar = scalar_of(type)
-        if scalar is None or scalar is BOOL:
+        if scalar is None or scalar is layout.BOOL:
             source.refuse(
                 rules.INTERFACE,
                 source.node.returns or source.node,

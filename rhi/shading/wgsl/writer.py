@@ -14,19 +14,8 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from typing import Final, NoReturn
 
+from rhi.contract import layout
 from rhi.contract.descriptors import Stage, TextureKind
-from rhi.contract.layout import (
-    BOOL,
-    FLOAT,
-    INT,
-    UINT,
-    ArrayType,
-    HostType,
-    MatrixType,
-    ScalarType,
-    StructType,
-    VectorType,
-)
 from rhi.shading.ir import tree
 from rhi.shading.ir.tree import Expression, Operator
 from rhi.shading.language import rules
@@ -47,7 +36,7 @@ from rhi.shading.wgsl.builtins import (
 )
 from rhi.shading.wgsl.memory import UNIFORM, MemoryTypes
 
-SCALARS: Final = {FLOAT: "f32", INT: "i32", UINT: "u32", BOOL: "bool"}
+SCALARS: Final = {layout.FLOAT: "f32", layout.INT: "i32", layout.UINT: "u32", layout.BOOL: "bool"}
 SHAPES: Final = {
     TextureKind.D2: "2d",
     TextureKind.D2_ARRAY: "2d_array",
@@ -86,15 +75,15 @@ class WgslWriter(TextWriter):
     def type(self, type: Type) -> str:
         """Return a type's WGSL name."""
         match type:
-            case ScalarType():
+            case layout.ScalarType():
                 return SCALARS[type]
-            case VectorType(scalar=scalar, size=size):
+            case layout.VectorType(scalar=scalar, size=size):
                 return f"vec{size}<{SCALARS[scalar]}>"
-            case MatrixType(size=size):
+            case layout.MatrixType(size=size):
                 return f"mat{size}x{size}<f32>"
-            case StructType(name=name):
+            case layout.StructType(name=name):
                 return self.globals.get(type, name)
-            case ArrayType(element=element, length=length):
+            case layout.ArrayType(element=element, length=length):
                 return f"array<{self.type(element)}, {length}>"
             case TextureType(kind=kind, scalar=scalar, compare=compare):
                 return f"texture_depth_{SHAPES[kind]}" if compare else f"texture_{SHAPES[kind]}<{SCALARS[scalar]}>"
@@ -103,11 +92,11 @@ class WgslWriter(TextWriter):
     def constant(self, node: tree.Constant) -> str:
         """Return a scalar literal."""
         value = node.value
-        if node.type is BOOL:
+        if node.type is layout.BOOL:
             return "true" if value else "false"
-        if node.type is UINT:
+        if node.type is layout.UINT:
             return f"{int(value)}u"
-        if node.type is INT:
+        if node.type is layout.INT:
             return f"i32({int_text(int(value))})"
         number = float(value)
         if math.isfinite(number) and abs(number) <= _LARGEST:
@@ -118,7 +107,7 @@ class WgslWriter(TextWriter):
         self.helpers["rhi_from_bits"] = "fn rhi_from_bits(x: u32) -> f32 { var y = x; return bitcast<f32>(y); }"
         return f"rhi_from_bits({bits})"
 
-    def zero(self, type: HostType) -> str:
+    def zero(self, type: layout.HostType) -> str:
         return f"{self.type(type)}()"
 
     # -- statements that expressions need
@@ -199,7 +188,7 @@ class WgslWriter(TextWriter):
 
     def is_atomic(self, node: Expression) -> bool:
         """Return whether the words at a place in memory are atomic."""
-        return isinstance(node.type, ScalarType | ArrayType) and _word_of(node) in self.memory.atomics
+        return isinstance(node.type, layout.ScalarType | layout.ArrayType) and _word_of(node) in self.memory.atomics
 
     def argument(self, node: Expression) -> str:
         if isinstance(node.type, TextureType):
@@ -212,12 +201,12 @@ class WgslWriter(TextWriter):
 
     def construct(self, node: tree.Construct) -> str:
         type, parts = node.type, self.sequence(node.parts)
-        if isinstance(type, MatrixType) and len(parts) == 1:
+        if isinstance(type, layout.MatrixType) and len(parts) == 1:
             size, source = type.size, node.parts[0].type
-            if isinstance(source, ScalarType):
+            if isinstance(source, layout.ScalarType):
                 cells = [parts[0] if i == j else "0.0" for i in range(size) for j in range(size)]
             else:
-                assert isinstance(source, MatrixType)
+                assert isinstance(source, layout.MatrixType)
                 known = source.size
                 cells = [
                     f"{parts[0]}[{i}][{j}]" if max(i, j) < known else "1.0" if i == j else "0.0"
@@ -251,29 +240,29 @@ class WgslWriter(TextWriter):
                 return super().operation(node, left)
             case Operator.MATRIX_MULTIPLY:
                 return f"({self.expression(node.right)} * {left})"
-            case Operator.EQUAL | Operator.NOT_EQUAL if isinstance(types[0], VectorType):
+            case Operator.EQUAL | Operator.NOT_EQUAL if isinstance(types[0], layout.VectorType):
                 return f"{'all' if op is Operator.EQUAL else 'any'}{super().operation(node, left)}"
             case Operator.SHIFT_LEFT | Operator.SHIFT_RIGHT:
-                form = "u32" if not isinstance(node.type, VectorType) else f"vec{node.type.size}<u32>"
+                form = "u32" if not isinstance(node.type, layout.VectorType) else f"vec{node.type.size}<u32>"
                 count = f"{form}({self.expression(node.right)})"
                 count = count if is_constant(node.right) else f"({count} & {form}(31u))"
                 return f"({self.widened(node, node.left, left)} {op.sign} {count})"
             case Operator.BIT_AND | Operator.BIT_OR | Operator.BIT_XOR if types[0] != types[1]:
                 right = self.widened(node, node.right, self.expression(node.right))
                 return f"({self.widened(node, node.left, left)} {op.sign} {right})"
-            case Operator.MULTIPLY if isinstance(node.type, MatrixType) and types[0] == types[1]:
+            case Operator.MULTIPLY if isinstance(node.type, layout.MatrixType) and types[0] == types[1]:
                 body = f"return {self.type(node.type)}({', '.join(f'a[{i}] * b[{i}]' for i in range(node.type.size))});"
                 name = self.helper("rhi_multiply", self.type(node.type), "a b", body)
                 return f"{name}({left}, {self.expression(node.right)})"
-            case Operator.DIVIDE if isinstance(types[0], MatrixType):
+            case Operator.DIVIDE if isinstance(types[0], layout.MatrixType):
                 return f"({left} * (1.0 / {self.expression(node.right)}))"
         return super().operation(node, left)
 
     def power(self, node: tree.Binary, base: str) -> str:
         exponent = node.right
-        if isinstance(exponent, tree.Constant) and exponent.type in (INT, UINT) and not exponent.value:
-            return f"{self.type(node.type)}({'1.0' if scalar_of(node.type) is FLOAT else '1'})"
-        if isinstance(exponent, tree.Constant) and exponent.type in (INT, UINT) and exponent.value < 0:
+        if isinstance(exponent, tree.Constant) and exponent.type in (layout.INT, layout.UINT) and not exponent.value:
+            return f"{self.type(node.type)}({'1.0' if scalar_of(node.type) is layout.FLOAT else '1'})"
+        if isinstance(exponent, tree.Constant) and exponent.type in (layout.INT, layout.UINT) and exponent.value < 0:
             # WGSL divides no scalar by an integer vector, so one is of the result's type.
             inverse = tree.Constant(exponent.type, exponent.span, -exponent.value)
             positive = tree.Binary(node.type, node.span, node.operator, node.left, inverse)
@@ -282,20 +271,16 @@ class WgslWriter(TextWriter):
 
     def floored(self, node: tree.Binary, left: str, right: str) -> str:
         """Return `//` or `%`. WGSL shifts no vectors by scalars, so powers of two are divided by as others are."""
-        if isinstance(node.type, VectorType) and scalar_of(node.type) is INT:
+        if isinstance(node.type, layout.VectorType) and scalar_of(node.type) is layout.INT:
             left, right = self.widened(node, node.left, left), self.widened(node, node.right, right)
             return f"{self.integer_helper(node, node.operator is Operator.FLOOR_DIVIDE)}({left}, {right})"
-        divisor = node.right
-        if (
-            scalar_of(node.type) is INT
-            and node.operator is Operator.FLOOR_DIVIDE
-            and isinstance(divisor, tree.Constant)
-        ):
+        divisor, divides = node.right, node.operator is Operator.FLOOR_DIVIDE
+        if scalar_of(node.type) is layout.INT and divides and isinstance(divisor, tree.Constant):
             value = int(divisor.value)
             if value > 0 and value.bit_count() == 1:
                 return f"({left} >> {value.bit_length() - 1}u)"
-        if scalar_of(node.type) is UINT and not is_constant(divisor):
-            sign, right = "/" if node.operator is Operator.FLOOR_DIVIDE else "%", self.widened(node, divisor, right)
+        if scalar_of(node.type) is layout.UINT and not is_constant(divisor):
+            sign, right = "/" if divides else "%", self.widened(node, divisor, right)
             return f"({left} {sign} max({right}, {self.type(node.type)}(1)))"
         return super().floored(node, left, right)
 
@@ -343,16 +328,16 @@ class WgslWriter(TextWriter):
             self.helpers["rhi_barrier"] = BARRIER
         texts = self.sequence(arguments)
         types = [argument.type for argument in arguments]
-        size = next((type for type in types if isinstance(type, VectorType)), None)
+        size = next((type for type in types if isinstance(type, layout.VectorType)), None)
         if size is not None and name in ("min", "max", "clamp", "step", "smoothstep"):
             texts = [
-                text if isinstance(type, VectorType) else f"{self.type(size)}({text})"
+                text if isinstance(type, layout.VectorType) else f"{self.type(size)}({text})"
                 for text, type in zip(texts, types, strict=True)
             ]
-        if name == "mix" and scalar_of(types[2]) is BOOL:
+        if name == "mix" and scalar_of(types[2]) is layout.BOOL:
             return f"select({', '.join(texts)})"
         if name == "inverse":
-            assert isinstance(node.type, MatrixType)
+            assert isinstance(node.type, layout.MatrixType)
             body, type = INVERSES[node.type.size], self.type(node.type)
             return f"{self.helper(f'rhi_inverse{node.type.size}', type, 'm', body)}({texts[0]})"
         spelling = SPELLINGS.get(name, name)
@@ -425,7 +410,7 @@ class WgslWriter(TextWriter):
         if layered and rest:
             if tree.has_effect(rest[0]):
                 self.refuse(rest[0], "a place in an array with a side effect", "assign it to a variable first")
-            whole = isinstance(rest[0].type, VectorType) and rest[0].type.scalar is INT
+            whole = isinstance(rest[0].type, layout.VectorType) and rest[0].type.scalar is layout.INT
             at = f"{at}.xy, {f'{at}.z' if whole else f'i32(floor({at}.z + 0.5))'}"
         if name == "load":
             level = "" if image else f", {texts[2] if len(texts) > 2 else '0'}"
@@ -439,7 +424,7 @@ class WgslWriter(TextWriter):
         if name == "store":
             return f"textureStore({texture}, {at}, {texts[2]})"
         assert isinstance(type, TextureType)
-        if type.scalar is not FLOAT and name not in ("levels", "gather"):
+        if type.scalar is not layout.FLOAT and name not in ("levels", "gather"):
             self.refuse(node, "an integer texture that is sampled", "load its texels")
         if name == "gather":
             component = "0"
@@ -545,11 +530,11 @@ def sampler_type(type: TextureType) -> str:
 
 def _is_variable(local: tree.Local) -> bool:
     """Return whether a parameter is kept in a variable: the function assigns it, or indexes it."""
-    return bool(local.writes) or isinstance(local.type, ArrayType)
+    return bool(local.writes) or isinstance(local.type, layout.ArrayType)
 
 
 def _is_selected(type: Type) -> bool:
-    return isinstance(type, ScalarType | VectorType)
+    return isinstance(type, layout.ScalarType | layout.VectorType)
 
 
 def _declaration_of(node: Expression) -> Declaration | None:
@@ -562,13 +547,13 @@ def _space_of(declaration: Declaration) -> str:
     return UNIFORM if declaration.storage_class is StorageClass.UNIFORM else declaration.name
 
 
-def _word_of(node: Expression) -> tuple[str, StructType | None, str]:
+def _word_of(node: Expression) -> tuple[str, layout.StructType | None, str]:
     """Return what declares the words at a place in memory: the binding, and the field of a struct."""
     declaration = _declaration_of(node)
     name = declaration.name if declaration is not None else ""
     while isinstance(node, tree.Index):
         node = node.base
     if isinstance(node, tree.Member):
-        assert isinstance(node.base.type, StructType)
+        assert isinstance(node.base.type, layout.StructType)
         return name, node.base.type, node.name
     return name, None, ""

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading
-from rhi.contract.layout import BOOL, FLOAT, INT, UINT, HostType, MatrixType, ScalarType, VectorType
+from rhi.contract.layout import BOOL, FLOAT, INT, UINT, HostType, MatrixType, ScalarType, VectorType, shape_of
 from rhi.shading.evaluation.compute import evaluate
 from rhi.shading.language.builtins import BUILTINS, OPERATORS, Builtin, ErrorBound, Precision, SideEffect
 from rhi.shading.language.shader import Shader
@@ -67,12 +67,8 @@ def scalar_kind(type: HostType) -> ScalarType:
     return FLOAT if isinstance(type, MatrixType) else type.scalar if isinstance(type, VectorType) else type  # type: ignore[return-value]
 
 
-def _shape(type: HostType) -> tuple[int, ...]:
-    return (type.size,) * (1 + isinstance(type, MatrixType)) if isinstance(type, MatrixType | VectorType) else ()
-
-
 def _size(type: HostType) -> int:
-    return int(np.prod(_shape(type), dtype=int))
+    return int(np.prod(shape_of(type), dtype=int))
 
 
 def _parts(type: HostType, name: str) -> list[str]:
@@ -166,7 +162,7 @@ class Probe:
     def evaluate(self, given: Array, dtype: Any) -> Array:
         """Evaluate words (n, words) on NumPy; returns numbers (n, components)."""
         columns = self.columns(given).values()
-        values = [part.reshape(-1, *_shape(type)) for part, type in zip(columns, self.parameters, strict=True)]
+        values = [part.reshape(-1, *shape_of(type)) for part, type in zip(columns, self.parameters, strict=True)]
         return np.asarray(evaluate(self._namespace["probe"], *values, dtype=dtype)).reshape(len(given), -1)
 
     def numbers(self, words: Array) -> Array:
@@ -386,8 +382,8 @@ def builtin_probes(row: Builtin) -> Iterator[Probe]:
     for overload in row.overloads:
         types: tuple[Any, ...] = tuple(parameter.type for parameter in overload.parameters)
         kinds = tuple(map(scalar_kind, types))
-        if kinds not in chosen or all(3 in _shape(type) for type in types):
-            if kinds in chosen and not _shape(chosen[kinds][0][0]):
+        if kinds not in chosen or all(3 in shape_of(type) for type in types):
+            if kinds in chosen and not shape_of(chosen[kinds][0][0]):
                 continue
             chosen[kinds] = types, overload.result  # type: ignore[assignment]
     for types, result in chosen.values():

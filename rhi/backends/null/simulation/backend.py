@@ -33,19 +33,9 @@ from rhi.backends.null.simulation.streams import CommandUse
 from rhi.backends.null.simulation.work import WorkMeter
 from rhi.commands.ops import WIDTHS, Op
 from rhi.commands.recorder import FIND_CALLER, FIND_CALLER_GLOBALS
+from rhi.contract import descriptors
 from rhi.contract.backend import Capabilities
-from rhi.contract.descriptors import (
-    BufferDescriptor,
-    BufferUsage,
-    Id,
-    PassDescriptor,
-    ProgramDescriptor,
-    QueryKind,
-    Region,
-    SamplerDescriptor,
-    TextureDescriptor,
-    VertexArrayDescriptor,
-)
+from rhi.contract.descriptors import Id
 from rhi.errors import find_user_frame, refuse
 from rhi.errors.rules import DEVICE_ARGUMENT
 
@@ -278,33 +268,33 @@ class SimulatedBackend(NullBackend):
 
     # -- calls -------------------------------------------------------------------------------------------
 
-    def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
+    def create_buffer(self, buffer: Id, descriptor: descriptors.BufferDescriptor) -> None:
         self._spend_call()
         super().create_buffer(buffer, descriptor)
-        if descriptor.usage is not BufferUsage.STATIC:
+        if descriptor.usage is not descriptors.BufferUsage.STATIC:
             self._hazards.create_stream(buffer, descriptor)
-        if descriptor.usage is BufferUsage.READBACK:
+        if descriptor.usage is descriptors.BufferUsage.READBACK:
             self._readbacks.add(buffer)
 
-    def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
+    def create_texture(self, texture: Id, descriptor: descriptors.TextureDescriptor) -> None:
         self._spend_call()
         super().create_texture(texture, descriptor)
 
-    def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
+    def create_sampler(self, sampler: Id, descriptor: descriptors.SamplerDescriptor) -> None:
         self._spend_call()
         super().create_sampler(sampler, descriptor)
 
-    def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
+    def create_program(self, program: Id, descriptor: descriptors.ProgramDescriptor) -> None:
         self._spend_call()
         super().create_program(program, descriptor)
         self._hazards.create_program(program, descriptor)
 
-    def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
+    def create_vertex_array(self, vertex_array: Id, descriptor: descriptors.VertexArrayDescriptor) -> None:
         self._spend_call()
         super().create_vertex_array(vertex_array, descriptor)
         self._hazards.create_vertex_array(vertex_array, descriptor)
 
-    def create_query(self, query: Id, kind: QueryKind) -> None:
+    def create_query(self, query: Id, kind: descriptors.QueryKind) -> None:
         self._spend_call()
         super().create_query(query, kind)
         self._hazards.create_query(query, kind)
@@ -320,7 +310,7 @@ class SimulatedBackend(NullBackend):
             self._enqueue_call(Op.WRITE_BUFFER, buffer, offset, bytes(data))
             self._count_queued(memoryview(data).nbytes)
 
-    def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
+    def write_texture(self, texture: Id, level: int, region: descriptors.Region, data: BytesLike) -> None:
         self._enqueue_call(Op.WRITE_TEXTURE, texture, level, region, bytes(data))
         self._count_queued(memoryview(data).nbytes)
 
@@ -340,7 +330,7 @@ class SimulatedBackend(NullBackend):
         self._drain("read_buffer")
         return self._buffers.read_buffer(buffer, offset, size)
 
-    def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
+    def read_texture(self, texture: Id, level: int, region: descriptors.Region, stencil: bool) -> NDArray[np.generic]:
         self._enqueue_call(Op.READ_TEXTURE, texture, level, region, stencil)
         self._drain("read_texture")
         return self._textures.read_texture(texture, level, region, stencil)
@@ -370,7 +360,7 @@ class SimulatedBackend(NullBackend):
         return True
 
     def write_query(self, query: Id) -> None:
-        if self._queries.kind(query) is QueryKind.TIMESTAMP:
+        if self._queries.kind(query) is descriptors.QueryKind.TIMESTAMP:
             self._follow_calls()
             self._issue_times[query] = self._now
         self._enqueue_call(Op.WRITE_QUERY, query)
@@ -452,7 +442,7 @@ class SimulatedBackend(NullBackend):
                 submission.place = place
             submissions.popleft()
 
-    def _mark_pass(self, descriptor: PassDescriptor) -> None:
+    def _mark_pass(self, descriptor: descriptors.PassDescriptor) -> None:
         self._log.begin_label(self._gpu, descriptor.label or "pass")
 
     def _signal(self, value: int) -> None:
@@ -461,7 +451,7 @@ class SimulatedBackend(NullBackend):
 
     def _write_query(self, query: Id) -> None:
         latency = self.simulation.interrupt_latency
-        if latency is None or self._queries.kind(query) is not QueryKind.COUNTER:
+        if latency is None or self._queries.kind(query) is not descriptors.QueryKind.COUNTER:
             self._queries.write_query(query, self._gpu)
             return
         self._queries.begin_write(query)

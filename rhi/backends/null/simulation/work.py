@@ -16,15 +16,8 @@ from rhi.backends.null.execution import DrawOutcome, ExecutionState
 from rhi.backends.null.simulation.cost import CommandWork, CostModel, count_primitives
 from rhi.backends.null.textures import Textures
 from rhi.commands.ops import Op
-from rhi.contract.descriptors import (
-    Attachment,
-    DepthAttachment,
-    Id,
-    PassDescriptor,
-    Primitive,
-    ProgramDescriptor,
-    Region,
-)
+from rhi.contract import descriptors
+from rhi.contract.descriptors import Id
 from rhi.contract.states import Scissor, StateChange, Viewport
 
 
@@ -41,7 +34,7 @@ class WorkMeter:
         self._cost = cost
         self._textures = textures
         self._state = state
-        self._begun: PassDescriptor | None = None
+        self._begun: descriptors.PassDescriptor | None = None
         self._known_area: tuple[tuple[object, object, object], int] = ((None, None, None), 0)
         self.samples: int | None = None
         self.indirect_draws: Sequence[ExecutedIndirectDraws] = ()
@@ -53,11 +46,11 @@ class WorkMeter:
     def bind_program(self, program: Id) -> CommandWork:
         return CommandWork(Op.BIND_PROGRAM, state_changes=1)
 
-    def begin_pass(self, descriptor: PassDescriptor) -> CommandWork:
+    def begin_pass(self, descriptor: descriptors.PassDescriptor) -> CommandWork:
         """Measure the clears."""
         self._begun = descriptor
         width, height = descriptor.size
-        targets: list[Attachment | DepthAttachment] = [*descriptor.colors]
+        targets: list[descriptors.Attachment | descriptors.DepthAttachment] = [*descriptor.colors]
         if descriptor.depth is not None:
             targets.append(descriptor.depth)
         cleared = sum(target.clear is not None for target in targets)
@@ -73,15 +66,15 @@ class WorkMeter:
         return CommandWork(Op.END_PASS, bytes=bytes)
 
     def draw(
-        self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int, base_vertex: int,
-        base_instance: int,
+        self, vertex_array: Id, primitive: descriptors.Primitive, first: int, count: int, instances: int,
+        base_vertex: int, base_instance: int,
     ) -> CommandWork:  # fmt: skip
         if self._state.outcome is DrawOutcome.DROPPED:
             return CommandWork(Op.DRAW)
         pixels = self._pixels(count_primitives(primitive, count) * instances)
         return CommandWork(Op.DRAW, count * instances, pixels)
 
-    def draw_indirect(self, vertex_array: Id, primitive: Primitive, *others: int) -> CommandWork:
+    def draw_indirect(self, vertex_array: Id, primitive: descriptors.Primitive, *others: int) -> CommandWork:
         draws = self.indirect_draws[-1].draws
         vertices = int((draws["count"].astype(np.int64) * draws["instances"]).sum())
         pixels = self._pixels(count_primitives(primitive, vertices))
@@ -132,13 +125,13 @@ class WorkMeter:
         width, height = descriptor.level_size(level)
         return width * height * descriptor.level_layers(level) * descriptor.format.texel_bytes
 
-    def _region_bytes(self, texture: Id, region: Region) -> int:
+    def _region_bytes(self, texture: Id, region: descriptors.Region) -> int:
         texel = self._textures.textures[texture].descriptor.format.texel_bytes
         return region.width * region.height * region.layers * texel
 
     def _work_group(self) -> int:
         program = self._state.resources.get(self._state.program)
-        x, y, z = program.work_group if isinstance(program, ProgramDescriptor) else (1, 1, 1)
+        x, y, z = program.work_group if isinstance(program, descriptors.ProgramDescriptor) else (1, 1, 1)
         return x * y * z
 
     def _pixels(self, primitives: int) -> float:
@@ -157,7 +150,7 @@ class WorkMeter:
         return area
 
 
-def _measure_area(render_pass: PassDescriptor | None, viewport: Any, scissor: Any) -> int:
+def _measure_area(render_pass: descriptors.PassDescriptor | None, viewport: Any, scissor: Any) -> int:
     if render_pass is None:
         return 0
     width, height = render_pass.size
