@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import rhi
 from renderer.cli import options
@@ -12,6 +13,7 @@ from renderer.cli.arguments import open_scene
 from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.output import show_progress
 from renderer.content import parse_camera
+from renderer.lab.comparison import Record
 from renderer.lab.light_culling import compare_light_culling
 from renderer.lights.culling import CONE_TESTS, SPHERE_TESTS
 from renderer.renderer import Renderer
@@ -20,6 +22,7 @@ from renderer.visibility import make_visibility
 _NOTES: Final = """\
   python -m renderer compare light-culling hall --lights 4,8,14 --tile 8 --size 1280x720
   python -m renderer compare light-culling hall --lights 14 --tests exact,hybrid,planes --pre-filter both
+  python -m renderer compare light-culling hall:lights=1024 --tests planes,exact --plot pairs.png
   python -m renderer compare light-culling night --lights 1024 --tests exact --cones sphere,tight --depth-mask both
   python -m renderer compare light-culling city --lights 13 --slices 24 --tile 64 --backend cl --json
 
@@ -77,6 +80,28 @@ def _measure(given: argparse.Namespace) -> Report:
     return Report(about | repeat(given, "frame", "size", "tile", "slices", "rounds"), rows, scene=scene)
 
 
+def plot_tests(figure: Any, rows: Sequence[Record]) -> None:
+    """Draw pairs and times over the number of lights, with a line for each test (Thatcher 2014, figures 5, 6, 7, 9)."""
+    tests = dict.fromkeys(tuple(row[name] for name in _WAYS) for row in rows)
+    for place, (key, title) in enumerate(_CHARTED.items(), 1):
+        axes = figure.add_subplot(1, len(_CHARTED), place)
+        for test in tests:
+            own = [row for row in rows if tuple(row[name] for name in _WAYS) == test]
+            words = [
+                test[0],
+                *(name.replace("_", " ") for name, value in zip(_WAYS, test, strict=True) if value is True),
+            ]
+            words += [] if test[1] == "sphere" else [f"{test[1]} cones"]
+            axes.plot([row["lights"] for row in own], [row[key] for row in own], marker=".", label=", ".join(words))
+        axes.set_xlabel("lights")
+        axes.set_title(title)
+        axes.set_ylim(bottom=0.0)
+    axes.legend(fontsize="small")
+
+
+_WAYS: Final = ("test", "cones", "depth_mask", "pre_filter")
+_CHARTED: Final = {"pairs": "pairs of a cell and a light", "collect_ms": "ms to list", "draw_ms": "ms to draw"}
 COMMAND: Final = ComparisonProgram(
-    "light-culling", "compare the tests that assign lights to tiles or clusters", _NOTES, _OPTIONS, _measure
-).command
+    "light-culling", "compare the tests that assign lights to tiles or clusters", _NOTES,
+    (*_OPTIONS, options.chart("pairs and times")), _measure, plot=plot_tests,
+).command  # fmt: skip

@@ -1,10 +1,12 @@
 """The choice of settings: the least accurate that are good enough, or the most accurate that are fast enough.
 
-Knobs are combined greedily. All begin at their most accurate value; each step takes the knob whose next value saves the
-most time for the error that it adds, by what the sweeps of the single knobs have found. The settings along the way are
-then drawn and timed themselves, alternately in one process, and compared with what the judge sees by 16 rays a pixel.
-Of a scene that it can't follow, the truth is the renderer's own picture: super-sampled, with fine shadow maps and exact
-functions. Those that no others beat in both are the front.
+Knobs are combined greedily at first. All begin at their most accurate value; each step takes the knob whose next value
+saves the most time for the error that it adds, by what the sweeps of the single knobs have found. But errors don't add
+up, and knobs change what others cost. So the settings along the way are only where a Pareto local search begins
+(Paquete, Chiarandini and Stützle 2004): settings are drawn, timed and compared with what the judge sees by 16 rays a
+pixel, and around those that no others beat in both, each knob is moved to its next values, until nothing better is
+near. What is left, the front, is timed once more, alternately in one process. Of a scene that the judge can't follow,
+the truth is the renderer's own picture: super-sampled, with fine shadow maps and exact functions.
 
 A choice from the front is checked by views that the front wasn't found with, and must keep the bound there with a
 margin: the mean of their errors and four standard deviations. Else the next more accurate one is taken. Without the
@@ -19,7 +21,7 @@ trials (`auto`) is left to them again in the end: it saves time, and loses nothi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
@@ -41,7 +43,9 @@ from renderer.settings import RenderSettings
 from rhi import Device, refuse
 
 MOST_POINTS: Final = 24
-"""The most combinations that are drawn: those between the ends are left out evenly."""
+"""The most combinations that are timed in turns: those between the ends are left out evenly."""
+MOST_TRIED: Final = 120
+"""The most combinations that a search tries."""
 _MARGIN: Final = 4.0
 """Standard deviations between the mean error of the views of a check and what is expected of others."""
 _PLAIN: Final = {"technique.name": "forward", "algorithm": "frustum"}
@@ -137,6 +141,43 @@ def list_steps(reports: Mapping[str, KnobReport]) -> list[dict[str, str]]:
         steps.append({**steps[-1], name: ladders[name][places[name]][0]})
 
 
+def search(
+    ladders: Mapping[str, Sequence[str]],
+    start: Iterable[dict[str, str]],
+    measure: Callable[[dict[str, str]], tuple[float, float]],
+    most: int = MOST_TRIED,
+) -> list[dict[str, str]]:
+    """Return the combinations of values that none of those tried beats in error and time, the most accurate first.
+
+    Args:
+        ladders: the values of each knob, in order. start: combinations to begin with.
+        measure: returns the error and the time of a combination. most: so many are tried at most.
+    """
+    found: dict[tuple[str, ...], tuple[float, float]] = {}
+    best = list[tuple[str, ...]]()
+    wanted = [tuple(one[name] for name in ladders) for one in start]
+    while wanted and len(found) < most:
+        for key in wanted[: most - len(found)]:
+            found[key] = measure(dict(zip(ladders, key, strict=True)))
+        best, least = [], float("inf")
+        for key in sorted(found, key=found.__getitem__):
+            if found[key][1] < least:
+                least = found[key][1]
+                best.append(key)
+        near = dict.fromkeys(other for key in best for other in _list_neighbours(ladders, key))
+        wanted = [key for key in near if key not in found]
+    return [dict(zip(ladders, key, strict=True)) for key in best]
+
+
+def _list_neighbours(ladders: Mapping[str, Sequence[str]], key: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    """Yield the combinations in which one knob has the next value, up or down."""
+    for number, ladder in enumerate(ladders.values()):
+        place = ladder.index(key[number])
+        for other in ladder[max(place - 1, 0) : place + 2]:
+            if other != key[number]:
+                yield (*key[:number], other, *key[number + 1 :])
+
+
 def _find_ladder(report: KnobReport) -> list[tuple[str, float, float]]:
     """Return value, error and time of the values that no other value beats in both, the most accurate first."""
     ladder: list[tuple[str, float, float]] = []
@@ -192,6 +233,12 @@ class CombinationBench(Bench):
             errors.append(float(np.nanmean(np.abs(shown - self._pictures[frame.number]).max(axis=2))))
         return errors
 
+    def measure(self, settings: RenderSettings, frames: Sequence[Shot]) -> tuple[float, float]:
+        """Return the greatest mean error of a frame, and the milliseconds of one: of each the least of two."""
+        error = max(self.compare(settings, frames))
+        times = np.minimum(self.walk(settings, frames), self.walk(settings, frames))
+        return error, float(times.mean())
+
     def walk(self, settings: RenderSettings, frames: Sequence[Shot]) -> Floats:
         """Return the milliseconds of frames that are drawn one after the other, for the second time."""
         renderer, ends = self.exchange(settings), [0.0]
@@ -234,25 +281,31 @@ def find_front(
     reports: Iterable[KnobReport],
     progress: Callable[[range], Iterable[int]] = lambda rounds: rounds,
 ) -> list[FrontPoint]:
-    """Return the combinations along the greedy way, the most accurate first."""
+    """Return the combinations that the search finds the best, the most accurate first."""
     scene = load_scene(situation.scene)
     found = find_choices(scene, situation.settings, reports)
     if not found:
         refuse(rules.NO_KNOBS, "find_front", "no knob that changes its picture")
-    steps = list_steps(found)
-    chosen = np.unique(np.linspace(0, len(steps) - 1, min(len(steps), MOST_POINTS)).round().astype(int))
-    base = make_plain(situation.settings)
-    settings = {str(number): combine(base, steps[number]) for number in chosen.tolist()}
-    frames = list_views(scene, situation)
+    base, frames = make_plain(situation.settings), list_views(scene, situation)
+    ladders = {name: [row.value for row in report.rows] for name, report in found.items()}
     with (
         rhi.create_device(situation.backend) as device,
         CombinationBench(device, scene, situation, list(found)) as bench,
     ):
+        tried = iter(progress(range(MOST_TRIED)))
+
+        def measure(values: dict[str, str]) -> tuple[float, float]:
+            next(tried, None)
+            return bench.measure(combine(base, values), frames)
+
+        best = search(ladders, list_steps(found), measure)
+        places = np.unique(np.linspace(0, len(best) - 1, min(len(best), MOST_POINTS)).round().astype(int)).tolist()
+        settings = {str(place): combine(base, best[place]) for place in places}
         errors = {name: bench.compare(one, frames) for name, one in settings.items()}
         times = bench.time(settings, frames, progress)
     points = [
         FrontPoint(
-            steps[int(name)], one, round(max(errors[name]), 4), round(float(np.mean(errors[name])), 4), *times[name]
+            best[int(name)], one, round(max(errors[name]), 4), round(float(np.mean(errors[name])), 4), *times[name]
         )
         for name, one in settings.items()
     ]

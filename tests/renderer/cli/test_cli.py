@@ -14,10 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 import rhi
 from renderer.cli import main
+from renderer.cli.compare_light_culling import plot_tests
 
 KEYS = [
     "backend", "device", "scene", "size", "frames", "technique", "because", "milliseconds", "triangles",
@@ -148,50 +150,65 @@ def test_a_model_file_is_rendered(capsys: pytest.CaptureFixture[str], here: Path
     assert report["triangles"] == 1
 
 
-def write_lines(path: Path) -> dict[str, object]:
-    """Write a model file with a triangle, and lines that aren't read; return how these are listed."""
+LEFT_OUT = "left out: vertex attribute _DUST (meshes[0].primitives[0].attributes)"
+
+
+def write_dusty(path: Path) -> dict[str, object]:
+    """Write a model file with a triangle, and an attribute that isn't read; return how that is listed."""
     triangle = base64.b64encode(struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)).decode()
     document = {
         "asset": {"version": "2.0"},
         "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}, {"attributes": {"POSITION": 0}, "mode": 1}]}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "_DUST": 0}}]}],
         "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
         "bufferViews": [{"buffer": 0, "byteLength": 36}],
         "buffers": [{"byteLength": 36, "uri": f"data:application/octet-stream;base64,{triangle}"}],
     }
     path.write_text(json.dumps(document))
-    return {"what": "lines", "count": 1, "where": "meshes[0].primitives[1]"}
+    return {"what": "vertex attribute _DUST", "count": 1, "where": "meshes[0].primitives[0].attributes"}
 
 
 @pytest.mark.parametrize("command", [
-    "render lines.gltf --backend null --size 64x36",
-    "capture lines.gltf --backend null --size 64x36 --frames 1 --output lines.csv",
-    "compare visibility lines.gltf --backend null --size 64x36 --camera-path sky --frames 1 --algorithms none",
-    "compare techniques lines.gltf --backend null --size 64x36 --rounds 1 --techniques forward",
-    "compare stereo lines.gltf --backend null --sizes 64x36 --camera-path sky --frame 0 --frames 1 --shadows off,on",
-], ids=lambda command: command.partition(" lines")[0])  # fmt: skip
+    "render dusty.gltf --backend null --size 64x36",
+    "capture dusty.gltf --backend null --size 64x36 --frames 1 --output dusty.csv",
+    "compare visibility dusty.gltf --backend null --size 64x36 --camera-path sky --frames 1 --algorithms none",
+    "compare techniques dusty.gltf --backend null --size 64x36 --rounds 1 --techniques forward",
+    "compare stereo dusty.gltf --backend null --sizes 64x36 --camera-path sky --frame 0 --frames 1 --shadows off,on",
+], ids=lambda command: command.partition(" dusty")[0])  # fmt: skip
 def test_what_a_file_has_and_the_scene_has_not_is_listed_once(
     capsys: pytest.CaptureFixture[str], here: Path, command: str
 ) -> None:
-    listed = write_lines(here / "lines.gltf")
+    listed = write_dusty(here / "dusty.gltf")
     main([*command.split(), "--json"])
     output = capsys.readouterr()
-    assert output.err.splitlines().count("left out: lines (meshes[0].primitives[1])") == 1
+    assert output.err.splitlines().count(LEFT_OUT) == 1
     assert json.loads(output.out)["left_out"] == [listed]
 
 
 @pytest.mark.usefixtures("gl")
 def test_accuracy_lists_it_and_charts_are_drawings(capsys: pytest.CaptureFixture[str], here: Path) -> None:
-    command = "accuracy lines.gltf --backend gl --size 32x18 --knob precision --views 1 --rounds 1 --plot errors.svg"
+    command = "accuracy dusty.gltf --backend gl --size 32x18 --knob precision --views 1 --rounds 1 --plot errors.svg"
     test_what_a_file_has_and_the_scene_has_not_is_listed_once(capsys, here, command)
     assert (here / "errors.svg").read_text().startswith("<?xml")
 
 
+def test_pairs_and_times_of_lights_are_charted_with_a_line_for_each_test() -> None:
+    figure = Figure()
+    ways = [("exact", "sphere", False, True), ("planes", "tight", False, True)]
+    keys = ("test", "cones", "depth_mask", "pre_filter", "lights", "pairs", "collect_ms", "draw_ms")
+    rows = [dict(zip(keys, (*way, n, 10 * n, 2.0 * n, 3.0), strict=True)) for n in (4, 8) for way in ways]
+    plot_tests(figure, rows)
+    for axes, times in zip(figure.axes, ([40, 80], [8.0, 16.0], [3.0, 3.0]), strict=True):
+        assert [line.get_label() for line in axes.lines] == ["exact, pre filter", "planes, pre filter, tight cones"]
+        assert [list(map(list, line.get_data())) for line in axes.lines] == [[[4, 8], times]] * 2
+
+
 def test_a_plan_lists_it_beside_the_effects_that_a_frame_lacks(capsys: pytest.CaptureFixture[str], here: Path) -> None:
-    write_lines(here / "lines.gltf")
-    main(["plan", "lines.gltf", "--json"])
+    write_dusty(here / "dusty.gltf")
+    main(["plan", "dusty.gltf", "--json"])
     because = {one["name"]: one["because"] for one in json.loads(capsys.readouterr().out)["left_out"]}
-    assert because["lines"] == "the file has it, the scene hasn't: lines (meshes[0].primitives[1])"
+    what, place = LEFT_OUT.removeprefix("left out: ").split(" (")
+    assert because[what] == f"the file has it, the scene hasn't: {what} ({place}"
     assert because["haze"] == "the scene has no haze"
 
 

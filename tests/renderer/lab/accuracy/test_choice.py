@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from renderer.lab.accuracy.choice import (
     list_held_out,
     list_steps,
     mark_best,
+    search,
 )
 from renderer.lab.accuracy.jobs import list_jobs, load_sample, order_jobs, save_sample
 from renderer.lab.accuracy.sweep import KnobSample, SweepShare, ValueSample, list_views
@@ -68,6 +70,33 @@ def test_each_step_saves_the_most_time_for_its_error() -> None:
         ("1024", "off", "exact"),
         ("512", "off", "exact"),
     ]
+
+
+def measure_together(values: dict[str, str]) -> tuple[float, float]:
+    """Return the error and the time of knobs that change what others lose and cost: sizes multiply, and smoothing helps
+    only what is small."""
+    size, filters, smooth = float(values["size"]), float(values["filter"]), values["smooth"] == "on"
+    error = 8.0 / size + 2.0 / filters + (1.0 if smooth and size > 1 else 0.0) - (3.0 if smooth and size <= 1 else 0.0)
+    return error, size * size * (1.0 + 0.5 * filters) + (0.2 if smooth else 0.0)
+
+
+def test_the_search_finds_what_a_brute_force_finds() -> None:
+    ladders = {"size": ("0.5", "1", "2", "4"), "filter": ("1", "2", "4"), "smooth": ("off", "on")}
+    tried = list[tuple[str, ...]]()
+
+    def measure(values: dict[str, str]) -> tuple[float, float]:
+        tried.append(tuple(values.values()))
+        return measure_together(values)
+
+    start = {"size": "4", "filter": "4", "smooth": "off"}
+    found = [measure_together(one) for one in search(ladders, [start], measure)]
+    every = sorted(measure_together(dict(zip(ladders, one, strict=True))) for one in product(*ladders.values()))
+    assert found == [one for one in every if not any(other[0] <= one[0] and other[1] < one[1] for other in every)]
+    assert len(found) > 6
+    assert len(tried) == len(set(tried)) <= len(every)
+    tried.clear()
+    search(ladders, [start, start | {"size": "2"}], measure, most=7)
+    assert len(tried) == 7
 
 
 def test_the_front_is_what_nothing_beats() -> None:
