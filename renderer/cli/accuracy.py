@@ -13,7 +13,15 @@ from typing import Any, Final
 import rhi
 from renderer import rules
 from renderer.cli import options
-from renderer.cli.accuracy_report import plot_all, show_choice, show_ratio, write_images, write_page
+from renderer.cli.accuracy_report import (
+    ERRORS,
+    plot_all,
+    show_choice,
+    show_errors,
+    show_ratio,
+    write_images,
+    write_page,
+)
 from renderer.cli.arguments import load_settings, open_scene
 from renderer.cli.executors import KINDS, make_executor
 from renderer.cli.options import option
@@ -197,13 +205,13 @@ def _describe_point(point: FrontPoint) -> dict[str, Any]:
 
 def show_reports(reports: list[KnobReport], *, markdown: bool = False) -> str:
     """Format the rows of all knobs as a table."""
-    header = ["knob", "value", "mean error", "max error", "unit", "ms", "ratio", "processor", "default"]
+    header = ["knob", "value", *ERRORS, "unit", "ms", "ratio", "processor", "default"]
     rows: list[list[object]] = []
     for report in reports:
         for row in report.rows:
             rows.append(
                 [
-                    row.knob, row.value, f"{row.mean_error:.4g}", f"{row.max_error:.4g}", row.unit,
+                    row.knob, row.value, *show_errors(row), row.unit,
                     f"{row.milliseconds:.3g}", show_ratio(row.ratio, row.low, row.high),
                     show_ratio(row.processor_ratio, row.processor_low, row.processor_high),
                     "default" if row.is_default else "",

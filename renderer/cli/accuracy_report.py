@@ -50,6 +50,15 @@ def group_of(knob: Knob) -> str:
     return "culling" if knob.path.startswith("visibility.") else "pictures"
 
 
+ERRORS: Final = ("mean error", "p99", "max error", "flicker")
+
+
+def show_errors(row: ValueRow) -> list[str]:
+    """Format the errors of a value: those of `ERRORS`."""
+    shown = (row.mean_error, row.p99, row.max_error, row.flicker)
+    return ["" if number is None else f"{number:.4g}" for number in shown]
+
+
 def show_choice(choice: CheckedChoice) -> str:
     """Format settings that were chosen."""
     point = choice.point
@@ -216,14 +225,14 @@ def _embed(png: bytes) -> str:
 
 
 def _show_table(reports: Sequence[KnobReport]) -> str:
-    titles = ("knob", "value", "mean error", "max error", "unit", "ms", "ratio", "processor ratio", "judged by", "why")
+    titles = ("knob", "value", *ERRORS, "unit", "ms", "ratio", "processor ratio", "judged by", "why")
     lines = ["<h2>Knobs</h2><table><tr>", *(f"<th>{title}</th>" for title in titles), "</tr>"]
     for report in reports:
         knob = KNOBS[report.knob]
         for number, row in enumerate(report.rows):
             kind = " ".join(["knob"] * (number == 0) + ["default"] * row.is_default)
             cells = (
-                row.knob if number == 0 else "", row.value, f"{row.mean_error:.4g}", f"{row.max_error:.4g}", row.unit,
+                row.knob if number == 0 else "", row.value, *show_errors(row), row.unit,
                 f"{row.milliseconds:.3g}", show_ratio(row.ratio, row.low, row.high),
                 show_ratio(row.processor_ratio, row.processor_low, row.processor_high),
                 knob.truth.name if number == 0 else "",

@@ -40,7 +40,7 @@ from renderer.lab.measure.exact import ExactVisibility
 from renderer.lab.measure.frames import settle
 from renderer.lab.measure.light_evaluations import count_light_evaluations
 from renderer.renderer import FrameResult
-from renderer.scene import Camera, Glow, Orthographic, Perspective, Scene, Shot
+from renderer.scene import Camera, CameraPath, Glow, Orthographic, Perspective, Scene, Shot
 from renderer.scene.arrays import Floats
 from renderer.settings import RenderSettings
 from renderer.stereo import find_rig
@@ -119,6 +119,7 @@ class ValueSample:
         max_error, worst: the greatest error, -1 if nothing was compared, and its frame, x and y. picture: its place, as
             in `KnobReport`.
         seconds, processor_seconds: of each round.
+        p99, flicker: as in `ValueRow`.
     """
 
     sums: tuple[tuple[float, int], ...]
@@ -127,6 +128,8 @@ class ValueSample:
     picture: str
     seconds: tuple[float, ...]
     processor_seconds: tuple[float, ...]
+    p99: float = 0.0
+    flicker: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +160,9 @@ class ValueRow:
             nanoseconds for each vector, of encodings.
         ratio, low, high: to the most accurate value, by the clock, with the ends of the 95 % confidence interval.
         processor_ratio, processor_low, processor_high: the same by the processor.
+        p99: the error that 1 % of a view's pixels exceed, in the view where it is the greatest.
+        flicker: the mean change of a pixel's difference to the truth from one frame of a path to the next, in levels;
+            None for what isn't judged by pictures, and where the camera stands.
     """
 
     knob: str
@@ -174,6 +180,8 @@ class ValueRow:
     processor_ratio: float
     processor_low: float
     processor_high: float
+    p99: float = 0.0
+    flicker: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,6 +260,8 @@ def _join_samples(samples: Sequence[ValueSample]) -> ValueSample:
         worst.picture,
         tuple(time for sample in samples for time in sample.seconds),
         tuple(time for sample in samples for time in sample.processor_seconds),
+        max(sample.p99 for sample in samples),
+        next((sample.flicker for sample in samples if sample.flicker is not None), None),
     )
 
 
@@ -308,6 +318,8 @@ class ValueErrors:
         self._unit = unit
         self._sums: list[tuple[float, int]] = []
         self._greatest = -1.0
+        self._p99 = 0.0
+        self.flicker: float | None = None
         self.worst: tuple[int, int, int] | None = None
         self.picture = ""
 
@@ -318,6 +330,7 @@ class ValueErrors:
         if not counted.size:
             return
         self._sums.append((float(counted.sum()), counted.size))
+        self._p99 = max(self._p99, float(np.percentile(counted, 99.0)))
         greatest = float(counted.max())
         if greatest <= self._greatest:
             return
@@ -335,8 +348,9 @@ class ValueErrors:
     def sample(self, time: Measurement) -> ValueSample:
         """Return the errors, with times."""
         return ValueSample(
-            tuple(self._sums), self._greatest, self.worst, self.picture, time.seconds, time.processor_seconds
-        )
+            tuple(self._sums), self._greatest, self.worst, self.picture, time.seconds, time.processor_seconds,
+            self._p99, self.flicker,
+        )  # fmt: skip
 
 
 def find_mean(sums: Sequence[tuple[float, int]]) -> float:
@@ -356,6 +370,7 @@ def _make_row(knob: Knob, value: str, sample: ValueSample, time: Measurement, ba
         knob.name, value, value == knob.default, knob.unit.value, float(f"{greatest:.5g}"), float(f"{mean:.5g}"),
         sample.worst, float(f"{scale * time.median:.4g}"), ratio, low, high,
         float(f"{scale * time.processor_median:.4g}"), processor_ratio, processor_low, processor_high,
+        float(f"{sample.p99:.5g}"), None if sample.flicker is None else float(f"{sample.flicker:.5g}"),
     )  # fmt: skip
 
 
@@ -369,6 +384,8 @@ class KnobBench(Bench):
         self._knob, self._share = knob, share
         self._rounds = share.take(range(situation.rounds))
         self._history, self._views, self._timed = list_frames(scene, situation, knob, share)
+        has_next = not share.number and not knob.remembers
+        self._next = find_next(scene, situation, self._views[0]) if has_next else None
         self._settings = {value: knob.set(situation.settings, value) for value in values}
         best = self._settings[values[-1]]
         rig = None
@@ -408,9 +425,17 @@ class KnobBench(Bench):
     def find_errors(self, views: Sequence[Shot]) -> dict[str, ValueErrors]:
         """Return the errors of each value in all views."""
         errors = {value: ValueErrors(self._knob.unit) for value in self._renderers}
+        before: dict[str, Floats] = {}
         for view in views:
-            for value, error in self.compare(view):
-                errors[value].add(view, *error)
+            for value, (lost, pictures) in self.compare(view):
+                errors[value].add(view, lost, pictures)
+                if pictures is not None and view is views[0]:
+                    before[value] = pictures[1] - pictures[0]
+        if before and self._next is not None:
+            for value, (_, pictures) in self.compare(self._next):
+                if pictures is not None:
+                    change = np.abs(pictures[1] - pictures[0] - before[value]).max(axis=2)
+                    errors[value].flicker = float(change.mean())
         return errors
 
     def compare(self, view: Shot) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
@@ -508,17 +533,31 @@ class KnobBench(Bench):
         return tuple(map(truediv, times["truth"].seconds, times["best"].seconds))
 
 
+def _name_camera(scene: Scene, situation: Situation) -> str:
+    return situation.camera or ("ground" if "ground" in scene.paths else next(iter(scene.views)))
+
+
+def find_walk(scene: Scene, situation: Situation) -> CameraPath | None:
+    """Return the situation's camera path, None if its camera isn't one."""
+    text = _name_camera(scene, situation)
+    return find_path(text, scene) if text in scene.paths or text.endswith(".json") else None
+
+
+def find_next(scene: Scene, situation: Situation, shot: Shot) -> Shot | None:
+    """Return the frame of the path after another one, None if there is none."""
+    path = find_walk(scene, situation)
+    return None if path is None or shot.number + 1 >= len(path) else path.shot(shot.number + 1)
+
+
 def list_views(
     scene: Scene, situation: Situation, *, consecutive: bool = False, count: int | None = None
 ) -> list[Shot]:
     """Return frames of the situation's camera: consecutive ones from the middle of its path, or spread over all of it.
     A camera that isn't a path has one."""
-    text = situation.camera or ("ground" if "ground" in scene.paths else next(iter(scene.views)))
-    wanted = count or situation.views
-    if text not in scene.paths and not text.endswith(".json"):
-        camera = parse_camera(text, scene)
+    path, wanted = find_walk(scene, situation), count or situation.views
+    if path is None:
+        camera = parse_camera(_name_camera(scene, situation), scene)
         return [Shot(number, camera) for number in range(wanted)] if consecutive else [Shot(0, camera)]
-    path = find_path(text, scene)
     last = len(path) - 1 if situation.last is None else min(situation.last, len(path) - 1)
     first = min(situation.first, last)
     if consecutive:
@@ -595,7 +634,7 @@ def _sweep_encodings(situation: Situation, knob: Knob, device: Device, found: Ca
     samples = {
         value: ValueSample(
             ((float(error.sum()), error.size),), float(error.max()), None, "", times[value].seconds,
-            times[value].processor_seconds,
+            times[value].processor_seconds, float(np.percentile(error, 99.0)),
         )
         for value, error in errors.items()
     }  # fmt: skip

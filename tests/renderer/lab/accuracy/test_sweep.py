@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from renderer.content import load_scene
-from renderer.lab.accuracy import KNOBS, Situation, sweep_knob
+from renderer.lab.accuracy import KNOBS, Situation, sweep, sweep_knob
 from renderer.lab.accuracy.bench import shrink_picture
 from renderer.lab.accuracy.sweep import (
     KnobBench,
@@ -46,6 +46,34 @@ def test_errors_fall_and_times_are_ratios_to_the_most_accurate_value() -> None:
     assert report.truth_ratio is None  # no renderer draws what rays see
 
 
+def test_textures_without_mip_levels_flicker_though_single_pictures_are_no_worse() -> None:
+    rows = {row.value: row for row in sweep_knob(replace(TINY, size=(96, 54)), "texture_filter").rows}
+    sharp, mipped = rows["bilinear, no mip levels"], rows["trilinear"]
+    assert sharp.mean_error < 1.1 * mipped.mean_error
+    assert sharp.flicker is not None
+    assert mipped.flicker is not None
+    assert sharp.flicker > 1.2 * mipped.flicker > 0.0
+    assert all(row.mean_error < row.p99 < row.max_error for row in rows.values())
+
+
+def test_a_camera_that_stands_and_what_is_not_a_picture_have_no_flicker() -> None:
+    assert {row.flicker for row in sweep_knob(replace(TINY, camera="street"), "fxaa").rows} == {None}
+    assert {row.flicker for row in sweep_knob(TINY, "depth").rows} == {None}
+
+
+@pytest.mark.parametrize("change", [0.0, 6.0])
+def test_flicker_is_the_change_of_what_is_wrong_from_a_frame_to_the_next(
+    change: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = iter((5.0, 5.0 + change))
+    monkeypatch.setattr(sweep, "read_picture", lambda _: np.full((28, 48, 3), next(frames)))
+    monkeypatch.setattr(KnobBench, "find_true", lambda *_: np.zeros((28, 48, 3)))
+    scene = load_scene("city:blocks=2")
+    with open_device("gl") as device, KnobBench(device, scene, replace(TINY, views=1), KNOBS["fxaa"], ["off"]) as bench:
+        (errors,) = bench.find_errors(bench.list_views()).values()
+    assert (errors.flicker, errors.summarize()) == (change, (5.0, 5.0))
+
+
 def test_depth_is_judged_by_the_distances_of_surfaces() -> None:
     standard, reverse = sweep_knob(TINY, "depth").rows
     assert standard.mean_error > 10.0 * reverse.mean_error > 0.0
@@ -54,8 +82,6 @@ def test_depth_is_judged_by_the_distances_of_surfaces() -> None:
 
 def test_a_picture_that_is_too_dark_is_worse_by_the_judge(monkeypatch: pytest.MonkeyPatch) -> None:
     """And so it is under each value: the truth isn't the renderer's own."""
-    from renderer.lab.accuracy import sweep
-
     read, errors = sweep.read_picture, []
     for share in (1.0, 0.3):
         monkeypatch.setattr(sweep, "read_picture", lambda result, share=share: read(result) * share)
