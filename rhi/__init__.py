@@ -86,6 +86,7 @@ from rhi.device.device import Device as Device
 from rhi.device.encoder import Encoder as Encoder
 from rhi.device.encoder import IndirectDraws as IndirectDraws
 from rhi.device.immediate import Immediate as Immediate
+from rhi.device.kept_texts import install_fallback as install_fallback
 from rhi.device.passes import RenderPass as RenderPass
 from rhi.device.preparation import DrawPlan as DrawPlan
 from rhi.device.preparation import Preparation as Preparation

@@ -17,6 +17,7 @@ import pytest
 from PIL import Image
 
 import rhi
+from renderer.__main__ import run
 from renderer.cli import main
 
 KEYS = [
@@ -360,6 +361,17 @@ def test_a_missing_package_is_one_line_that_says_what_to_install_by_name_and_fro
     assert done.returncode == 2
     by_name, in_a_checkout = "pip install 'rhi[renderer]'", "pip install --editable '.[renderer]'"
     assert done.stderr == f"error: {module} is missing; install it with: {by_name}, or in a checkout: {in_a_checkout}\n"
+
+
+@pytest.mark.parametrize(("command", "falls_back"), [("view", True), ("scenes", False)])
+def test_only_the_viewer_imports_what_was_drawn_with_last(
+    command: str, falls_back: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "meta_path", list(sys.meta_path))
+    monkeypatch.setattr(sys, "argv", ["renderer", command, "--help"])
+    with pytest.raises(SystemExit):
+        run()
+    assert any(type(finder).__name__ == "FallbackFinder" for finder in sys.meta_path) is falls_back
 
 
 def test_plan_says_why_each_pass_is_there_and_what_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,8 +21,9 @@ pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]
 
 import rhi
 from renderer.content import load_scene, save_scene
+from renderer.content.shapes import box
 from renderer.frame import Blending, Frame
-from renderer.scene import Depth
+from renderer.scene import Depth, SceneBuilder
 from renderer.settings import RenderSettings
 from renderer.viewer import Look, Viewer
 from renderer.viewer.showing import open_viewer
@@ -203,6 +204,63 @@ def test_whoever_shows_the_viewer_is_woken_by_a_save(viewer: Viewer, shaders: An
     while not woken and time.monotonic() < until:
         time.sleep(0.01)
     assert woken
+
+
+MATERIAL = """
+from renderer.shaders.materials import MaterialShader
+from renderer.shaders.structs import SurfaceInput, SurfaceParameters
+from rhi.shading import vec4
+
+class Painted(MaterialShader):
+    def describe(self, at: SurfaceInput) -> SurfaceParameters:
+        found = super().describe(at)
+        found.color = vec4(1.0, 0.5, 0.0, 1.0)
+        return found
+"""
+
+
+@pytest.mark.parametrize("fault", [("found.color =", "found.color = ("), ("vec4(1.0, 0.5", "vec4(1.0, green")])
+def test_a_viewer_that_begins_with_a_faulty_shader_shows_the_last_good_one_and_the_fault(
+    fault: tuple[str, str],
+    gl: rhi.Device,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
+) -> None:
+    path = tmp_path / f"painted_{next(_numbers)}.py"
+    monkeypatch.setenv("RHI_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.setattr(sys, "meta_path", list(sys.meta_path))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    rhi.install_fallback()
+
+    def begin(text: str) -> Viewer:
+        """Open a viewer as a new process does."""
+        path.write_text(text)
+        importlib.invalidate_caches()
+        monkeypatch.delitem(sys.modules, path.stem, raising=False)
+        builder = SceneBuilder("painted")
+        material = builder.add_material(shader=importlib.import_module(path.stem).Painted)
+        builder.add_objects(builder.add_node(np.eye(4)), builder.add_mesh(box()), material)
+        builder.lights.sky = (1.0, 1.0, 1.0)
+        made = open_viewer(builder.build(), "gl", canvas="offscreen", size=SIZE)
+        request.addfinalizer(made.close)
+        made.viewer.draw()
+        return made.viewer
+
+    faulty = MATERIAL.replace(*fault)
+    with pytest.raises((SyntaxError, rhi.ShaderError)):
+        begin(faulty)
+    pictures = [begin(MATERIAL).stage.picture()]
+    viewer = begin(faulty)
+    pictures.append(viewer.stage.picture())
+    viewer.draw()
+    number = next(n for n, line in enumerate(faulty.splitlines(), 1) if fault[1] in line)
+    assert any(f"{path}:{number}:" in line for line in shown(viewer))
+    assert np.array_equal(pictures[0], pictures[1])
+    save(path, MATERIAL.replace("0.5, 0.0", "0.5, 1.0"))
+    settle(viewer, lambda: not viewer.saved.faults)
+    assert (viewer.stage.picture()[..., 2] > pictures[0][..., 2] + 20.0).sum() > 50
 
 
 def test_without_watchfiles_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
