@@ -76,6 +76,7 @@ from rhi.contract.states import StencilWriteMask as StencilWriteMask
 from rhi.contract.states import Viewport as Viewport
 from rhi.contract.texels import from_srgb as from_srgb
 from rhi.contract.texels import to_srgb as to_srgb
+from rhi.contract.trust import find_cache as find_cache
 from rhi.device.command_buffer import CommandBuffer as CommandBuffer
 from rhi.device.core.containers import FixedQueue as FixedQueue
 from rhi.device.core.containers import FixedStack as FixedStack

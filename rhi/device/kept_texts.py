@@ -20,7 +20,7 @@ import os
 import sys
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
-from functools import cache, partial
+from functools import partial
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
@@ -44,11 +44,10 @@ _LOGGER: Final = logging.getLogger("rhi.reload")
 def keep_text(module: ModuleType, path: Path, shaders: Collection[type[Shader]]) -> None:
     """Keep the text of a module that is in effect, if one of these compiled shaders is made of it. A folder that can't
     be written to stays as it is."""
-    content, folder = text_of(module).encode(), trust.find_folder("texts")
-    secret = _read_secret(folder)
-    if not secret or len(content) > LIMIT // 8:
+    content, folder = text_of(module).encode(), trust.find_cache("texts")
+    if folder is None or len(content) > LIMIT // 8:
         return
-    kept = folder / f"{_name(secret, path)}.{_name(secret, path, content)}"
+    kept = folder / f"{_name(path)}.{_name(path, content)}"
     with suppress(OSError):
         if kept.exists():
             os.utime(kept)
@@ -59,12 +58,12 @@ def keep_text(module: ModuleType, path: Path, shaders: Collection[type[Shader]])
 
 def read_texts(path: Path) -> list[str]:
     """Return the texts that were kept of a module, the latest first."""
-    folder, texts = trust.find_folder("texts"), []
-    if secret := _read_secret(folder):
-        for _, _, file in _list_latest(folder, f"{_name(secret, path)}.*")[:_TRIED]:
+    folder, texts = trust.find_cache("texts"), []
+    if folder is not None:
+        for _, _, file in _list_latest(folder, f"{_name(path)}.*")[:_TRIED]:
             with suppress(OSError):
                 content = file.read_bytes()
-                if file.suffix == f".{_name(secret, path, content)}":
+                if file.suffix == f".{_name(path, content)}":
                     texts.append(content.decode())
     return texts
 
@@ -134,22 +133,9 @@ class FallbackLoader(SourceFileLoader):
             raise
 
 
-@cache
-def _read_secret(folder: Path) -> bytes:
-    """Return the key of the checksums, empty if the folder can't be used."""
-    try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        fault = trust.find_fault(folder)
-    except OSError as error:
-        fault = str(error)
-    if fault:
-        _LOGGER.info("texts of shaders aren't kept in %s: %s", folder, fault)
-    return b"" if fault else trust.read_key()
-
-
-def _name(secret: bytes, path: Path, content: bytes = b"") -> str:
+def _name(path: Path, content: bytes = b"") -> str:
     """Return the checksum of a module's text in its place. Of no text: what the names of all of them begin with."""
-    return trust.sign(secret, content, str(path))
+    return trust.sign(trust.read_key(), content, str(path))
 
 
 def _trim(folder: Path) -> None:
