@@ -224,7 +224,7 @@ def measure_series(name: str, rounds: int) -> Iterator[Record]:
         with ExitStack() as opened:
             devices = {backend: opened.enter_context(rhi.create_device(backend)) for backend in BACKENDS}
             subjects = [Subject({}, make(device, size), device=device) for device in devices.values()]
-            gl, cl = compare(subjects, COLUMNS, show_progress(range(rounds), rounds, name), warm_ups=2)
+            gl, cl = compare(subjects, COLUMNS, show_progress(range(rounds), name), warm_ups=2)
         yield {
             "series": name,
             "n": size,

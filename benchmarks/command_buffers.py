@@ -44,10 +44,7 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
 
         kept, fresh = record(scene.draw), [record(scene.draw)]
         device.submit(kept)
-        recorded_anew = {
-            "first submission": scene.draw,
-            "first submission, transient constants": scene.draw_transient,
-        }
+        recorded_anew = {"first submission": scene.draw, "first submission, transient constants": scene.draw_transient}
 
         def prepare(name: str) -> None:
             if name in recorded_anew:

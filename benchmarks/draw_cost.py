@@ -228,7 +228,7 @@ def make_bare_wgpu(work: Work, opened: ExitStack) -> tuple[Callable[[], None], C
             "buffers": [{"array_stride": 8, "attributes": [attribute]}],
         },
         fragment={
-            "module": modules[Stage.FRAGMENT], "entry_point": "main", "targets": [{"format": "rgba8unorm"}],
+            "module": modules[Stage.FRAGMENT], "entry_point": "main", "targets": [{"format": "rgba8unorm"}]
         },
     )  # fmt: skip
     usage = wgpu.BufferUsage

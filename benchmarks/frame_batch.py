@@ -27,13 +27,7 @@ from renderer.content import load_scene
 from renderer.lab.comparison import Column, Record, Subject, compare, middle, ratio_of
 from renderer.renderer import Renderer
 from renderer.scene import Camera, CameraPath, Scene
-from renderer.visibility import (
-    CallbackPass,
-    ScenePass,
-    VisibilityAlgorithm,
-    VisibilityStatistics,
-    make_visibility,
-)
+from renderer.visibility import CallbackPass, ScenePass, VisibilityAlgorithm, VisibilityStatistics, make_visibility
 
 COLUMNS: Final[dict[str, Column]] = {"microseconds": middle(digits=1), "ratio": ratio_of("microseconds")}
 _WARM_UPS: Final = 5

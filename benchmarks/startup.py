@@ -36,11 +36,7 @@ from renderer.cli.comparison import run_benchmark
 from renderer.lab.comparison import Record, Subject, compare, middle
 
 ROOT: Final = Path(__file__).parents[1]
-IMPORTS: Final = {
-    "numpy": "import numpy",
-    "rhi": "import rhi",
-    "rhi.shading": "from rhi.shading import Shader, vec4",
-}
+IMPORTS: Final = {"numpy": "import numpy", "rhi": "import rhi", "rhi.shading": "from rhi.shading import Shader, vec4"}
 SHADER_COUNT: Final = 30
 HEAD: Final = """
 import json, sys, time

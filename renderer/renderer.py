@@ -26,6 +26,7 @@ from renderer.frame import (
     Layer,
     Needs,
     Plan,
+    SceneLayer,
     SceneResources,
     SeenFeatures,
     Targets,
@@ -43,6 +44,7 @@ from renderer.stereo import EyePair, Stereo, fit_picture
 from renderer.techniques import AutoTechnique, Forward, Technique
 from renderer.techniques.inspection import Inspection
 from renderer.techniques.parts.depth import bind_depth_programs
+from renderer.techniques.parts.scaling import scale_image
 from renderer.tessellation import Tessellator, tessellation_passes
 from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Texture
@@ -83,7 +85,8 @@ class FrameStatistics:
 class FrameResult:
     """A submitted frame.
 
-    `image`, `depth` and all other contents of the frame, `targets`, are overwritten by the next frame. `visibility` is
+    `image`, `depth` and all other contents of the frame, `targets`, are overwritten by the next frame. All but `image`
+    have the size at which the frame was drawn (`Renderer.scale`). `visibility` is
     the cost of finding the visible objects, None if the technique didn't do so. Where the device decides what is drawn,
     the first use of `visible` or `statistics` waits for the device; they can be read until the next frame.
 
@@ -122,8 +125,8 @@ class Renderer:
     """Draws one scene on one device.
 
     The attributes `technique`, `visibility`, `blending`, `precision` and `glow` may be exchanged between any two
-    frames, and `layers`, which are drawn over each frame in their order, changed. `show` ends a frame with its image:
-    by default it is `Device.present`; a window puts its own in that place.
+    frames, and `layers` changed, which are drawn over each frame in their order, those that belong to the scene first.
+    `show` ends a frame with its image: by default it is `Device.present`; a window puts its own in that place.
     """
 
     def __init__(
@@ -171,7 +174,7 @@ class Renderer:
         self._seen = SeenFeatures(scene)
         self._planned: Technique | None = None
         self._drawn: Plan[Frame] | None = None  # the plan of the last frame
-        self._size = size
+        self._size, self._scale = size, 1.0
         self._pair: EyePair | None = None
         with ExitStack() as made:
             self._targets = Targets(device, size)
@@ -233,7 +236,19 @@ class Renderer:
     @size.setter
     def size(self, size: tuple[int, int]) -> None:
         if size != self._size:
-            self._resize(size, self.stereo)
+            self._resize(size, self.stereo, self._scale)
+
+    @property
+    def scale(self) -> float:
+        """The size at which frames are drawn, in that of the image: 0.1 to 2. It may be exchanged between any two
+        frames. Layers are drawn at the image's size, unless they are a `SceneLayer`."""
+        return self._scale
+
+    @scale.setter
+    def scale(self, scale: float) -> None:
+        rules.check_scale("Renderer.scale = …", scale)
+        if scale != self._scale:
+            self._resize(self._size, self.stereo, scale)
 
     @property
     def stereo(self) -> Stereo | None:
@@ -243,23 +258,23 @@ class Renderer:
     @stereo.setter
     def stereo(self, stereo: Stereo | None) -> None:
         pair, size = self._pair, self._size
-        if pair is None or stereo is None or fit_picture(stereo.output, size) != pair.targets.size:
-            self._resize(size, stereo)
+        if pair is None or stereo is None or fit_picture(stereo.output, size) != fit_picture(pair.stereo.output, size):
+            self._resize(size, stereo, self._scale)
         else:
             pair.stereo = stereo
 
-    def _resize(self, size: tuple[int, int], stereo: Stereo | None) -> None:
+    def _resize(self, size: tuple[int, int], stereo: Stereo | None, scale: float) -> None:
         """Create what is needed for images of `size` with one eye or two. If it can't be, all stays as it was."""
-        pair = None if stereo is None else EyePair(self.device, stereo, size, self._view)
+        pair = None if stereo is None else EyePair(self.device, stereo, size, self._view, scale)
         try:
-            self._targets.size = size if pair is None else pair.targets.size
+            self._targets.resize(size if stereo is None else fit_picture(stereo.output, size), scale)
         except BaseException:
             if pair is not None:
                 pair.destroy()
             raise
         if self._pair is not None:
             self._pair.destroy()
-        self._size, self._pair = size, pair
+        self._size, self._pair, self._scale = size, pair, scale
 
     @property
     def shadows(self) -> ShadowMaps:
@@ -366,8 +381,13 @@ class Renderer:
                 self._run(moved or plan, right)
         after = device.statistics
         for frame in frames:
-            for layer in self.layers:
+            inside: list[Layer] = [layer for layer in self.layers if isinstance(layer, SceneLayer)]
+            for layer in inside:
                 layer.render(device, frame)
+            scale_image(frame)
+            for layer in self.layers:
+                if layer not in inside:
+                    layer.render(device, frame)
         image = left.targets.image
         if pair is not None:
             with device.event("both eyes"):

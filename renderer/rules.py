@@ -33,8 +33,8 @@ MODEL_LIMIT: Final = Rule(
 )
 EMPTY_MODEL: Final = Rule(
     "scene-empty-model",
-    "the model has no triangles",
-    "point clouds and curves have no surface to draw; export triangles",
+    "the model has nothing to draw",
+    "export triangles; points and lines are drawn from glTF files",
 )
 
 # Parts of a scene
@@ -204,6 +204,7 @@ MANY_MATERIALS: Final = Rule(
 NO_WIREFRAME: Final = Rule("technique-no-wireframe", "this picture needs a device that draws the edges of triangles")
 BAD_STEP: Final = Rule("animation-step", "what moves is shown at whole multiples of a step in seconds")
 BAD_LAG: Final = Rule("animation-lag", "what is small on the screen may be late by some pixels")
+BAD_SCALE: Final = Rule("render-scale", "images are drawn at a scale of the size that is shown")
 BAD_EDGE: Final = Rule("tessellation-edge", "edges are split down to a length in pixels")
 BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique is out of its range")
 
@@ -275,6 +276,12 @@ def check_amount(rule: Rule, call: str, value: float) -> None:
     """Refuse a number that isn't 0 or more, and finite."""
     if not 0.0 <= value < inf:
         refuse(rule, call, value, "0 or more, finite")
+
+
+def check_scale(call: str, value: float) -> None:
+    """Refuse the scale of a picture that no bilinear sample could bring to the size that is shown."""
+    if not 0.1 <= value <= 2.0:
+        refuse(BAD_SCALE, call, value, "0.1 to 2")
 
 
 def check_kinds(settings: Any, rule: Rule) -> None:

@@ -41,6 +41,7 @@ class RenderSettings:
         animation_step: the seconds after which what moves by itself moves on, 0 for every frame.
         animation_lag: the pixels by which what is small on the screen may be late, 0 for nothing.
         reprojects: whether a second eye's picture is made from the first one's.
+        scale: the size at which frames are drawn, in that of the image that is shown: 0.1 to 2.
     """
 
     technique: TechniqueSettings = field(default_factory=TechniqueSettings)
@@ -56,6 +57,7 @@ class RenderSettings:
     animation_step: float = 0.0
     animation_lag: float = ANIMATION_LAG
     reprojects: bool = False
+    scale: float = 1.0
 
     def __post_init__(self) -> None:
         rules.check_kinds(self, rules.BAD_CHOICE)
@@ -64,6 +66,7 @@ class RenderSettings:
             rules.refuse_name(rules.UNKNOWN_ALGORITHM, call, self.algorithm, ALGORITHMS)
         rules.check_amount(rules.BAD_STEP, "RenderSettings(animation_step=...)", self.animation_step)
         rules.check_amount(rules.BAD_LAG, "RenderSettings(animation_lag=...)", self.animation_lag)
+        rules.check_scale("RenderSettings(scale=...)", self.scale)
 
     def get(self, path: str) -> Any:
         """Return a setting by its path, such as `shadows.cascades`."""
@@ -133,6 +136,7 @@ class RenderSettings:
         renderer.shadows.settings = self.shadows
         renderer.tessellator.settings = self.tessellation
         renderer.animation_step, renderer.animation_lag = self.animation_step, self.animation_lag
+        renderer.scale = self.scale
 
     def save(self, path: Path, **found: Any) -> None:
         """Write the settings as JSON. `found` is written too, to say how they were found; `load` ignores it."""

@@ -6,13 +6,14 @@ import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, fields
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import rhi
 from renderer import rules
 from renderer.cli import options
-from renderer.cli.accuracy_report import plot_all, write_images, write_page
+from renderer.cli.accuracy_report import plot_all, show_choice, show_ratio, write_images, write_page
 from renderer.cli.arguments import load_settings, open_scene
 from renderer.cli.executors import KINDS, make_executor
 from renderer.cli.options import option
@@ -28,11 +29,13 @@ from renderer.lab.accuracy import (
     choose,
     find_choices,
     keep_front,
+    leave_to_trials,
     list_jobs,
     run_jobs,
 )
 from renderer.lab.measure import format_table
 from renderer.settings import to_plain
+from renderer.viewer.budget import BudgetStep, save_steps
 from rhi import RhiError, refuse
 
 _NOTES: Final = """\
@@ -102,7 +105,7 @@ def _run(given: argparse.Namespace) -> None:
     jobs = list_jobs(situation, dict.fromkeys(given.knob or KNOBS))
     folder = None if given.output is None else given.output / "jobs"
     with make_executor(given.executor) as executor:
-        reports = run_jobs(jobs, executor, folder, lambda items, total: show_progress(items, total, "accuracy"))
+        reports = run_jobs(jobs, executor, folder, lambda items, total: show_progress(items, "accuracy", total))
     for line in list_left_out(reports):
         note(f"left out: {line}")
     shown = [report for report in reports if report.rows]
@@ -110,9 +113,7 @@ def _run(given: argparse.Namespace) -> None:
         refuse(rules.NO_KNOBS, "accuracy", ", ".join(report.knob for report in reports))
     points, choice = list[FrontPoint](), None
     if is_bounded or (given.output is not None and find_choices(scene, situation.settings, shown)):
-        points = keep_front(
-            situation, shown, folder, lambda rounds: show_progress(rounds, len(rounds), "combine knobs")
-        )
+        points = keep_front(situation, shown, folder, partial(show_progress, what="combine knobs"))
     refusal: RhiError | None = None
     if is_bounded:
         try:
@@ -129,9 +130,11 @@ def _run(given: argparse.Namespace) -> None:
         write_page(given.output / "report.html", situation, reports, points, choice, charts)
         (given.output / "accuracy.json").write_text(json.dumps(found, indent=2) + "\n")
         (given.output / "table.md").write_text(show_reports(shown, markdown=True) + "\n")
-        note(f"wrote report.html, accuracy.json, table.md and images to {given.output}")
+        best = [BudgetStep(point.settings, point.milliseconds, point.error) for point in points if point.is_best]
+        save_steps(given.output / "front.json", best)
+        note(f"wrote report.html, accuracy.json, front.json, table.md and images to {given.output}")
     if choice is not None:
-        choice.point.settings.save(answer, **found["chosen"])
+        leave_to_trials(choice.point.settings, situation.settings).save(answer, **found["chosen"])
         note(f"wrote {answer}")
     print(json.dumps(found) if given.json else show_reports(shown, markdown=given.markdown))
     if choice is not None and not given.json:
@@ -183,23 +186,13 @@ def describe(
             "refused": choice.refused,
             "held_out_error": choice.held_out_error,
             "held_out_views": choice.held_out_views,
+            "frames_over_budget": choice.over,
         },
     }
 
 
 def _describe_point(point: FrontPoint) -> dict[str, Any]:
     return {one.name: getattr(point, one.name) for one in fields(point) if one.name != "settings"}
-
-
-def show_choice(choice: CheckedChoice) -> str:
-    """Format settings that were chosen."""
-    point = choice.point
-    values = ", ".join(f"{name} {value}" for name, value in point.values.items())
-    return (
-        f"{values}: {point.milliseconds:.2f} ms, {point.ratio:.2f} of the most accurate settings' time, mean error "
-        f"{point.error:.2f} levels in the worst view, {choice.error:.2f} in {choice.views} others, "
-        f"{choice.held_out_error:.2f} in {choice.held_out_views} that had no part in the choice"
-    )
 
 
 def show_reports(reports: list[KnobReport], *, markdown: bool = False) -> str:
@@ -217,11 +210,6 @@ def show_reports(reports: list[KnobReport], *, markdown: bool = False) -> str:
                 ]
             )  # fmt: skip
     return format_table(header, rows, markdown=markdown)
-
-
-def show_ratio(ratio: float, low: float, high: float) -> str:
-    """Format a ratio with its confidence interval."""
-    return f"{ratio:.2f} ({low:.2f} to {high:.2f})" if (low, high) != (ratio, ratio) else f"{ratio:.2f}"
 
 
 COMMAND: Final = Subcommand(

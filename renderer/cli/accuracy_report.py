@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from base64 import b64decode, b64encode
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from html import escape
 from io import BytesIO
 from pathlib import Path
@@ -47,6 +48,23 @@ def group_of(knob: Knob) -> str:
     if knob.unit is Unit.LIGHTS:
         return "lights"
     return "culling" if knob.path.startswith("visibility.") else "pictures"
+
+
+def show_choice(choice: CheckedChoice) -> str:
+    """Format settings that were chosen."""
+    point = choice.point
+    values = ", ".join(f"{name} {value}" for name, value in point.values.items())
+    return (
+        f"{values}: {point.milliseconds:.2f} ms, {point.ratio:.2f} of the most accurate settings' time, mean error "
+        f"{point.error:.2f} levels in the worst view, {choice.error:.2f} in {choice.views} others, "
+        f"{choice.held_out_error:.2f} in {choice.held_out_views} that had no part in the choice"
+        + ("" if choice.over is None else f", {choice.over:.0%} of a walk's frames over the budget")
+    )
+
+
+def show_ratio(ratio: float, low: float, high: float) -> str:
+    """Format a ratio with its confidence interval."""
+    return f"{ratio:.2f} ({low:.2f} to {high:.2f})" if (low, high) != (ratio, ratio) else f"{ratio:.2f}"
 
 
 GROUPS: Final = {
@@ -137,17 +155,17 @@ def write_images(
 ) -> list[Path]:
     """Write each chart, and of each knob the worst place of its least accurate value; return the charts."""
     folder.mkdir(parents=True, exist_ok=True)
+    drawn: dict[str, Callable[[Any], None]] = {
+        name: partial(draw_group, reports=some, title=GROUPS[name]) for name, some in list_groups(reports).items()
+    }
+    if points:
+        drawn["front"] = partial(draw_front, points=points, choice=choice)
     charts = []
-    for name, some in list_groups(reports).items():
+    for name, draw in drawn.items():
         charts.append(folder / f"{name}.png")
         with draw_chart(charts[-1]) as figure:
             figure.set_size_inches(8, 4.5)
-            draw_group(figure.subplots(), some, GROUPS[name])
-    if points:
-        charts.append(folder / "front.png")
-        with draw_chart(charts[-1]) as figure:
-            figure.set_size_inches(8, 4.5)
-            draw_front(figure.subplots(), points, choice)
+            draw(figure.subplots())
     for report in reports:
         value = next((row.value for row in report.rows if row.value in report.pictures), None)
         if value is not None:
@@ -177,13 +195,7 @@ def write_page(
         "a knob, with 95 % confidence intervals. Shaded rows are defaults.</p>",
     ]
     if choice is not None:
-        values = ", ".join(f"{name} {value}" for name, value in choice.point.values.items())
-        parts.append(
-            f"<h2>Chosen</h2><p>{escape(values)}: {choice.point.milliseconds:.1f} ms, "
-            f"{choice.point.ratio:.2f} of the most accurate settings' time, mean error {choice.point.error:.2f} levels "
-            f"in the worst view, {choice.error:.2f} in {choice.views} others, {choice.held_out_error:.2f} in "
-            f"{choice.held_out_views} that had no part in the choice.</p>"
-        )
+        parts.append(f"<h2>Chosen</h2><p>{escape(show_choice(choice))}.</p>")
     for chart in charts:
         parts.append(f"<p><img class='chart' alt='{chart.stem}' src='{_embed(chart.read_bytes())}'></p>")
     parts.append(_show_table(reports))
@@ -212,8 +224,8 @@ def _show_table(reports: Sequence[KnobReport]) -> str:
             kind = " ".join(["knob"] * (number == 0) + ["default"] * row.is_default)
             cells = (
                 row.knob if number == 0 else "", row.value, f"{row.mean_error:.4g}", f"{row.max_error:.4g}", row.unit,
-                f"{row.milliseconds:.3g}", f"{row.ratio:.2f} ({row.low:.2f} to {row.high:.2f})",
-                f"{row.processor_ratio:.2f} ({row.processor_low:.2f} to {row.processor_high:.2f})",
+                f"{row.milliseconds:.3g}", show_ratio(row.ratio, row.low, row.high),
+                show_ratio(row.processor_ratio, row.processor_low, row.processor_high),
                 knob.truth.name if number == 0 else "",
                 "; ".join(filter(None, (knob.because, knob.exception))) if number == 0 else "",
             )  # fmt: skip

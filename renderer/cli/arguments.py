@@ -51,11 +51,7 @@ def make_stereo(given: argparse.Namespace, scene: Scene, camera: Camera) -> Ster
                 refuse(rules.NO_STEREO, "render", f"--{name.replace('_', '-')} without --stereo")
         return None
     rig = find_rig(
-        scene,
-        camera,
-        eye_distance=given.eye_distance,
-        convergence=given.convergence,
-        is_toed_in=given.toe_in,
+        scene, camera, eye_distance=given.eye_distance, convergence=given.convergence, is_toed_in=given.toe_in
     )
     return Stereo(rig, given.stereo, is_swapped=given.swap_eyes, is_reprojected=given.reproject)
 

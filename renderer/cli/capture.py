@@ -62,7 +62,7 @@ def _run(given: argparse.Namespace) -> None:
             list(capture_frames(renderer, shots[:1]))
             while renderer.is_trying:
                 list(capture_frames(renderer, shots[:1]))
-            frames = list(show_progress(capture_frames(renderer, shots), len(shots), "capture"))
+            frames = list(show_progress(capture_frames(renderer, shots), "capture", len(shots)))
     write_frames(given.output, frames)
     note(f"wrote {given.output}: {len(frames)} frames")
     if given.plot is not None:

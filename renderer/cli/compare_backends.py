@@ -51,7 +51,7 @@ def _measure(given: argparse.Namespace) -> Report:
     backends = [_BASE, *(name for name in given.backends if name != _BASE)]
 
     def rounds(name: str) -> Iterable[int]:
-        return show_progress(range(given.rounds), given.rounds, name)
+        return show_progress(range(given.rounds), name)
 
     devices: dict[str, str] = {}
     camera = path.camera(given.frame)

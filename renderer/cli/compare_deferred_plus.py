@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, Final
 
 import rhi
@@ -49,12 +50,10 @@ def _measure(given: argparse.Namespace) -> Report:
     scene = open_scene(given.scene)
     path = find_path(given.camera_path, scene)
     cameras = [path.camera(given.frame + number) for number in range(given.frames)]
-
-    def progress(count: int) -> Iterable[int]:
-        return show_progress(range(count), count, "compare")
-
     with rhi.create_device(given.backend) as device:
-        found = compare_deferred_plus(device, scene, cameras, given.size, progress=progress)
+        found = compare_deferred_plus(
+            device, scene, cameras, given.size, progress=partial(show_progress, what="compare")
+        )
         if given.output is not None:
             write_image(given.output, picture_buffers(device, scene, cameras[0], given.size))
             note(f"wrote {given.output}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from typing import Any, Final
 
 from renderer.cli import options
@@ -43,7 +44,7 @@ def _measure(given: argparse.Namespace) -> Report:
             ENCODINGS,
             count=given.count,
             rounds=given.rounds,
-            progress=lambda rounds: show_progress(rounds, len(rounds), "store"),
+            progress=partial(show_progress, what="store"),
         )
         names = {device.backend_name: device.capabilities.device for device in devices}
     return Report({"devices": names} | repeat(given, "count"), rows, "Encodings of a geometry buffer")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from typing import Final
 
 import rhi
@@ -70,7 +71,7 @@ def _measure(given: argparse.Namespace) -> Report:
                 depth_masks=_SWITCHES[given.depth_mask],
                 pre_filters=_SWITCHES[given.pre_filter],
                 rounds=given.rounds,
-                progress=lambda rounds: show_progress(rounds, len(rounds), "collect"),
+                progress=partial(show_progress, what="collect"),
             )
         about = describe(device) | {"scene": scene.name, "camera": given.camera or next(iter(scene.views))}
     return Report(about | repeat(given, "frame", "size", "tile", "slices", "rounds"), rows, scene=scene)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from typing import Final
 
 import rhi
 from renderer.cli import options
 from renderer.cli.arguments import open_scene
 from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
-from renderer.cli.options import option
 from renderer.cli.output import show_progress
 from renderer.content import find_path, load_scene
 from renderer.lab.comparison import Record
@@ -34,7 +34,7 @@ _DEFAULT: Final = ("dubois", "color", "side_by_side", "color_reprojected")
 
 
 def _measure(given: argparse.Namespace) -> Report:
-    first, *others = given.shadows
+    first, *others = (_SWITCH[name] for name in given.shadows)
     scenes = {first: _cast(open_scene(given.scene), first)}
     scenes |= {has_shadows: _cast(load_scene(given.scene), has_shadows) for has_shadows in others}
     scene = next(iter(scenes.values()))
@@ -47,9 +47,6 @@ def _measure(given: argparse.Namespace) -> Report:
         convergence=given.convergence,
     )
 
-    def progress(frames: range) -> Iterable[int]:
-        return show_progress(frames, len(frames), "compare")
-
     with rhi.create_device(given.backend) as device:
         rows = compare_stereo(
             device,
@@ -60,7 +57,7 @@ def _measure(given: argparse.Namespace) -> Report:
             given.stereo,
             range(given.frame, given.frame + given.frames),
             TECHNIQUES[given.technique],
-            progress,
+            partial(show_progress, what="compare"),
         )
         about = describe(device) | repeat(given, "scene", "technique", "camera_path", "frame", "frames")
         about |= {"eye_distance": rig.eye_distance, "convergence": rig.convergence}
@@ -82,19 +79,11 @@ def show_sizes(rows: Sequence[Record]) -> Sequence[Record]:
     return [row | {"size": "{} × {}".format(*row["size"])} for row in rows]
 
 
-def _parse_switches(text: str) -> list[bool]:
-    names = text.split(",")
-    for name in names:
-        if name not in _SWITCH:
-            raise argparse.ArgumentTypeError(f"{name!r} is neither off nor on")
-    return [_SWITCH[name] for name in dict.fromkeys(names)]
-
-
 _OPTIONS: Final = (
     options.SCENE,
     options.several("--sizes", "sizes of the image in pixels", options.parse_size, [(640, 360), (960, 540)],
                     "640x360,960x540", "WxH,…"),
-    option("--shadows", "without shadows, with them, or both", [False], "off", type=_parse_switches, metavar="off,on"),
+    options.some("--shadows", _SWITCH, "is neither off nor on", ["off"], "off", "shadows, "),
     options.some("--stereo", list_stereos(), "is no output", _DEFAULT),
     options.choice("--technique", "how the scene is drawn", TECHNIQUES, "forward"),
     options.length("--eye-distance", "metres between the eyes", "comfortable"),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from inspect import signature
 from itertools import chain
 from typing import Any, Final
@@ -65,9 +66,6 @@ _OPTIONS: Final = (
 
 
 def _measure(given: argparse.Namespace) -> Report:
-    def rounds(numbers: range) -> Iterable[int]:
-        return show_progress(numbers, len(numbers), "compare")
-
     settings = load_settings(given)
     first, *others = [vary_scene(given.scene, objects, lights) for objects in given.objects for lights in given.lights]
     scene = open_scene(first)  # a file's is the only one; generators leave nothing out
@@ -85,7 +83,7 @@ def _measure(given: argparse.Namespace) -> Report:
             frame=given.frame,
             rounds=given.rounds,
             settings=settings,
-            progress=rounds,
+            progress=partial(show_progress, what="compare"),
         )
         about = describe(device) | repeat(given, "scene", "camera", "frame", "size", "rounds")
         return Report(about, list(rows), f"{given.scene}, {about['device']}", scene)

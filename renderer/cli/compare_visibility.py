@@ -11,7 +11,6 @@ import rhi
 from renderer.cli import options
 from renderer.cli.arguments import open_scene
 from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
-from renderer.cli.options import option
 from renderer.cli.output import OutputError, show_progress
 from renderer.content import find_path
 from renderer.lab.comparison import Record
@@ -57,13 +56,9 @@ def measure_visibility(given: argparse.Namespace) -> Report:
     first = max(0, (len(path) - drawn + 1) // 2) if given.frame is None else given.frame
     path.camera(first + drawn - 1)  # raises now, not after minutes
     frames = list_frames(
-        first,
-        given.frames,
-        len(path),
-        stride=given.stride,
-        warm_up=given.warm_up,
-        teleport=given.teleport,
+        first, given.frames, len(path), stride=given.stride, warm_up=given.warm_up, teleport=given.teleport
     )
+    given.queries = [kind for kind in options.QUERY_KINDS if kind in given.queries]
     emulated = [kind == "emulated" for kind in given.queries]
     with rhi.create_device(given.backend) as device, Renderer(device, scene, size=given.size) as renderer:
         names = given.algorithms or [
@@ -72,7 +67,7 @@ def measure_visibility(given: argparse.Namespace) -> Report:
         for name in names:
             check_algorithm(name, device, "compare visibility")
         contenders = list_contenders(names, settings, tuned, emulated)
-        rows = compare_algorithms(renderer, contenders, path, show_progress(frames, len(frames), "compare"))
+        rows = compare_algorithms(renderer, contenders, path, show_progress(frames, "compare"))
         about = describe(device) | {"scene": scene.name, "camera_path": given.camera_path}
     about |= {"first_frame": first + given.warm_up}
     about |= repeat(given, "frames", "stride", "warm_up", "teleport", "size", "queries")
@@ -103,23 +98,13 @@ def plot_algorithms(figure: Any, rows: Sequence[Record]) -> None:
         axes.invert_yaxis()
 
 
-def _parse_kinds(text: str) -> list[str]:
-    kinds = text.split(",")
-    for kind in kinds:
-        if kind not in options.QUERY_KINDS:
-            raise argparse.ArgumentTypeError(
-                f"{kind!r} is not a kind of query; give native, emulated or native,emulated"
-            )
-    return [kind for kind in options.QUERY_KINDS if kind in kinds]
-
-
 _OPTIONS: Final = (
     options.SCENE,
     *options.walk("number of frames to time"),
     options.BACKEND,
     options.some("--algorithms", ALGORITHMS, "is not an algorithm", None, "all that the device can run"),
-    option("--queries", "native, emulated (by two counters and a fence), or both: native,emulated", ["native"],
-           "native", type=_parse_kinds, metavar="KIND"),
+    options.some("--queries", options.QUERY_KINDS, "is not a kind of query", ["native"],
+                 help="emulated ones are two counters and a fence; "),
     options.settings("adds a row for CHC++ with the parameters in this file, which `tune` has written"),
     options.size(),
     options.count("--stride", "count every Nth frame of the path", 1),

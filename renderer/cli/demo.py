@@ -72,7 +72,7 @@ def _run(given: argparse.Namespace) -> None:
         for counter in fields(FrameStatistics):
             if is_simulated or counter.name not in _IDLE:
                 columns[counter.name] = average()
-        rounds = show_progress(range(given.frames), given.frames, "measure")
+        rounds = show_progress(range(given.frames), "measure")
         rows = compare(subjects, columns, rounds, within=("path", "backend"))
         for name in scene.paths:
             seen = [

@@ -59,7 +59,7 @@ def _run(given: argparse.Namespace) -> None:
             rows = [
                 row
                 for device in devices
-                for row in show_progress(examine(device, cases), len(cases), device.backend_name)
+                for row in show_progress(examine(device, cases), device.backend_name, len(cases))
             ]
             has_failed = any(row.passed is False for row in rows)
             print(_format(rows, as_json=given.json, markdown=given.markdown))

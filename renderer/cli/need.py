@@ -64,7 +64,7 @@ _OPTIONS: Final = (
 
 def _run(given: argparse.Namespace) -> None:
     numbers = find_rungs(given.rung)
-    rows = count_need(show_progress(numbers, len(numbers), "counting"))
+    rows = count_need(show_progress(numbers, "counting"))
     for name in given.backend:
         with rhi.create_device(name) as device:
             time_need(rows, device, given.rounds, show_progress)

@@ -165,10 +165,7 @@ BACKEND: Final = option(
     "--backend", ", ".join(rhi.backend_names()), None, "RHI_BACKEND, or the first that works", metavar="NAME"
 )
 PATH: Final = option(
-    "--camera-path",
-    "a path of the scene (ground, sky), or the .json file of a walk-through",
-    "ground",
-    metavar="PATH",
+    "--camera-path", "a path of the scene (ground, sky), or the .json file of a walk-through", "ground", metavar="PATH"
 )
 JSON: Final = switch("--json", "print the result as JSON")
 QUERIES_HELP: Final = "occlusion queries: the device's own, or emulated by two counters and a fence"

@@ -83,12 +83,9 @@ def show_plan(report: PlanReport) -> str:
     changes = [(one.name, *astuple(one.changes), one.draws) for one in report.passes]
     orders = [astuple(one) for one in report.orders]
     rows = [
-        (
-            one.name, ", ".join(one.reads), ", ".join(one.writes), one.bytes, one.draws, one.dispatches,
-            one.because,
-        )
+        (one.name, ", ".join(one.reads), ", ".join(one.writes), one.bytes, one.draws, one.dispatches, one.because)
         for one in report.passes
-    ]  # fmt: skip
+    ]
     needed = "\n".join(f"  {name}: {because}" for name, because in report.effects.items())
     left = "\n".join(f"  {one.name}: {one.because}" for one in report.left_out)
     maps = [(one.name, one.size, one.casters, one.state, one.because) for one in report.shadow_maps]

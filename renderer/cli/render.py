@@ -111,10 +111,10 @@ def _run(given: argparse.Namespace) -> None:
             renderer.layers.append(Overlay(device, scale=max(1, given.size[1] // 720)))
         for layer in renderer.layers:
             layers.callback(layer.destroy)
-        for _ in show_progress(warm_up(renderer), None, "find what is the fastest"):
+        for _ in show_progress(warm_up(renderer), "find what is the fastest"):
             measure_frame(renderer, shots[0])
         costs = []
-        for shot in show_progress(shots, len(shots), "render"):
+        for shot in show_progress(shots, "render"):
             result, cost = measure_frame(renderer, shot)
             costs.append(cost)
         if given.trace is not None:

@@ -43,10 +43,7 @@ class Subcommand:
     def add_to(self, commands: Any) -> None:
         """Add the command's parser to `commands`, which `add_subparsers` has made."""
         parser = commands.add_parser(
-            self.name,
-            help=self.summary,
-            description=_sentence(self.summary),
-            epilog=f"examples:\n{self.notes}",
+            self.name, help=self.summary, description=_sentence(self.summary), epilog=f"examples:\n{self.notes}"
         )
         add_options(parser, self.options)
         parser.set_defaults(run=self.run)

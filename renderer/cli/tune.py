@@ -99,9 +99,8 @@ def _run(given: argparse.Namespace) -> None:
 
 def _try_all(executor: Executor, walk: Walk, pairs: Sequence[ParameterPair]) -> list[Trial]:
     """Return a trial of each pair, in this order; as many run at a time as the executor allows."""
-    count = len(pairs)
-    futures = [executor.submit(try_pairs, walk, [pair]) for pair in show_progress(pairs, count, "tune")]
-    for _ in show_progress(as_completed(futures), count, "tune"):  # a serial executor has finished them by now
+    futures = [executor.submit(try_pairs, walk, [pair]) for pair in show_progress(pairs, "tune")]
+    for _ in show_progress(as_completed(futures), "tune", len(pairs)):  # a serial executor has finished them by now
         pass
     return [trial for future in futures for trial in future.result()]
 

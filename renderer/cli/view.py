@@ -5,19 +5,23 @@ from __future__ import annotations
 import argparse
 from typing import Final
 
+from renderer import rules
 from renderer.cli import options
 from renderer.cli.arguments import load_settings, open_scene
 from renderer.cli.options import option
 from renderer.cli.output import note
 from renderer.cli.subcommand import Subcommand
 from renderer.content import parse_camera
+from renderer.viewer.budget import FrameBudget, load_steps
 from renderer.viewer.look import PLAIN, SHADOWS, Look
+from rhi.errors import refuse
 
 _NOTES: Final = """\
   python -m renderer view city
   python -m renderer view hall --backend cl --size 1280x720
   python -m renderer view model.glb --technique clustered --shadows all
   python -m renderer view city --camera street --script tour.txt
+  python -m renderer view city --live swept --budget-ms 30        after: accuracy city --output swept
   python -m renderer view city --listen 7000            then, in another terminal: nc 127.0.0.1 7000
 
 F1 shows what the keys do, F2 or ` opens the console, in which Tab completes. A script has the console's lines, and
@@ -42,6 +46,8 @@ _OPTIONS: Final = (
     options.switch("--overlay", "draw times, counters and the culling over each frame"),
     options.choice("--canvas", "where the picture is shown; page is one in the browser", ("window", "qt", "page"),
                    "window"),
+    option("--budget-ms", "with --live: the most that a frame is to take", type=options.parse_bound, metavar="M"),
+    options.file("--live", "keep --budget-ms by the most accurate settings that do, of a folder of `accuracy`", "DIR"),
     options.switch("--immediate", "don't wait for the display's refresh"),
     options.file("--script", "commands to run, a line each", "F"),
     option("--listen", "run commands from this port of the loopback address", type=options.parse_frame, metavar="PORT"),
@@ -53,6 +59,9 @@ _OPTIONS: Final = (
 def _run(given: argparse.Namespace) -> None:
     from renderer.viewer.showing import open_viewer
 
+    if (given.live is None) != (given.budget_ms is None):
+        refuse(rules.BAD_ARGUMENT, "view", "one of --live and --budget-ms", "both, or neither")
+    steps = None if given.live is None else load_steps(given.live / "front.json")
     scene = open_scene(given.scene)
     camera = None if given.camera is None else parse_camera(given.camera, scene, given.frame)
     script = "" if given.script is None else given.script.read_text(encoding="utf-8", errors="replace")
@@ -76,6 +85,8 @@ def _run(given: argparse.Namespace) -> None:
         if given.settings is not None:
             shown.viewer.saved.note_settings(given.settings)
         stage.change(**{name: value for name, value in vars(given).items() if name in ("show", "stereo") and value})
+        if steps is not None:
+            stage.keep_budget(FrameBudget(steps, given.budget_ms))
         shown.viewer.run_script(script)
         if given.listen is not None:
             port = shown.listen(given.listen, given.write_to)
@@ -84,7 +95,8 @@ def _run(given: argparse.Namespace) -> None:
         shown.run()
         if given.frames is not None:
             worked = f"{1e3 * stage.counter.processor:.1f} ms of processors a frame"
-            note(f"{stage.counter.describe()}   {worked}")
+            kept = "" if stage.budget is None else f"   {stage.budget.describe()}"
+            note(f"{stage.counter.describe()}   {worked}{kept}")
     finally:
         shown.close()
 

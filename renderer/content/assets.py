@@ -65,7 +65,7 @@ def hash_content(*parts: bytes | NDArray[np.uint8]) -> bytes:
 
 
 def _decode(content: NDArray[np.uint8]) -> ImagePixels | str:
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
     try:
         with Image.open(BytesIO(content.tobytes())) as image:
@@ -74,5 +74,7 @@ def _decode(content: NDArray[np.uint8]) -> ImagePixels | str:
                 levels = np.clip(np.round(grey), 0.0, 255.0).astype(np.uint8)
                 return np.dstack([levels, levels, levels, np.full_like(levels, 255)])
             return np.array(image.convert("RGBA"), np.uint8)
+    except UnidentifiedImageError:
+        return f"of no known format: it begins with {content[:12].tobytes()!r}"
     except Exception as error:  # pillow's decoders raise whatever a broken file leads them to
         return f"{type(error).__name__}: {error}"

@@ -55,6 +55,7 @@ class _FileNode:
 def load_model(path: str | Path, limits: ModelLimits | None = None) -> Scene:
     """Load the scene in a model file, and add fitting camera paths, and a sun if it has no light. Its name is the path.
 
+    A glTF file with only lights, cameras or empty nodes is a scene with one object that is reserved, and so hidden.
     `Scene.omissions` lists what the file has and the scene hasn't. `limits`: what the file may ask for. Refused as by
     `add_model`.
     """
@@ -69,6 +70,9 @@ def load_model(path: str | Path, limits: ModelLimits | None = None) -> Scene:
     elif not len(builder.lights):
         builder.lights.add_directional((-0.45, -0.8, -0.4), (1.0, 0.96, 0.9), 1.9)
         builder.lights.sky, builder.lights.ground = (0.28, 0.32, 0.40), (0.14, 0.13, 0.12)
+    if not builder.object_count:
+        triangle = make_geometry(np.eye(3), range(3))
+        builder.reserve(1, builder.add_mesh(triangle), builder.add_material())  # the renderer's arrays have rows
     scene = builder.build()
     scene.files = tuple(builder.files)
     if surroundings is None:

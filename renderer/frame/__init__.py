@@ -4,6 +4,7 @@ from renderer.frame.frame import Frame as Frame
 from renderer.frame.images import AS_GIVEN as AS_GIVEN
 from renderer.frame.images import TextureSettings as TextureSettings
 from renderer.frame.layer import Layer as Layer
+from renderer.frame.layer import SceneLayer as SceneLayer
 from renderer.frame.mirrors import MirroredArray as MirroredArray
 from renderer.frame.needs import EXACT_GLOW as EXACT_GLOW
 from renderer.frame.needs import LAMPS as LAMPS

@@ -133,7 +133,7 @@ class Lamps:
             for some, is_needed in zip((lights.point, lights.spot), reaching, strict=True)
         )
         runs = self._device.capabilities.compute and len(eyes) > 1
-        state = runs, *(some.tobytes() for some in kinds)
+        state = runs, reaching, lights.contents[1:]
         is_new = state != self._state
         if is_new:
             if self._runs and not runs:
@@ -150,6 +150,9 @@ class Lamps:
         else:
             for eye in moved:
                 for kind, some in zip(self._kinds, kinds, strict=True):
+                    if not len(some):
+                        kind.seen[eye].destroy()
+                        continue
                     kind.packed["position"] = subtract_places(some["position"], eyes[eye])
                     kind.seen[eye].write(kind.packed)
 

@@ -18,3 +18,8 @@ class Layer(Protocol):
     def destroy(self) -> None:
         """Destroy the layer's resources on the device."""
         ...
+
+
+class SceneLayer:
+    """The base of layers that belong to the scene: they draw to the contents `image` of the targets, with depth, before
+    the image is brought to the size that is shown."""

@@ -54,6 +54,8 @@ class MirroredArray(Generic[T]):
         if not len(array):
             self.destroy()
             return
+        if chosen is not None and not len(chosen) and len(array) == len(self._rows) and self.buffer is not None:
+            return
         rows = np.ascontiguousarray(array).view(np.uint8).reshape(len(array), -1)
         if self.buffer is None or rows.shape != self._rows.shape:
             self.destroy()
@@ -62,11 +64,9 @@ class MirroredArray(Generic[T]):
             self._rows = rows.copy()
             return
         if chosen is None:
-            changed = np.flatnonzero((rows != self._rows).any(1))
-        elif len(chosen):
-            changed = chosen[(rows[chosen] != self._rows[chosen]).any(1)]
+            changed = (rows != self._rows).any(1).nonzero()[0]
         else:
-            return
+            changed = chosen[(rows[chosen] != self._rows[chosen]).any(1)]
         for first, end in join_runs(changed, 1, _GAP // rows.shape[1]):
             self._upload(self.buffer, rows[first:end], first)
         self._rows[changed] = rows[changed]

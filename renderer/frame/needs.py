@@ -60,6 +60,7 @@ class Effect(Enum):
     __hash__ = object.__hash__
 
 
+_EFFECTS: Final = {effect.value: effect for effect in Effect}
 SHADOW_EFFECTS: Final = (Effect.SUN_SHADOWS, Effect.POINT_SHADOWS, Effect.SPOT_SHADOWS)
 """The shadows of each kind of light."""
 
@@ -265,7 +266,7 @@ def find_needs(
         Effect.TRANSPARENCY: len(transparent),
         Effect.HEIGHT_FIELDS: len(fields),
         Effect.SUN_SHADOWS: _count_casting(scene, lights.directional),
-        **{Effect(name): count for name, count in features.items()},
+        **{_EFFECTS[name]: count for name, count in features.items()},
     }
     for (effect, kind), reached in zip(LAMPS.items(), reaches, strict=True):
         some = kind.find_rows(lights)
@@ -281,7 +282,7 @@ def find_needs(
     shaders = tuple(one.shader for one in scene.shaders)
     seen = SeenFeatures(scene).find(camera) if seen is None else seen
     hidden = {effect for effect, rows in in_view.items() if not len(rows)}
-    hidden |= {Effect(name) for name in (*features, "glow") if name not in seen and name != "vertex colors"}
+    hidden |= {_EFFECTS[name] for name in (*features, "glow") if name not in seen and name != "vertex colors"}
     effects = frozenset(effect for effect, count in counts.items() if count and effect not in hidden)
     return Needs(effects, counts, len(scene.materials), in_view, blending, glow, scene.glow is not None, shaders)
 

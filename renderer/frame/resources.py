@@ -143,6 +143,7 @@ class SceneResources:
         self._lamps = keep(Lamps(device))
         self.point, self.spot = self._lamps.find(0)
         self.light_rows = keep(MirroredArray(device, int, "light rows"))
+        self._listed_from: object = None  # the contents of the lights that are listed
         self._lit: tuple[NDArray[Any], ...] = ()  # the state that the light lists were made from
         self._listed: NDArray[np.int64] = np.zeros(0, np.int64)  # the light rows, as they are on the device
         self._fixed_lists: tuple[NDArray[Any], ...] = ()  # those of the objects with fixed bounds
@@ -369,7 +370,8 @@ class SceneResources:
         scene = self.scene
         following = scene.objects.following_rows  # others that move are simulated before they are drawn
         self._transform(following)
-        self.directional.write(scene.lights.directional)
+        if self._listed_from is not scene.lights.contents:
+            self.directional.write(scene.lights.directional)
         has_others = False
         if self._material_version != scene.material_version:
             self._material_version = scene.material_version
@@ -453,6 +455,9 @@ class SceneResources:
         The lists of objects with fixed bounds come first, so that those of others don't shift them.
         """
         objects, lights = self.scene.objects, self.scene.lights
+        is_known, self._listed_from = self._listed_from is lights.contents, lights.contents
+        if is_known and not len(objects.following_rows):
+            return False
         positions = np.concatenate([lights.point["position"], lights.spot["position"]])
         ranges = np.concatenate([lights.point["range"], lights.spot["range"]]).astype(np.float64)
         rows, points = objects.following_rows, len(lights.point)

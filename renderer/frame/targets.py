@@ -22,35 +22,44 @@ class Targets:
 
     A frame with another plan keeps the textures that it can use, and destroys the others. The texture of the image is
     created at once, so that a size that the device can't have is refused when it is set.
+
+    Attributes:
+        picture: the image at the size that is shown, if passes draw to a smaller or a larger one.
     """
 
-    def __init__(self, device: Device, size: tuple[int, int]) -> None:
+    def __init__(self, device: Device, size: tuple[int, int], scale: float = 1.0) -> None:
         self._device = device
+        self.picture: Texture | None = None
         self._textures: dict[_Kind, list[Texture]] = {}
         self._plan: Sequence[SharedTexture] | None = None
         self._held: dict[str, Texture] = {}
         self._last: dict[str, Texture] = {}  # of the last frame
         self._others: dict[str, Texture] = {}  # second textures of what is kept
         self._size = (0, 0)
-        self.size = size
+        self.resize(size, scale)
 
     @property
     def size(self) -> tuple[int, int]:
-        """The size (width, height) of the frame in pixels; setting it creates new textures."""
+        """The size (width, height) in pixels that passes draw at."""
         return self._size
 
-    @size.setter
-    def size(self, size: tuple[int, int]) -> None:
-        if size != self._size:
-            image = self._device.texture(size, IMAGE_FORMAT, label="image")
-            self.destroy()
-            self._size = size
-            self._textures[IMAGE_FORMAT, size, 1] = [image]
+    def resize(self, shown: tuple[int, int], scale: float = 1.0) -> None:
+        """Create new textures, if need be, for images of the size `shown` that are drawn at `scale` of it."""
+        size = fit_size(shown, scale)
+        if size == self._size and shown == (size if self.picture is None else self.picture.size):
+            return
+        with ExitStack() as made:
+            image = made.enter_context(self._device.texture(size, IMAGE_FORMAT, label="image"))
+            picture = None if size == shown else self._device.texture(shown, IMAGE_FORMAT, label="picture")
+            made.pop_all()
+        self.destroy()
+        self._size, self.picture = size, picture
+        self._textures[IMAGE_FORMAT, size, 1] = [image]
 
     @property
     def image(self) -> Texture:
-        """The image."""
-        return self._held["image"]
+        """The image at the size that is shown."""
+        return self.picture or self._held["image"]
 
     @property
     def depth(self) -> Texture:
@@ -114,3 +123,6 @@ class Targets:
             for texture in some:
                 texture.destroy()
         self._textures, self._held, self._others, self._last, self._plan = {}, {}, {}, {}, None
+        if self.picture is not None:
+            self.picture.destroy()
+            self.picture = None

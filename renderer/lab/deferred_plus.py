@@ -68,7 +68,7 @@ def find_medians(found: Result, name: str) -> dict[str, float]:
 
 def compare_deferred_plus(
     device: Device, scene: Scene, cameras: Sequence[Camera], size: tuple[int, int], *,
-    progress: Callable[[int], Iterable[int]] = range,
+    progress: Callable[[range], Iterable[int]] = lambda rounds: rounds,
 ) -> dict[str, Any]:  # fmt: skip
     """Draw a walk with all techniques, with and without culling.
 
@@ -80,7 +80,7 @@ def compare_deferred_plus(
     the one that the second pass adds; `steps` as those of rows.
 
     Args:
-        progress: returns the numbers below one, and may show how many are done.
+        progress: wraps the numbers of cameras, and may show how many are done.
     """
     with ExitStack() as opened:
         drawn = []
@@ -90,13 +90,13 @@ def compare_deferred_plus(
             for algorithm in (culling, FrustumCulling(scene)):
                 renderer = Renderer(device, scene, technique=make(), visibility=algorithm, size=size)
                 drawn.append(_TechniqueVariant(name, opened.enter_context(renderer), cameras))
-        rows = compare([one.timed for one in drawn], TIMES, progress(len(cameras)), warm_ups=_SETTLES)
+        rows = compare([one.timed for one in drawn], TIMES, progress(range(len(cameras))), warm_ups=_SETTLES)
         first_culling, frustum = drawn[0].renderer.visibility, FrustumCulling(scene)
         assert isinstance(first_culling, TwoPassCulling)
         counts: list[tuple[int, int, int]] = []
 
         def walk() -> Iterator[int]:
-            for number in progress(len(cameras)):
+            for number in progress(range(len(cameras))):
                 yield number
                 for culled, other in zip(drawn[::2], drawn[1::2], strict=True):
                     culled.wrong_pixels += int(np.count_nonzero((culled.image != other.image).any(2)))

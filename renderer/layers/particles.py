@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading as sl
-from renderer.frame import Effect, Frame
+from renderer.frame import Effect, Frame, SceneLayer
 from renderer.frame.air import bind_fog
 from renderer.frame.passes import NEARER
 from renderer.scene.arrays import Floats, Rows
@@ -110,7 +110,7 @@ class FoggedParticles(ParticleShader):
         return sl.vec4(color.rgb * v.passing + v.fog * color.a, color.a)
 
 
-class Particles:
+class Particles(SceneLayer):
     """A layer that draws the particles of the simulated objects that were drawn.
 
     Attributes:
@@ -138,7 +138,7 @@ class Particles:
         targets, nearer = frame.targets, NEARER[frame.camera.projection.depth]
         with (
             device.event("particles"),
-            device.render_pass(targets.image, targets.depth),
+            device.render_pass(targets["image"], targets.depth),
             device.states(CullMode.NONE, DepthTest.ON, nearer, DepthWrite.OFF, BlendFunction.PREMULTIPLIED),
         ):
             device.draw(

@@ -75,6 +75,7 @@ class Lights:
         directional, point, spot: (k,) of `DIRECTIONAL`, `POINT`, `SPOT`; may be written to. A frame refuses what
             `add_…` would, and directions that aren't unit vectors (`scene-bad-light`).
         sky, ground: linear colours (3,) of the ambient hemisphere.
+        contents: the bytes of the lights of each kind, as of the last `refresh`; the same object while they are equal.
     """
 
     directional: NDArray[Any] = field(default_factory=lambda: np.zeros(0, DIRECTIONAL))
@@ -82,6 +83,13 @@ class Lights:
     spot: NDArray[Any] = field(default_factory=lambda: np.zeros(0, SPOT))
     sky: tuple[float, float, float] = (0.10, 0.12, 0.16)
     ground: tuple[float, float, float] = (0.05, 0.045, 0.04)
+    contents: tuple[bytes, bytes, bytes] = (b"", b"", b"")
+
+    def refresh(self) -> None:
+        """Find out whether lights have changed."""
+        contents = self.directional.tobytes(), self.point.tobytes(), self.spot.tobytes()
+        if contents != self.contents:
+            self.contents = contents
 
     def __len__(self) -> int:
         return len(self.directional) + len(self.point) + len(self.spot)

@@ -165,8 +165,8 @@ class Scene:
         return self.refresh()
 
     def refresh(self) -> Rows:
-        """Update transforms and bounds to nodes that have moved, and find materials that have changed; return the rows
-        of the objects whose transform was computed again.
+        """Update transforms and bounds to nodes that have moved, and find materials and lights that have changed;
+        return the rows of the objects whose transform was computed again.
 
         Raises:
             ValidationError `scene-bad-index`: `materials` was replaced by fewer than objects have.
@@ -175,6 +175,7 @@ class Scene:
             given, allowed = f"{len(self.materials)} materials", f"at least {self._last_material + 1}"
             refuse(rules.BAD_INDEX, "Scene.refresh", given, allowed)
         self._features.refresh(self.materials)
+        self.lights.refresh()
         for values, known in zip(self.parameters, self._known_parameters, strict=True):
             if values.tobytes() != known.tobytes():
                 known[:] = values

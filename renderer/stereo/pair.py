@@ -81,11 +81,11 @@ class EyePair:
         view, targets: those of the right eye. image: what is shown.
     """
 
-    def __init__(self, device: Device, stereo: Stereo, size: tuple[int, int], left: View) -> None:
+    def __init__(self, device: Device, stereo: Stereo, size: tuple[int, int], left: View, scale: float = 1.0) -> None:
         self.stereo = stereo
         with ExitStack() as made:
             self.image: Texture = made.enter_context(device.texture(size, IMAGE_FORMAT, label="both eyes"))
-            self.targets = Targets(device, fit_picture(stereo.output, size))
+            self.targets = Targets(device, fit_picture(stereo.output, size), scale)
             made.callback(self.targets.destroy)
             self.view = View(device, "right eye", left.visibility, left.batch)
             made.callback(self.view.destroy)

@@ -139,7 +139,7 @@ class Reprojector:
 
     def move_picture(self, left: Targets, right: Targets) -> None:
         """Draw the right eye's picture. The left eye's depth stays in `depth`."""
-        size, sources, image = right.size, (left.depth, left.image), right.image
+        size, sources, image = right.size, (left.depth, left["image"]), right["image"]
         depth, picture, moved = (words.fit(size) for words in (self.depth, self.picture, self.moved))
 
         def issue(encoder: Encoder) -> None:

@@ -180,6 +180,7 @@ def describe_status(stage: ViewerStage) -> str:
     place = ",".join(f"{value:.6g}" for value in (*eye, *ahead))
     device, worked = stage.renderer.device.backend_name, f"{1e3 * stage.counter.processor:.1f} ms of processors"
     rate = f"{stage.counter.describe()}, {worked} a frame"
+    rate = rate if stage.budget is None else f"{rate}, {stage.budget.describe()}"
     return f"{rate}, {stage.look.describe()} on {device}, camera {place}, {stage.seconds:.2f} s"
 
 

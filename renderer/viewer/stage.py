@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from time import process_time
+from time import perf_counter, process_time
 from typing import Any, Final
 
 import numpy as np
@@ -21,6 +21,7 @@ from renderer.renderer import FrameResult, Renderer
 from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Scene, Shot
 from renderer.scene.arrays import Floats
 from renderer.stereo import fit_picture
+from renderer.viewer.budget import FrameBudget
 from renderer.viewer.look import Configurator, Look, OriginalState
 from renderer.viewer.picking import Hit, Ray, find_hit
 from renderer.viewer.reasons import explain_drawn
@@ -56,6 +57,7 @@ class ViewerStage:
         seconds: the scene's time. is_paused: whether that stands still.
         replay: the walk-through that is shown, if any. hit, told: what was picked, and lines about it.
         folder: below which commands write; None: wherever they are told.
+        budget: what chooses the settings of frames, if anything does; others end it.
     """
 
     def __init__(
@@ -82,6 +84,7 @@ class ViewerStage:
         self.told: list[str] = []
         self._say = say
         self.folder: Path | None = None
+        self.budget: FrameBudget | None = None
         self._latest: CameraPath | None = None
         self._recorder: tuple[CameraRecorder, Path] | None = None
         self._result: FrameResult | None = None
@@ -312,7 +315,34 @@ class ViewerStage:
             if self.recorded >= LONGEST:
                 self._say(self.end_recording(), False)
         self.counter.add(now, process_time())
-        return self._render(camera)
+        began = perf_counter()
+        result = self._render(camera)
+        if self.budget is not None:
+            self._follow(self.budget, began)
+        return result
+
+    def keep_budget(self, budget: FrameBudget) -> None:
+        """Let a budget choose the settings of frames from now on.
+
+        Raises:
+            ValidationError: what refuses the settings that it begins with.
+        """
+        self.change(settings=budget.settings)
+        self.budget = budget
+
+    def _follow(self, budget: FrameBudget, began: float) -> None:
+        """Wait for the frame that was begun at a time of the clock, and change the settings if the budget asks for
+        it."""
+        if self.look.settings != budget.settings:
+            self.budget = None
+            self._say("the budget is given up, since settings were changed", False)
+        elif not self.renderer.is_trying:
+            self.renderer.device.finish()
+            if budget.note(1e3 * (perf_counter() - began)):
+                try:
+                    self.change(settings=budget.settings)
+                except RhiError as error:
+                    self._say(rules.describe(error), True)
 
     def capture(self, frames: int) -> list[CapturedFrame]:
         """Draw frames from where the camera is and from the scene's time on, and return their times."""

@@ -301,6 +301,8 @@ class Viewer:
     def _describe(self) -> Shown:
         stage = self.stage
         words = [stage.counter.describe(), stage.look.describe()]
+        if stage.budget is not None:
+            words.append(stage.budget.describe())
         if stage.is_recording:
             words.append(f"recording {stage.recorded:.0f} s")
         if stage.replay is not None:

@@ -3,6 +3,7 @@
 - `device`: one device per backend and session. Tests leave it as they found it; after a failed test the next one gets a
   new device, so that a fault of one command doesn't show in the tests of others.
 - `fresh_device`: a device for tests that change it permanently.
+- `mesh`: a rectangle of `device` over the whole target.
 - `recording`: a device for tests that read the command stream.
 """
 
@@ -14,6 +15,7 @@ import pytest
 
 import rhi
 from rhi.conformance.plugin import FAILED, PROPERTY
+from rhi.conformance.shapes import rectangle
 from rhi.testing.plugin import get_backend_names
 
 
@@ -107,6 +109,13 @@ def device(shared_device: rhi.Device, recording_device: rhi.Device, route: str) 
     if route == "recorded":
         device.stream.clear()
     return device
+
+
+@pytest.fixture
+def mesh(device: rhi.Device) -> Iterator[rhi.Mesh]:
+    """A white rectangle over the whole target."""
+    with device.mesh(rectangle()) as mesh:
+        yield mesh
 
 
 @pytest.fixture

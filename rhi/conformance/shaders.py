@@ -25,21 +25,36 @@ class Shade(sl.Struct):
     color: sl.vec4
 
 
-class Colored(sl.Shader):
-    """Passes vertex positions and colors through."""
+class Shaded(sl.Shader):
+    """Half a shader: passes vertex positions and colors on to a fragment stage."""
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
+
+
+class Smooth(sl.Shader):
+    """Half a shader: draws the interpolated color that a vertex stage gives."""
 
     def fragment(self, v: Shade) -> sl.vec4:
         return v.color
 
 
-class Checkered(sl.Shader):
-    """Discards every other fragment."""
+class Positions(sl.Shader):
+    """Half a shader: passes vertex positions on."""
 
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
+    def vertex(self, v: Corner) -> Bare:
+        return Bare(clip=v.position)
+
+
+class Colored(Shaded):
+    """Passes vertex positions and colors through."""
+
+    def fragment(self, v: Shade) -> sl.vec4:
+        return v.color
+
+
+class Checkered(Shaded):
+    """Discards every other fragment."""
 
     def fragment(self, v: Shade) -> sl.vec4:
         at = sl.ivec2(sl.fragment_coordinate().xy)
@@ -48,13 +63,10 @@ class Checkered(sl.Shader):
         return v.color
 
 
-class Loads(sl.Shader):
+class Loads(Shaded):
     """Loads texels by integer coordinates."""
 
     source: sl.Texture2D
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> sl.vec4:
         return self.source.load(sl.ivec2(sl.fragment_coordinate().xy))
@@ -67,14 +79,18 @@ class FlatShade(sl.Struct):
     color: sl.Flat[sl.vec4]
 
 
-class FlatColored(sl.Shader):
+class Flat(sl.Shader):
+    """Half a shader: draws each primitive in the color that a vertex stage gives."""
+
+    def fragment(self, v: FlatShade) -> sl.vec4:
+        return v.color
+
+
+class FlatColored(Flat):
     """Draws each primitive in the color of its first vertex."""
 
     def vertex(self, v: Corner) -> FlatShade:
         return FlatShade(clip=v.position, color=v.color)
-
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
 
 class Tint(sl.Struct):
@@ -83,7 +99,7 @@ class Tint(sl.Struct):
     color: sl.vec4
 
 
-class Tinted(sl.Shader):
+class Tinted(Flat):
     """Draws everything in one uniform color."""
 
     tint: sl.Uniform[Tint]
@@ -91,20 +107,14 @@ class Tinted(sl.Shader):
     def vertex(self, v: Corner) -> FlatShade:
         return FlatShade(clip=v.position, color=self.tint.color)
 
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
-
-class Weighted(sl.Shader):
+class Weighted(Flat):
     """A color from storage."""
 
     weights: sl.Storage[sl.vec4]
 
     def vertex(self, v: Corner) -> FlatShade:
         return FlatShade(clip=v.position, color=self.weights[0])
-
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
 
 class UintColored(sl.Shader):
@@ -134,11 +144,8 @@ class DepthColor(sl.Struct):
     depth: sl.FragmentDepth
 
 
-class DepthFromColor(sl.Shader):
+class DepthFromColor(Shaded):
     """Writes the red channel as depth."""
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> DepthColor:
         return DepthColor(color=v.color, depth=v.color.x)

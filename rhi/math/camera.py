@@ -1,20 +1,22 @@
 """Cameras: views and frustums, in float64.
 
 The world is right-handed, view space looks along -Z with +Y up, vectors are columns (`matrix @ vector`).
-A camera is an immutable value.
+A camera is an immutable value, so what follows from it is computed once, in arrays that can't be written to.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cached_property
 from math import cos, sin
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rhi.math.projections import Depth, Perspective, Projection, check_camera
-from rhi.math.transforms import Floats
+from rhi.math.transforms import Floats, keep
 
 
 class FrustumPlane(IntEnum):
@@ -26,6 +28,13 @@ class FrustumPlane(IntEnum):
     TOP = 3
     NEAR = 4
     FAR = 5
+
+
+_FACES: Final = {
+    Depth.REVERSED: np.array([(1, 0, 0, 1), (-1, 0, 0, 1), (0, 1, 0, 1), (0, -1, 0, 1), (0, 0, -1, 1), (0, 0, 1, 0)]),
+    Depth.STANDARD: np.array([(1, 0, 0, 1), (-1, 0, 0, 1), (0, 1, 0, 1), (0, -1, 0, 1), (0, 0, 1, 0), (0, 0, -1, 1)]),
+}
+"""What the rows of a clip matrix are multiplied by, and added up, to give the planes of its volume."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -40,15 +49,14 @@ class Frustum:
     @classmethod
     def from_matrix(cls, matrix: ArrayLike, depth: Depth = Depth.REVERSED) -> Frustum:
         """Extract the planes of a clip matrix (4, 4) from its rows (Gribb and Hartmann, 2001)."""
-        x, y, z, w = np.asarray(matrix, np.float64)
-        ends = (w - z, z) if depth is Depth.REVERSED else (z, w - z)
-        rows = np.stack([w + x, w - x, w + y, w - y, *ends])
-        length = np.linalg.norm(rows[:, :3], axis=1)
-        faces = length > 0.0  # an infinite far plane has no normal
-        return cls(rows[faces] / length[faces, None])
+        rows = _FACES[depth] @ np.asarray(matrix, np.float64)
+        length = np.sqrt((rows[:, :3] ** 2).sum(axis=1))
+        if not length.all():  # an infinite far plane has no normal
+            rows, length = rows[length > 0.0], length[length > 0.0]
+        return cls(rows / length[:, None])
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class Camera:
     """A position, an orientation, and a lens.
 
@@ -84,45 +92,45 @@ class Camera:
         right = _normalised(right)
         return cls(eye, np.stack([right, np.cross(back, right), back]), projection or Perspective())
 
-    @property
+    @cached_property
     def right(self) -> Floats:
         """The unit vector (3,) to the camera's right."""
-        return np.array(self.rotation[0])
+        return keep(np.array(self.rotation[0]))
 
-    @property
+    @cached_property
     def forward(self) -> Floats:
         """The unit vector (3,) along which the camera looks."""
-        x, y, z = self.rotation[2]
-        return np.array([-x, -y, -z])
+        return keep(-self.rotation[2])
 
-    @property
+    @cached_property
     def view(self) -> Floats:
         """The matrix (4, 4) float64 from world space to view space."""
-        m = np.eye(4)
-        m[:3, :3] = self.rotation
+        m = self._turn()
         m[:3, 3] = -(self.rotation @ self.position)
-        return m
+        return keep(m)
 
-    @property
+    @cached_property
     def view_projection(self) -> Floats:
         """The matrix (4, 4) float64 from world space to clip space."""
-        return self.projection.matrix @ self.view
+        return keep(self.projection.matrix @ self.view)
 
-    @property
+    @cached_property
     def relative_view_projection(self) -> NDArray[np.float32]:
         """The matrix (4, 4) float32 that shaders use: from world axes with the eye as origin to clip space."""
-        m = np.eye(4)
-        m[:3, :3] = self.rotation
-        return (self.projection.matrix @ m).astype(np.float32)
+        return keep((self.projection.matrix @ self._turn()).astype(np.float32))
 
-    @property
+    @cached_property
     def frustum(self) -> Frustum:
         """The visible volume in world space."""
-        m = np.eye(4)
-        m[:3, :3] = self.rotation
-        planes = Frustum.from_matrix(self.projection.matrix @ m, self.projection.depth).planes
+        planes = Frustum.from_matrix(self.projection.matrix @ self._turn(), self.projection.depth).planes
         planes[:, 3] -= planes[:, :3] @ self.position  # after normalising: no loss far from the origin
-        return Frustum(planes)
+        return Frustum(keep(planes))
+
+    def _turn(self) -> Floats:
+        m = np.zeros((4, 4))
+        m[:3, :3] = self.rotation
+        m[3, 3] = 1.0
+        return m
 
     def with_projection(self, projection: Projection) -> Camera:
         """Return the same camera with another projection."""
@@ -130,7 +138,8 @@ class Camera:
 
     def with_aspect(self, aspect: float) -> Camera:
         """Return the same camera for an image of width / height = `aspect`."""
-        return replace(self, projection=self.projection.with_aspect(aspect))
+        projection = self.projection.with_aspect(aspect)
+        return self if projection is self.projection else self.with_projection(projection)
 
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) -> Floats:
@@ -139,7 +148,7 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) 
     Raises:
         ValidationError: `camera-bad-value` if the eye is the target, or for numbers that aren't finite.
     """
-    return Camera.look_at(eye, target, up).view
+    return Camera.look_at(eye, target, up).view.copy()
 
 
 def orbit(target: ArrayLike, distance: float, yaw: float = 0.0, pitch: float = 0.0) -> Floats:
@@ -156,7 +165,7 @@ def orbit(target: ArrayLike, distance: float, yaw: float = 0.0, pitch: float = 0
     """
     check_camera("orbit(distance=...)", distance, 0.0 < distance < np.inf, "above 0, finite")
     turned = find_heading(yaw, -pitch)
-    return Camera(np.asarray(target, np.float64) + distance * turned[2], turned, Perspective()).view
+    return Camera(np.asarray(target, np.float64) + distance * turned[2], turned, Perspective()).view.copy()
 
 
 def find_heading(yaw: float, pitch: float) -> Floats:

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
 from rhi.errors import refuse
 from rhi.errors.rules import CAMERA_VALUE
-from rhi.math.transforms import Floats
+from rhi.math.transforms import Floats, keep
 
 
 class Depth(Enum):
@@ -46,7 +47,7 @@ class Projection(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Perspective:
     """A perspective lens: vertical field of view in radians, distances in metres; `far` may be infinite."""
 
@@ -63,7 +64,7 @@ class Perspective:
         check_camera("Perspective(near=...)", self.near, 0.0 < self.near < np.inf, "above 0, finite")
         check_camera("Perspective(far=...)", self.far, self.near < self.far, f"above near={self.near}; may be inf")
 
-    @property
+    @cached_property
     def matrix(self) -> Floats:
         """The matrix (4, 4) float64 from view space to clip space."""
         focal = 1.0 / np.tan(0.5 * self.fov)
@@ -74,14 +75,14 @@ class Perspective:
             m[2, 2], m[2, 3] = (0.0, near) if np.isinf(far) else (near / (far - near), near * far / (far - near))
         else:
             m[2, 2], m[2, 3] = (-1.0, -near) if np.isinf(far) else (far / (near - far), near * far / (near - far))
-        return m
+        return keep(m)
 
     def with_aspect(self, aspect: float) -> Perspective:
         """Return the same lens for an image of width / height = `aspect`."""
-        return replace(self, aspect=aspect)
+        return self if aspect == self.aspect else replace(self, aspect=aspect)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Orthographic:
     """A parallel lens: `height` of the image in metres; `near` may be 0 or negative."""
 
@@ -97,15 +98,15 @@ class Orthographic:
         check_camera("Orthographic(near=...)", self.near, bool(np.isfinite(self.near)), "finite")
         check_camera("Orthographic(far=...)", self.far, self.near < self.far < np.inf, "above near, finite")
 
-    @property
+    @cached_property
     def matrix(self) -> Floats:
         """The matrix (4, 4) float64 from view space to clip space."""
         x, y = 0.5 * (self.height * self.aspect), 0.5 * self.height
-        return _project_box(-x, x, -y, y, self.near, self.far, self.depth)
+        return keep(_project_box(-x, x, -y, y, self.near, self.far, self.depth))
 
     def with_aspect(self, aspect: float) -> Orthographic:
         """Return the same lens for an image of width / height = `aspect`."""
-        return replace(self, aspect=aspect)
+        return self if aspect == self.aspect else replace(self, aspect=aspect)
 
 
 def perspective(
@@ -123,7 +124,7 @@ def perspective(
     Raises:
         ValidationError: `camera-bad-value` for a value out of its range.
     """
-    return Perspective(fov, aspect, near, far, depth).matrix
+    return Perspective(fov, aspect, near, far, depth).matrix.copy()
 
 
 def orthographic(

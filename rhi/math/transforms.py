@@ -6,13 +6,20 @@ that no caller loops over objects.
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats: TypeAlias = NDArray[np.float64]
 """Coordinates, sizes and matrices in float64."""
+A = TypeVar("A", bound=NDArray[Any])
+
+
+def keep(array: A) -> A:
+    """Return an array, which can't be written to any more."""
+    array.setflags(write=False)
+    return array
 
 
 def translation(offset: ArrayLike) -> Floats:

@@ -69,13 +69,12 @@ def drawing_device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
         yield device
 
 
-@pytest.fixture(scope="module", params=_DRAWING)
-def device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
+@pytest.fixture(scope="module")
+def device(drawing_device: rhi.Device) -> rhi.Device:
     """A device of each backend that draws and computes, one per module."""
-    with open_device(request.param) as made:
-        if not (made.capabilities.renders and made.capabilities.compute):
-            pytest.skip(f"the {request.param} device draws nothing")
-        yield made
+    if not drawing_device.capabilities.compute:
+        pytest.skip(f"the {drawing_device.backend_name} device computes nothing")
+    return drawing_device
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 import rhi
@@ -14,7 +15,7 @@ from renderer.content import BUILT_IN
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, translation
 from renderer.techniques import Technique
-from renderer.visibility import make_visibility
+from renderer.visibility import find_obstacle, make_visibility
 
 SIZE = (48, 32)
 EYE = Camera.look_at((0, 0, 10), (0, 0, 0))
@@ -52,6 +53,12 @@ def open_renderer(
     with Renderer(device, scene, technique=technique, visibility=algorithm, size=size, **options) as renderer:
         yield renderer
     algorithm.destroy()
+
+
+def need_algorithm(device: rhi.Device, name: str) -> None:
+    """Skip the test if the device can't run this visibility algorithm."""
+    if (obstacle := find_obstacle(name, device)) is not None:
+        pytest.skip(obstacle)
 
 
 def find_eye(scene: Scene) -> Camera:
@@ -109,6 +116,18 @@ def count_draws(device: rhi.Device, scene: Scene, *given: Any, **options: Any) -
     """Return the number of render passes and of draw calls in a frame."""
     stream = record(device, scene, *given, **options)
     return len(stream.filter(rhi.Op.BEGIN_PASS)), len(stream.draws())
+
+
+def list_owned(device: rhi.Device) -> tuple[list[rhi.Command], list[rhi.Command]]:
+    """Return the commands that made textures, buffers and vertex arrays, without the device's own streams, and those of
+    them whose object is still there."""
+    device.finish()
+    made = device.stream.filter(
+        (rhi.Op.CREATE_TEXTURE, rhi.Op.CREATE_BUFFER, rhi.Op.CREATE_VERTEX_ARRAY),
+        where=lambda c: c.failure is None and getattr(c["descriptor"], "usage", None) is not rhi.BufferUsage.STREAM,
+    )
+    gone = {command.values[0] for command in device.stream.filter(rhi.Op.DESTROY)}
+    return [*made], [command for command in made if command.values[0] not in gone]
 
 
 def list_passes(device: rhi.Device, scene: Scene, technique: Technique) -> list[str]:

@@ -1,4 +1,4 @@
-"""Refusals: which rule a call breaks."""
+"""Refusals: which rule a call breaks, and what a viewer says of a line."""
 
 from __future__ import annotations
 
@@ -14,3 +14,10 @@ def find_rule(call: Callable[[], object]) -> str:
     with pytest.raises(ValidationError) as refused:
         call()
     return refused.value.rule.id
+
+
+def find_fault(run: Callable[[str], tuple[str, bool]], line: str) -> str:
+    """Return what is said of a line, which has to be refused; `run` is that of a viewer."""
+    said, is_error = run(line)
+    assert is_error, said
+    return said

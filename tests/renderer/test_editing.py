@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from frames import SIZE, open_renderer, read_colors
+from frames import SIZE, need_algorithm, open_renderer, read_colors
 from numpy.typing import NDArray
 
 import rhi
@@ -14,7 +14,7 @@ from renderer.renderer import FrameResult, Renderer
 from renderer.scene import AlphaMode, Camera, ObjectHandle, Scene, SceneBuilder, rotation, scaling, translation
 from renderer.shadows import ShadowSettings
 from renderer.techniques import TECHNIQUES
-from renderer.visibility import ALGORITHMS, find_obstacle
+from renderer.visibility import ALGORITHMS
 from rhi import ValidationError
 
 EYE = Camera.look_at((0.0, 5.0, 11.0), (0.0, 0.5, 0.0)).with_aspect(SIZE[0] / SIZE[1])
@@ -136,8 +136,7 @@ def test_an_edited_scene_looks_as_one_that_is_built_anew(drawing_device: rhi.Dev
 
 @pytest.mark.parametrize("algorithm", [name for name in ALGORITHMS if name != "auto"])
 def test_each_algorithm_follows_edits(gl: rhi.Device, algorithm: str) -> None:
-    if (obstacle := find_obstacle(algorithm, gl)) is not None:
-        pytest.skip(obstacle)
+    need_algorithm(gl, algorithm)
     compare(gl, "forward", algorithm, 40, every=8, seed=2)
 
 

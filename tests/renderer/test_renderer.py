@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from frames import list_owned
 
 import rhi
 from renderer.content import load_scene
@@ -181,14 +182,9 @@ def test_a_size_that_is_refused_leaves_the_renderer_as_it_was(null: rhi.Device, 
 def test_everything_is_given_back(null: rhi.Device, city: Scene) -> None:
     with Renderer(null, city) as renderer:
         renderer.render(city.views["overview"])
-    null.finish()
-    made = null.stream.filter(
-        (Op.CREATE_TEXTURE, Op.CREATE_BUFFER),
-        where=lambda c: getattr(c["descriptor"], "usage", None) is not rhi.BufferUsage.STREAM,
-    )
-    gone = {command.values[0] for command in null.stream.filter(Op.DESTROY)}
+    made, left = list_owned(null)
     assert len(made) > 5
-    assert {command.values[0] for command in made} <= gone
+    assert left == []
 
 
 @pytest.mark.parametrize("failing", range(20))
@@ -197,13 +193,7 @@ def test_a_renderer_that_cannot_be_made_leaves_nothing(city: Scene, failing: int
     with rhi.create_device("null", faults=Faults(memory=failing)) as device:
         with pytest.raises(rhi.DeviceError), Renderer(device, city) as renderer:
             renderer.render(city.views["overview"])
-        device.finish()
-        made = device.stream.filter(
-            (Op.CREATE_TEXTURE, Op.CREATE_BUFFER),
-            where=lambda c: c.failure is None and getattr(c["descriptor"], "usage", None) is not rhi.BufferUsage.STREAM,
-        )
-        gone = {command.values[0] for command in device.stream.filter(Op.DESTROY)}
-        assert {command.values[0] for command in made} <= gone
+        assert list_owned(device)[1] == []
 
 
 def queries_left(device: rhi.Device) -> int:

@@ -40,6 +40,7 @@ OTHERS = RenderSettings(
     animation_step=0.25,
     animation_lag=2.0,
     reprojects=True,
+    scale=0.5,
 )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import json
+from codecs import BOM_UTF8
 from pathlib import Path
 from typing import Final, NoReturn
 from urllib.parse import unquote, urlsplit
@@ -31,6 +32,9 @@ EXTENSIONS: Final = {
 """The extensions that are read, and the kind of object of the file that uses each."""
 NOTED_IN_USE: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_")
 """The beginnings of extensions that the materials and textures which use them leave out, not the file."""
+
+PLAIN: Final = "export it without compression and other extensions, with textures as PNG or JPEG"
+"""The tip for files that need extensions which aren't read."""
 
 MAGIC: Final = b"glTF"
 JSON_CHUNK: Final = 0x4E4F534A
@@ -58,14 +62,14 @@ class GltfFile:
         self._binary: ByteArray | None = None
         content = _read_bytes(path, self.budget)
         text = content.tobytes() if content[:4].tobytes() != MAGIC else self._split(content)
+        if not text.removeprefix(BOM_UTF8).lstrip().startswith(b"{"):
+            _refuse(path, f"it begins with {text[:16]!r}", "a .glb, or a JSON object in UTF-8")
         try:
-            parsed = json.loads(text.decode("utf-8-sig"))
+            parsed = json.loads(text.decode("utf-8-sig").rstrip("\0"))  # some exporters pad with zeros
         except RecursionError:
             _refuse(path, "its JSON: too deep")
         except ValueError as error:  # of its encoding, its syntax, or a number
             _refuse(path, f"its JSON: {error}")
-        if not isinstance(parsed, dict):
-            _refuse(path, "its JSON isn't an object")
         self.root = JsonObject(path, "", parsed)
         self._check_version()
         self.views = self.root.children("bufferViews")
@@ -91,9 +95,11 @@ class GltfFile:
             elif number == 0 and self._binary is not None:
                 held = self._binary
             else:
-                fields.refuse("uri", "missing", "the buffer's file, or data:…;base64,…")
+                others = ", ".join(fields.child("extensions").values)  # such as EXT_meshopt_compression
+                given = f"missing, with {others}" if others else "missing"
+                fields.refuse("uri", given, "the buffer's file, or data:…;base64,…", PLAIN if others else "")
             if len(held) < length:
-                fields.refuse("byteLength", f"{length:,}, but there are {len(held):,} bytes")
+                fields.refuse("byteLength", f"{length:,}", f"{len(held):,}, the bytes that are there, or less")
             self._buffers[number] = held[:length]
         return self._buffers[number]
 
@@ -107,7 +113,7 @@ class GltfFile:
             try:
                 return np.frombuffer(base64.b64decode(data, validate=True), np.uint8)
             except ValueError as error:
-                fields.refuse("uri", f"{header}: {error}", "base64")
+                fields.refuse("uri", f"{error}: {header}", "base64")
         file = self.locate(uri)
         if file is None:
             fields.refuse("uri", uri, "a file's name, or data:…;base64,…")
@@ -148,7 +154,8 @@ class GltfFile:
         while at + 8 <= int(header[2]):
             length, kind = (int(value) for value in np.frombuffer(content[at : at + 8].tobytes(), "<u4"))
             if at + 8 + length > len(content):
-                _refuse(self.path, f"a chunk of {length:,} bytes at byte {at:,} of {len(content):,}")
+                allowed = f"{len(content) - at - 8:,} or less, padded to 4 bytes"
+                _refuse(self.path, f"a chunk of {length:,} bytes at byte {at:,}", allowed)
             chunks.append((kind, content[at + 8 : at + 8 + length]))
             at += 8 + length + -length % 4
         if not chunks or chunks[0][0] != JSON_CHUNK:
@@ -163,7 +170,7 @@ class GltfFile:
             asset.refuse("version", version, "2.0")
         needed = [name for name in self.names("extensionsRequired") if name not in EXTENSIONS]
         if needed:
-            self.root.refuse("extensionsRequired", ", ".join(needed), ", ".join(EXTENSIONS))
+            self.root.refuse("extensionsRequired", ", ".join(needed), ", ".join(EXTENSIONS), PLAIN)
 
     def names(self, field: str) -> list[str]:
         """Return a list of texts in the document."""

@@ -38,8 +38,9 @@ class JsonObject:
         """Return the place of the field `name` in the document."""
         return f"{self.where}.{name}" if self.where else name
 
-    def refuse(self, name: str, given: object, allowed: str = "") -> NoReturn:
-        """Refuse the file for what the field `name` holds; an empty name means the object itself."""
+    def refuse(self, name: str, given: object, allowed: str = "", tip: str = "") -> NoReturn:
+        """Refuse the file for what the field `name` holds; an empty name means the object itself. `tip` takes the place
+        of the rule's."""
         shown = given if isinstance(given, str) else repr(given)
         shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}…"
         place = self.place(name) if name else self.where
@@ -48,6 +49,7 @@ class JsonObject:
             f"load_model({self.file!r})",
             f"{self.file}: {place}: {shown}" if place else f"{self.file}: {shown}",
             allowed,
+            tip=tip,
         )
 
     def __contains__(self, name: str) -> bool:

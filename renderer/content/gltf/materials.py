@@ -36,6 +36,8 @@ WRAPS: Final = {10497: Wrap.REPEAT, 33071: Wrap.CLAMP, 33648: Wrap.MIRROR}
 
 _READ: Final = {name for name, user in EXTENSIONS.items() if user == "material"}
 _STRONGEST: Final = 1e6  # of emitted light
+_UNLIT: Final = 2.0**19  # times what an unlit material reflects of light, it emits; a power of two rounds nothing
+_DEFAULT: Final = {"base_color": (1.0, 1.0, 1.0), "metallic": 1.0, "roughness": 1.0}
 
 
 class Materials:
@@ -53,27 +55,30 @@ class Materials:
         self._textures = file.root.children("textures")
         self._samplers = [_read_sampler(fields) for fields in file.root.children("samplers")]
         self._ids: dict[int, int] = {}
-        self._default = -1
+        self._read_values: dict[int, tuple[dict[str, Any], dict[str, Any]]] = {-1: (_DEFAULT, {})}
+        self._found: dict[tuple[int, bool], int] = {}
 
-    def add_all(self) -> list[int]:
-        """Add all materials of the file, and the images that they use; return their ids."""
+    def add_all(self) -> None:
+        """Add all materials of the file, and the images that they use."""
         materials = self._file.root.children("materials")
         read = [self._read(fields) for fields in materials]
         self._add_images({given[0] for _, maps in read for given in maps.values()})
-        added = []
-        for values, maps in read:
+        for number, (values, maps) in enumerate(read):
             used = {name: (image, rest) for name, (image, rest) in maps.items() if image in self._ids}
-            textures: dict[str, Any] = {
-                name: TextureMap(self._ids[image], **rest) for name, (image, rest) in used.items()
-            }
-            added.append(self.builder.add_material(**values, **textures))
-        return added
+            textures = {name: TextureMap(self._ids[image], **rest) for name, (image, rest) in used.items()}
+            self._read_values[number] = values, textures
+            self.find(number)
 
-    def default(self) -> int:
-        """Return the id of the material of primitives that have none; it is added when it is first asked for."""
-        if self._default < 0:
-            self._default = self.builder.add_material(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=1.0)
-        return self._default
+    def find(self, number: int, is_unlit: bool = False) -> int:
+        """Return the id of a material of the file, or of the default one for -1; or of its unlit likeness. What isn't
+        there yet is added."""
+        key = number, is_unlit
+        if key not in self._found:
+            values, textures = self._read_values[number]
+            if is_unlit:
+                values, textures = _make_unlit(values), {name: textures[name] for name in textures.keys() & {"texture"}}
+            self._found[key] = self.builder.add_material(**values, **textures)
+        return self._found[key]
 
     def _read(self, fields: JsonObject) -> tuple[dict[str, Any], dict[str, tuple[int, dict[str, Any]]]]:
         """Return the arguments of `add_material`, and for each texture the image and how it is read."""
@@ -90,7 +95,7 @@ class Materials:
         maps: dict[str, tuple[int, dict[str, Any]]] = {}
         self._read_map(maps, "texture", pbr, "baseColorTexture")
         if fields.extension("KHR_materials_unlit") is not None:
-            return self._unlit(values, maps), maps
+            return _make_unlit(values), maps
         values["metallic"] = pbr.real("metallicFactor", 1.0, 0.0, 1.0)
         values["roughness"] = pbr.real("roughnessFactor", 1.0, 0.0, 1.0)
         self._read_map(maps, "metallic_roughness_texture", pbr, "metallicRoughnessTexture")
@@ -107,17 +112,6 @@ class Materials:
         self._read_map(maps, "emissive_texture", fields, "emissiveTexture")
         held = private(fields)
         return (values if held is None else _restore(held, values, maps)), maps
-
-    def _unlit(self, values: dict[str, Any], maps: dict[str, tuple[int, dict[str, Any]]]) -> dict[str, Any]:
-        """Turn a base colour into emitted light: nothing is reflected, and the base colour's alpha stays."""
-        color = values["base_color"]
-        if "texture" in maps:
-            maps["emissive_texture"] = maps["texture"]
-        return values | {
-            "base_color": (0.0, 0.0, 0.0, float(color[3])),
-            "specular_color": (0.0, 0.0, 0.0),
-            "emissive": tuple(color[:3].tolist()),
-        }
 
     def _read_map(self, maps: dict[str, tuple[int, dict[str, Any]]], name: str, holder: JsonObject, field: str) -> bool:
         """Note the texture that a field of `holder` describes under `name`, if it has that field."""
@@ -167,6 +161,19 @@ class Materials:
                 self.omissions.add(f"an image that can't be read ({pixels})", self._images[number].where)
             else:
                 self._ids[number] = self.builder.add_image(pixels)
+
+
+def _make_unlit(values: dict[str, Any]) -> dict[str, Any]:
+    """Return a material that emits its base colour. Textures and colours of vertices multiply the base colour, so it
+    is a small one that is emitted many times; what it reflects can't be seen."""
+    if values.get("emission"):
+        return values
+    *color, alpha = (float(value) for value in values["base_color"])
+    return {name: values[name] for name in ("alpha_mode", "alpha_cutoff", "double_sided") if name in values} | {
+        "base_color": (*(value / _UNLIT for value in color), alpha),
+        "specular_color": (0.0, 0.0, 0.0),
+        "emission": _UNLIT,
+    }
 
 
 def _restore(held: JsonObject, values: dict[str, Any], maps: dict[str, tuple[int, dict[str, Any]]]) -> dict[str, Any]:

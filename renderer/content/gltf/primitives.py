@@ -1,4 +1,5 @@
-"""Triangles of glTF: primitives as meshes of the renderer.
+"""Primitives of glTF as meshes of the renderer: triangles, and the solids that points and lines become
+(`renderer.content.gltf.solids`).
 
 Two primitives with the same accessors are one mesh, whatever their materials. A primitive that uses less than half of
 the vertices of its accessors, as when many share one array, gets a copy of those that it uses. Missing normals are
@@ -15,23 +16,16 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.content.gltf.accessors import Accessors
+from renderer.content.gltf.container import PLAIN
 from renderer.content.gltf.document import JsonObject
-from renderer.scene.arrays import Rows
+from renderer.content.gltf.solids import LINES, POINT, SEGMENT, Solid, list_ends
+from renderer.scene.arrays import Floats, Rows
 from renderer.scene.meshes import VERTEX, MeshGeometry, compute_normals, vertex_format
 from renderer.scene.omissions import Omissions
 from rhi.errors import refuse
 
 TRIANGLES: Final = 4
 _STRIP: Final = 5
-_MODES: Final = (
-    "points",
-    "lines",
-    "line loops",
-    "line strips",
-    "triangles",
-    "triangle strips",
-    "triangle fans",
-)
 
 ATTRIBUTES: Final = {
     "POSITION": ("position", ("VEC3",)),
@@ -65,20 +59,23 @@ class Primitives:
         self.accessors, self.omissions = accessors, omissions
         self._shapes: dict[object, PrimitiveMesh | None] = {}
 
-    def has_triangles(self, primitive: JsonObject) -> bool:
-        """Return whether a primitive consists of triangles; one that doesn't is noted as left out."""
-        mode = primitive.whole("mode", TRIANGLES, 0, 6)
-        if mode >= TRIANGLES and "POSITION" in primitive.child("attributes"):
+    def has_positions(self, primitive: JsonObject) -> bool:
+        """Return whether a primitive has positions; one that doesn't is noted as left out."""
+        if "POSITION" in primitive.child("attributes"):
             return True
-        self.omissions.add(_MODES[mode] if mode < TRIANGLES else "primitives without positions", primitive.where)
+        self.omissions.add("primitives without positions", primitive.where)
         return False
+
+    def is_unlit(self, primitive: JsonObject) -> bool:
+        """Return whether a primitive isn't lit, whatever its material: glTF's points and lines without normals."""
+        return self._mode(primitive) < TRIANGLES and "NORMAL" not in primitive.child("attributes")
 
     def key(self, primitive: JsonObject) -> object:
         """Return what identifies the triangles of a primitive: its accessors and its mode."""
         attributes = primitive.child("attributes")
         count = len(self.accessors)
         used = [(name, attributes.index(name, count, needed=True)) for name in sorted(attributes.values)]
-        return (tuple(used), primitive.index("indices", count), primitive.whole("mode", TRIANGLES, 0, 6))
+        return (tuple(used), primitive.index("indices", count), self._mode(primitive))
 
     def read(self, primitive: JsonObject) -> PrimitiveMesh | None:
         """Return the triangles of a primitive, or None if it has none."""
@@ -88,8 +85,11 @@ class Primitives:
         return self._shapes[key]
 
     def _read(self, primitive: JsonObject) -> PrimitiveMesh | None:
-        mode = primitive.whole("mode", TRIANGLES, 0, 6)
+        mode = self._mode(primitive)
         attributes = primitive.child("attributes")
+        packed = primitive.extension("KHR_draco_mesh_compression")
+        if packed is not None and "bufferView" not in self.accessors.fields[self._number(attributes, "POSITION")]:
+            packed.refuse("", "the vertices are there only compressed", "also as accessors", PLAIN)
         for name in sorted(attributes.values.keys() - ATTRIBUTES.keys()):
             if name not in ("JOINTS_0", "WEIGHTS_0"):
                 self.omissions.add(f"vertex attribute {name}", attributes.where)
@@ -102,6 +102,8 @@ class Primitives:
                 attributes.refuse(name, f"{len(column)} vertices", f"{count}, as many as positions")
         used = self._corners(primitive, count)
         self.accessors.file.budget.spend("vertices", count + len(used))
+        if mode < TRIANGLES:
+            return self._make_solids(primitive, columns, list_ends(used, mode), SEGMENT if mode >= LINES else POINT)
         corners = _list_triangles(used, mode)
         if not len(corners):
             self.omissions.add("primitives without a triangle", primitive.where)
@@ -114,9 +116,27 @@ class Primitives:
             rows, corners = _used_rows(corners.reshape(-1), count)
         return PrimitiveMesh(self._assemble(attributes, columns, rows, corners), rows)
 
+    def _make_solids(
+        self, primitive: JsonObject, columns: dict[str, NDArray[np.float32]], ends: NDArray[np.uint32], solid: Solid
+    ) -> PrimitiveMesh | None:
+        """Return the solids of points or lines with these `ends`, or None if there are none."""
+        if not len(ends):
+            self.omissions.add("primitives without a line", primitive.where)
+            return None
+        self.accessors.file.budget.spend("vertices", solid.size * len(ends))
+        rows, corners, outward, radius = solid.place(columns["POSITION"], ends)
+        indices = corners.reshape(-1).astype(np.uint32)
+        geometry = self._assemble(primitive.child("attributes"), columns, rows, indices, outward, radius)
+        return PrimitiveMesh(geometry, rows)
+
+    def _mode(self, primitive: JsonObject) -> int:
+        return primitive.whole("mode", TRIANGLES, 0, 6)
+
     def _column(self, attributes: JsonObject, name: str, types: tuple[str, ...]) -> NDArray[np.float32]:
-        number = attributes.index(name, len(self.accessors), needed=True)
-        return self.accessors.floats(number, types)
+        return self.accessors.floats(self._number(attributes, name), types)
+
+    def _number(self, attributes: JsonObject, name: str) -> int:
+        return attributes.index(name, len(self.accessors), needed=True)
 
     def _corners(self, primitive: JsonObject, count: int) -> NDArray[np.uint32]:
         """Return the indices of a primitive, all of which are below `count`."""
@@ -135,8 +155,14 @@ class Primitives:
         columns: dict[str, NDArray[np.float32]],
         rows: Rows,
         corners: NDArray[np.uint32],
+        outward: Floats | None = None,
+        radius: float = 0.0,
     ) -> MeshGeometry:
+        """Return the mesh of the vertices of these `rows`: those of solids are moved `outward` (v, 3) by `radius`."""
         position = columns["POSITION"][rows]
+        if outward is not None:
+            with np.errstate(over="ignore"):
+                position = (position + radius * outward).astype(np.float32)
         finite = np.isfinite(position).all(1)
         if not finite.all():
             worst = int(rows[np.argmin(finite)])
@@ -149,7 +175,10 @@ class Primitives:
         more = {ATTRIBUTES[name][0] for name in columns} - set(VERTEX.names or ())
         vertices: NDArray[Any] = np.zeros(len(rows), vertex_format(more))
         vertices["position"] = position
-        vertices["normal"] = self._normals(attributes, columns.get("NORMAL"), rows, position, corners)
+        if outward is not None and "NORMAL" not in columns:
+            vertices["normal"] = outward
+        else:
+            vertices["normal"] = self._normals(attributes, columns.get("NORMAL"), rows, position, corners)
         for name, column in columns.items():
             if name not in ("POSITION", "NORMAL"):
                 vertices[ATTRIBUTES[name][0]] = self._finite(attributes, name, column[rows])

@@ -58,9 +58,9 @@ def add_gltf(builder: SceneBuilder, path: str, budget: Budget | None = None) -> 
     reader = _GltfReader(builder, file)
     before = builder.object_count
     reader.add_all()
-    if builder.object_count == before:
+    if builder.object_count == before and (reason := reader.explain_emptiness()):
         others = "; ".join(map(str, builder.omissions))
-        given = f"{path}: {reader.explain_emptiness()}"
+        given = f"{path}: {reason}"
         refuse(rules.EMPTY_MODEL, f"load_model({path!r})", f"{given}, with {others}" if others else given)
     builder.files += file.files
     return reader.surroundings
@@ -68,7 +68,7 @@ def add_gltf(builder: SceneBuilder, path: str, budget: Budget | None = None) -> 
 
 @dataclass(frozen=True, slots=True)
 class _GltfPart:
-    """A primitive of a mesh `holder` of the file, its mesh in the scene, and its material or -1."""
+    """A primitive of a mesh `holder` of the file, its mesh in the scene, and its material in the file or -1."""
 
     holder: JsonObject
     primitive: JsonObject
@@ -90,6 +90,7 @@ class _GltfReader:
         self._materials = Materials(file, builder, builder.omissions)
         self._primitives = Primitives(self._accessors, builder.omissions)
         self._meshes: list[list[_GltfPart]] = []  # of each mesh of the file
+        self._has_nodes = False
 
     def add_all(self) -> None:
         for name in self._file.names("extensionsUsed"):
@@ -97,6 +98,7 @@ class _GltfReader:
                 self._omissions.add(name, "extensionsUsed")
         self._add_meshes()
         nodes = list_nodes(self._root, self._omissions)
+        self._has_nodes = bool(nodes)
         tracks = read_tracks(self._root, self._accessors, self._omissions, self._builder.clips)
         worlds = find_worlds(nodes)
         tree = NodeTree.make(nodes, make_motion(nodes, tracks, self._omissions, self._builder.clips))
@@ -105,25 +107,26 @@ class _GltfReader:
         self._add_lights(nodes, worlds, tree.moves)
 
     def explain_emptiness(self) -> str:
-        """Return why nothing of the file is drawn."""
+        """Return why nothing of the file is drawn; an empty text if it has only lights, cameras or empty nodes."""
         nodes, scenes = self._root.children("nodes"), self._root.children("scenes")
         if not self._meshes:
-            return "it has no meshes"
+            return "" if self._has_nodes else "it has no meshes, and its scene has no nodes"
         if not any(self._meshes):
-            return f"none of its {len(self._meshes)} meshes has a triangle"
+            return f"none of its {len(self._meshes)} meshes has a triangle, a line or a point"
         users = [node.where for node in nodes if "mesh" in node]
         if not users:
             return f"none of its {len(nodes)} nodes has one of its {len(self._meshes)} meshes"
         drawn = f"scenes[{max(self._root.index('scene', len(scenes)), 0)}]" if scenes else "its scene"
-        return f"{users[0]} has a mesh, but {drawn} has no node whose mesh has a triangle"
+        return f"{users[0]} has a mesh, but {drawn} has no node whose mesh is drawn"
 
     def _add_meshes(self) -> None:
         """Add the materials and the meshes of the file, a mesh for each set of accessors."""
-        ids = self._materials.add_all()
+        self._materials.add_all()
+        count = self._root.length("materials")
         reader = self._primitives
         meshes = self._root.children("meshes")
         parts = [
-            [primitive for primitive in mesh.children("primitives") if reader.has_triangles(primitive)]
+            [primitive for primitive in mesh.children("primitives") if reader.has_positions(primitive)]
             for mesh in meshes
         ]
         firsts: dict[object, tuple[int, int, JsonObject, str]] = {}
@@ -148,9 +151,9 @@ class _GltfReader:
         for mesh, primitives in zip(meshes, parts, strict=True):
             found = []
             for primitive in primitives:
-                material = primitive.index("material", len(ids))
+                material = primitive.index("material", count)
                 if (mesh_id := made.get(reader.key(primitive), -1)) >= 0:
-                    found.append(_GltfPart(mesh, primitive, mesh_id, ids[material] if material >= 0 else -1))
+                    found.append(_GltfPart(mesh, primitive, mesh_id, material))
             self._meshes.append(found)
 
     def _add_nodes(self, tree: NodeTree, tracks: Tracks) -> None:
@@ -183,7 +186,7 @@ class _GltfReader:
                     at = row if change.skeleton is None else change.skeleton.anchor
                     if change.is_animated:
                         deformed.append((len(objects), change))
-                material = part.material if part.material >= 0 else self._materials.default()
+                material = self._materials.find(part.material, self._primitives.is_unlit(part.primitive))
                 objects.append((at, geometry, material))
                 if tree.motion is not None and geometry not in bounds:
                     bounds[geometry] = self._builder.mesh_bounds(geometry)

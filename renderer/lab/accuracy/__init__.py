@@ -5,6 +5,7 @@ from renderer.lab.accuracy.choice import FrontPoint as FrontPoint
 from renderer.lab.accuracy.choice import choose as choose
 from renderer.lab.accuracy.choice import find_choices as find_choices
 from renderer.lab.accuracy.choice import find_front as find_front
+from renderer.lab.accuracy.choice import leave_to_trials as leave_to_trials
 from renderer.lab.accuracy.jobs import SweepJob as SweepJob
 from renderer.lab.accuracy.jobs import keep_front as keep_front
 from renderer.lab.accuracy.jobs import list_jobs as list_jobs

@@ -130,11 +130,7 @@ FLOAT64: Final = Truth("float64", is_float64=True)
 TRACED: Final = Truth("rays in float64, 16 a pixel", rays=4)
 SUPER_SAMPLED: Final = replace(
     TRACED,
-    changes={
-        "technique.samples": 1,
-        "technique.fxaa": False,
-        "textures": TextureSettings(anisotropy=16.0),
-    },
+    changes={"technique.samples": 1, "technique.fxaa": False, "textures": TextureSettings(anisotropy=16.0)},
     scale=4,
 )
 FORWARD: Final = replace(TRACED, changes={"technique.name": "forward"})
@@ -201,6 +197,14 @@ KNOBS: Final[dict[str, Knob]] = {
             "technique.samples",
             _same(1, 2, 4, 8),
             "only forward shading has more than one",
+            truth=SUPER_SAMPLED,
+        ),
+        _picture(
+            "scale",
+            "the size at which frames are drawn, in that of the image",
+            "scale",
+            _same(0.25, 0.5, 0.75, 1.0, 2.0),
+            "what is smaller than a pixel that is drawn can't be shown",
             truth=SUPER_SAMPLED,
         ),
         _picture(

@@ -21,17 +21,7 @@ from renderer.lab.exam.scenes import look, show_something
 from renderer.lab.measure.judge import Judge
 from renderer.lab.measure.judge.picture import unmap_tones
 from renderer.lab.measure.judge.surfaces import decode_srgb
-from renderer.scene import (
-    AlphaMode,
-    Camera,
-    Fog,
-    Orthographic,
-    Scene,
-    SceneBuilder,
-    TextureMap,
-    scaling,
-    translation,
-)
+from renderer.scene import AlphaMode, Camera, Fog, Orthographic, Scene, SceneBuilder, TextureMap, scaling, translation
 from renderer.scene.arrays import Floats
 from renderer.settings import RenderSettings
 from rhi import Device, SamplerDescriptor

@@ -29,7 +29,7 @@ class OffAxis:
     @property
     def matrix(self) -> Floats:
         """The matrix (4, 4) float64 from view space to clip space."""
-        m = self.lens.matrix
+        m = self.lens.matrix.copy()
         m[:2, 2] = self.shift
         return m
 

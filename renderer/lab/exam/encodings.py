@@ -43,6 +43,7 @@ from renderer.shaders.encodings import (
     find_bitangent,
     material_depth,
 )
+from renderer.shadows.maps import FarDepth
 from renderer.techniques.parts.full_screen import find_rays
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format
 
@@ -204,12 +205,8 @@ class MaterialDepth(sl.Struct):
     depth: sl.FragmentDepth
 
 
-class MaterialOfPixel(sl.Shader):
+class MaterialOfPixel(FarDepth):
     """Writes the depth of material x + 256 y."""
-
-    def vertex(self) -> sl.vec4:
-        corner = sl.vertex_index()
-        return sl.vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
 
     def fragment(self) -> MaterialDepth:
         pixel = sl.ivec2(sl.fragment_coordinate().xy)
@@ -316,10 +313,7 @@ def find_places(device: Device) -> Found:
             error = find_largest(error, float(along.max()))
             widest = find_largest(widest, float(across.max()))
         numbers[f"{lens}: along, at most"] = float(along.max())
-    holds = {
-        f"across, it is at most {ACROSS} pixels": widest <= ACROSS,
-        "standard depth loses what is far": lost > 0.5,
-    }
+    holds = {f"across, it is at most {ACROSS} pixels": widest <= ACROSS, "standard depth loses what is far": lost > 0.5}
     return Found(error, {**numbers, "across": widest}, holds)
 
 

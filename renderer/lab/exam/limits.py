@@ -21,11 +21,12 @@ from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, SceneBuilder, Stepwise, scaling, translation
 from renderer.scene.arrays import Rows
 from renderer.scene.cloth import Cloths, Fabric, Gust, Wind, make_sheet
+from renderer.shadows.maps import FarDepth
 from renderer.techniques import TECHNIQUES
-from renderer.visibility import FrustumCulling, NoCulling, find_visible, list_algorithms, make_visibility
+from renderer.visibility import FrustumCulling, NoCulling, find_visible, list_algorithms
 from rhi import CullMode, Device, Format, create_device
 from rhi.math import multiply
-from rhi.shading import Shader, fragment_coordinate, vec4, vertex_index
+from rhi.shading import fragment_coordinate, vec4
 
 _YEARS: Final = 1e8
 _MANY_FRAMES: Final = 100_000
@@ -89,12 +90,8 @@ def wave_for_years(_: Device) -> Found:
     return Found(error, numbers, holds)
 
 
-class ShowPixel(Shader):
+class ShowPixel(FarDepth):
     """Writes the coordinate of each pixel's middle."""
-
-    def vertex(self) -> vec4:
-        corner = vertex_index()
-        return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
 
     def fragment(self) -> vec4:
         return vec4(fragment_coordinate().xy, 0.0, 1.0)
@@ -120,10 +117,8 @@ def draw_wide(device: Device) -> Found:
     with Uncut(device, city, along("ground", 600)(city), (width, 2)) as uncut:
         for name in ("frustum", "two_pass"):
             if name in list_algorithms(device):
-                algorithm = make_visibility(name, city, device)
-                numbers[f"{width} × 2, {name}"] = wrong = sum(uncut.count_wrong_pixels(algorithm))
+                numbers[f"{width} × 2, {name}"] = wrong = sum(uncut.try_algorithm(name))
                 total += wrong
-                algorithm.destroy()
         colors = len(np.unique(uncut.frames[0].reshape(-1, 4), axis=0))
     return Found(total, numbers, {"there is something to see": colors > 50})
 

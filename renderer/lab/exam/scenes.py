@@ -19,7 +19,7 @@ from renderer.content.shapes import box, sphere
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Orthographic, Perspective, Scene, SceneBuilder
 from renderer.scene.arrays import Floats
-from renderer.visibility import NoCulling, VisibilityAlgorithm
+from renderer.visibility import NoCulling, VisibilityAlgorithm, VisibilitySettings, make_visibility
 from rhi import Device
 from rhi.math import multiply, scaling, translation
 
@@ -111,6 +111,13 @@ class Uncut:
         """Count the pixels of each frame that differ."""
         pairs = zip(self.draw(algorithm), self.frames, strict=True)
         return [int((given != expected).any(2).sum()) for given, expected in pairs]
+
+    def try_algorithm(self, name: str, **settings: Any) -> list[int]:
+        """Count the pixels of each frame that differ with an algorithm, which is made for this alone."""
+        algorithm = make_visibility(name, self.scene, self._renderer.device, VisibilitySettings(**settings))
+        wrong = self.count_wrong_pixels(algorithm)
+        algorithm.destroy()
+        return wrong
 
     def __enter__(self) -> Uncut:
         return self

@@ -10,16 +10,7 @@ import numpy as np
 
 from renderer.lab.exam.case import Case, Found, Picture
 from renderer.lab.exam.late import late_answers
-from renderer.lab.exam.scenes import (
-    IMAGES,
-    SIZE,
-    CullingImage,
-    Uncut,
-    along,
-    draw_with,
-    make_city,
-    teleport,
-)
+from renderer.lab.exam.scenes import IMAGES, SIZE, CullingImage, Uncut, along, draw_with, make_city, teleport
 from renderer.renderer import Renderer
 from renderer.visibility import ALGORITHMS, ChcPlusPlus, VisibilitySettings, list_algorithms, make_visibility
 from renderer.visibility.queries.chc_plus_plus import STAYS_HIDDEN, choose_size
@@ -53,12 +44,7 @@ def look_alike(number: int, device: Device) -> Found:
 def _compare(device: Device, image: CullingImage) -> tuple[dict[str, list[int]], dict[str, bool]]:
     scene = image.scene()
     with Uncut(device, scene, image.shots(scene), image.size) as uncut:
-        wrong = {}
-        for name in list_algorithms(device):
-            if name in NAMES:
-                algorithm = make_visibility(name, scene, device)
-                wrong[name] = uncut.count_wrong_pixels(algorithm)
-                algorithm.destroy()
+        wrong = {name: uncut.try_algorithm(name) for name in list_algorithms(device) if name in NAMES}
     return wrong, uncut.holds
 
 
@@ -103,9 +89,7 @@ def answer_late(device: Device) -> Found:
                 if name not in ASKING:
                     continue
                 with late_answers(latency):
-                    algorithm = make_visibility(name, city, device)
-                    count = sum(uncut.count_wrong_pixels(algorithm))
-                    algorithm.destroy()
+                    count = sum(uncut.try_algorithm(name))
                 wrong[f"{name}, after {latency} looks"] = count
                 total += count
     return Found(total, wrong, uncut.holds)
@@ -115,9 +99,7 @@ def ask_in_one_batch(device: Device) -> Found:
     """Let CHC++ ask for all at once."""
     city = make_city()
     with Uncut(device, city, along("ground", *range(800, 812, 2))(city)) as uncut:
-        algorithm = ChcPlusPlus(city, device, VisibilitySettings(batch=100_000))
-        wrong = uncut.count_wrong_pixels(algorithm)
-        algorithm.destroy()
+        wrong = uncut.try_algorithm("chc_plus_plus", batch=100_000)
     return Found(sum(wrong), {"wrong pixels by frame": wrong}, uncut.holds)
 
 
@@ -131,9 +113,7 @@ def ask_with_a_threshold(device: Device) -> Found:
             wrong = {}
             for threshold in (0, 10):
                 with late_answers(0):
-                    algorithm = make_visibility(name, city, device, VisibilitySettings(threshold=threshold))
-                    wrong[threshold] = uncut.count_wrong_pixels(algorithm)
-                    algorithm.destroy()
+                    wrong[threshold] = uncut.try_algorithm(name, threshold=threshold)
                 numbers[f"{name}, {threshold} samples"] = wrong[threshold]
             total += sum(wrong[0])
             holds[f"{name} loses little with 10"] = 0 < max(wrong[10]) < _FAR_SMALLER * SIZE[0] * SIZE[1]
@@ -214,15 +194,7 @@ CASES: Final = (
     _asked(9, "visible leaves asked in each frame, and in every twentieth", ask_seldom),
     _image(10, "boxes without thickness"),
     _image(11, "a scene of one object: queries of one node"),
-    Case(
-        12,
-        "a ring of N holds N",
-        "a list",
-        0.0,
-        "faults",
-        "a ring neither loses nor invents anything",
-        fill_rings,
-    ),
+    Case(12, "a ring of N holds N", "a list", 0.0, "faults", "a ring neither loses nor invents anything", fill_rings),
     _image(13, "corners of boxes with w at 0 and below"),
     _image(14, "spheres that touch the near plane, within an ulp"),
     _image(15, "1023 by 767 pixels: a depth pyramid of odd sizes"),

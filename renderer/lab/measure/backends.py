@@ -32,16 +32,7 @@ from renderer.techniques.forward import Forward
 from renderer.techniques.parts.variants import draw_lit
 from renderer.visibility import NoCulling
 from renderer.visibility.boxes.bounds import pad_boxes
-from rhi import (
-    ColorWrite,
-    DepthFunction,
-    DepthWrite,
-    Device,
-    Mesh,
-    OcclusionQuery,
-    QuerySet,
-    StateScope,
-)
+from rhi import ColorWrite, DepthFunction, DepthWrite, Device, Mesh, OcclusionQuery, QuerySet, StateScope
 from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, vec3, vec4
 
 PASSES: Final = {

@@ -39,9 +39,7 @@ from renderer.shaders.encodings import (
 from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_pixel
 from renderer.techniques.parts.full_screen import find_rays
 from rhi import Device, Program
-from rhi.shading import (
-    round as round_to_whole,
-)
+from rhi.shading import round as round_to_whole
 
 GROUP: Final = 64
 TURNS: Final = 64

@@ -66,8 +66,5 @@ def describe_memory(commands: Iterable[Command], images: SceneImages | None) -> 
     counts = Counter((name, shape) for name, shape, _ in held.values())
     rows = [MemoryRow(*key, counts[key], size) for key, size in sizes.most_common()]
     return MemoryReport(
-        rows,
-        sum(sizes.values()),
-        0 if images is None else images.bytes,
-        0 if images is None else images.image_bytes,
+        rows, sum(sizes.values()), 0 if images is None else images.bytes, 0 if images is None else images.image_bytes
     )

@@ -126,12 +126,7 @@ def picture_from_camera(
         device.render_pass(result.image, result.depth),
         device.states(CullMode.NONE, DepthWrite.OFF, nearer),
     ):
-        for outcome in (
-            CullingOutcome.OCCLUDED,
-            CullingOutcome.CROSSING,
-            CullingOutcome.INSIDE,
-            CullingOutcome.NEAR,
-        ):
+        for outcome in (CullingOutcome.OCCLUDED, CullingOutcome.CROSSING, CullingOutcome.INSIDE, CullingOutcome.NEAR):
             with device.states(DepthTest.OFF if outcome in _THROUGH else DepthTest.ON):
                 marks.draw_boxes(scene, camera, np.flatnonzero(outcomes == outcome), outcomes, solid=False)
     return np.asarray(result.image.read())

@@ -82,7 +82,7 @@ def time_need(
     rows: Sequence[RungRow],
     device: rhi.Device,
     rounds: int,
-    watch: Callable[[Iterable[int], int, str], Iterable[int]] = lambda items, total, what: items,
+    watch: Callable[[Iterable[int], str], Iterable[int]] = lambda items, what: items,
 ) -> None:
     """Time what rungs add on a device, and what is left of each once it is removed.
 
@@ -92,12 +92,11 @@ def time_need(
     backend = device.backend_name
     numbers = {LADDER[number].name: number for number in range(len(LADDER))}
     chosen = [numbers[row.name] for row in rows]
-    times = time_rungs(device, chosen, watch(range(rounds), rounds, f"{backend}: all rungs"))
+    times = time_rungs(device, chosen, watch(range(rounds), f"{backend}: all rungs"))
     for row in rows:
         row.times[backend] = times[numbers[row.name]]
         if row.left is not None:
-            more = _ROUNDS_OF_REMOVAL * rounds
-            turns = watch(range(more), more, f"{backend}: without {row.name}")
+            turns = watch(range(_ROUNDS_OF_REMOVAL * rounds), f"{backend}: without {row.name}")
             row.ratios[backend] = time_removal(device, numbers[row.name], turns)
 
 

@@ -132,7 +132,7 @@ class Overlay:
         walk = find_walk(frame.visibility, scene, camera, drawn)
         pad, line = _PAD * scale, canvas.font.line_height * scale
         side = _MAP * scale
-        x = frame.targets.size[0] - side - 3 * pad
+        x = frame.targets.image.size[0] - side - 3 * pad
         rows = len(set(walk.outcome.tolist()))
         outside = Box(x, pad, side + 2 * pad, line * (1 + rows) + side + 3 * pad)
         canvas.rects([outside], PANEL)

@@ -83,8 +83,13 @@ def find_variant(frame: Frame, *bases: type[Any], **fixed: Any) -> type[Any]:
     switches["has_second_uvs"] = switches["has_second_uvs"] and switches.get("has_table", False)
     if any(issubclass(base, ShadowReceiver) for base in bases) and not needs.effects.isdisjoint(SHADOW_EFFECTS):
         bases = (FILTERS[frame.resources.workspace(ShadowMaps).settings.filter], *bases)
-    known = (one for one in switches.items() if any(hasattr(base, one[0]) for base in bases))
-    return combine(bases, tuple(known))
+    return combine(bases, tuple((name, switches[name]) for name in _find_known(bases, tuple(switches))))
+
+
+@cache
+def _find_known(bases: tuple[type[Any], ...], names: tuple[str, ...]) -> list[str]:
+    """Return the names that are attributes of any of the bases."""
+    return [name for name in names if any(hasattr(base, name) for base in bases)]
 
 
 SOURCES: Final[dict[str, Callable[[Frame], Any]]] = {

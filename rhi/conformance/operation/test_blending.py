@@ -229,10 +229,3 @@ def test_color_write_chooses_channels(device: Device, format: Format, mask: int)
         with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(ColorWrite(*channels)):
             device.draw(device.program(Colored), mesh)
         assert_same(channels_of(format, image.read()), encode(format, np.array(channels)))
-
-
-def test_color_write_does_not_touch_clears(device: Device) -> None:
-    with device.texture((2, 2), Format.RGBA8) as image:
-        with device.states(ColorWrite.OFF), device.render_pass(image, clear=(1, 1, 1, 1)):
-            pass
-        assert_same(image.read(), 255)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -55,6 +55,12 @@ class Double(Shader):
         self.numbers[i] = 2 * self.numbers[i]
 
 
+@pytest.fixture
+def image(device: rhi.Device) -> Iterator[rhi.Texture]:
+    with device.texture(SIZE, rhi.Format.R8) as image:
+        yield image
+
+
 def record(device: rhi.Device, give: Callable[[rhi.CommandBuffer], object]) -> rhi.CommandBuffer:
     """Return a command buffer with the commands that the function `give` records."""
     with device.record() as commands:
@@ -70,12 +76,11 @@ def line() -> int:
 # -- passes, copies and clears: on every device ------------------------------------------------------------
 
 
-def test_nothing_is_done_before_the_submission(device: rhi.Device) -> None:
-    with device.texture(SIZE, rhi.Format.R8) as image:
-        commands = record(device, lambda c: clear(c, image))
-        assert_same(image.read(), 0)
-        device.submit(commands)
-        assert_same(image.read(), 255)
+def test_nothing_is_done_before_the_submission(device: rhi.Device, image: rhi.Texture) -> None:
+    commands = record(device, lambda c: clear(c, image))
+    assert_same(image.read(), 0)
+    device.submit(commands)
+    assert_same(image.read(), 255)
 
 
 def clear(encoder: rhi.Encoder, image: rhi.Texture, value: float = 1.0) -> None:
@@ -84,30 +89,28 @@ def clear(encoder: rhi.Encoder, image: rhi.Texture, value: float = 1.0) -> None:
         pass
 
 
-def test_a_buffer_is_carried_out_as_often_as_it_is_submitted(device: rhi.Device) -> None:
-    with device.texture(SIZE, rhi.Format.R8) as image:
-        commands = record(device, lambda c: clear(c, image))
-        for _ in range(3):
-            clear(device, image, 0.0)
-            device.submit(commands)
-            assert_same(image.read(), 255)
-            device.present(image)
-
-
-def test_buffers_are_carried_out_in_the_order_of_submission(device: rhi.Device) -> None:
-    with device.texture(SIZE, rhi.Format.R8) as image:
-        half, full = (
-            record(device, lambda c: clear(c, image, 0.2)),
-            record(device, lambda c: clear(c, image, 1.0)),
-        )
-        device.submit(full, half)
-        assert_same(image.read(), 51)
-        device.submit(half, full)
+def test_a_buffer_is_carried_out_as_often_as_it_is_submitted(device: rhi.Device, image: rhi.Texture) -> None:
+    commands = record(device, lambda c: clear(c, image))
+    for _ in range(3):
+        clear(device, image, 0.0)
+        device.submit(commands)
         assert_same(image.read(), 255)
-        device.submit(half)
-        device.submit(full)
-        device.submit(half)
-        assert_same(image.read(), 51)
+        device.present(image)
+
+
+def test_buffers_are_carried_out_in_the_order_of_submission(device: rhi.Device, image: rhi.Texture) -> None:
+    half, full = (
+        record(device, lambda c: clear(c, image, 0.2)),
+        record(device, lambda c: clear(c, image, 1.0)),
+    )
+    device.submit(full, half)
+    assert_same(image.read(), 51)
+    device.submit(half, full)
+    assert_same(image.read(), 255)
+    device.submit(half)
+    device.submit(full)
+    device.submit(half)
+    assert_same(image.read(), 51)
 
 
 def test_an_empty_buffer_does_nothing(device: rhi.Device) -> None:
@@ -298,12 +301,8 @@ def test_a_recorded_draw_draws_its_part_so_many_times(device: rhi.Device) -> Non
 
 
 @pixels
-def test_states_reach_neither_into_a_buffer_nor_out_of_it(device: rhi.Device) -> None:
-    with (
-        device.texture(SIZE, rhi.Format.R8) as inside,
-        device.texture(SIZE, rhi.Format.R8) as outside,
-        device.mesh(rectangle()) as mesh,
-    ):
+def test_states_reach_neither_into_a_buffer_nor_out_of_it(device: rhi.Device, mesh: rhi.Mesh) -> None:
+    with device.texture(SIZE, rhi.Format.R8) as inside, device.texture(SIZE, rhi.Format.R8) as outside:
         program = device.program(Colored)
         with device.record() as commands:
             with commands.render_pass(inside, clear=(0, 0, 0, 0)):
@@ -322,33 +321,27 @@ def test_states_reach_neither_into_a_buffer_nor_out_of_it(device: rhi.Device) ->
 
 
 @pixels
-def test_a_draw_after_a_submission_binds_its_own(device: rhi.Device) -> None:
+def test_a_draw_after_a_submission_binds_its_own(device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh) -> None:
     parts = [device.uniform(Tint(color=(value, 0, 0, 1))) for value in (0.2, 1.0)]
-    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
-        program = device.program(Tinted)
+    program = device.program(Tinted)
 
-        def draw(encoder: rhi.Encoder, tint: Any) -> None:
-            with encoder.render_pass(image):
-                encoder.draw(program, mesh, tint=tint)
+    def draw(encoder: rhi.Encoder, tint: Any) -> None:
+        with encoder.render_pass(image):
+            encoder.draw(program, mesh, tint=tint)
 
-        commands = record(device, lambda c: draw(c, parts[1]))
-        draw(device, parts[0])
-        device.submit(commands)
-        assert_same(image.read(), 255)
-        draw(device, parts[0])
-        assert_same(image.read(), 51)
-        device.submit(commands)
-        assert_same(image.read(), 255)
+    commands = record(device, lambda c: draw(c, parts[1]))
+    draw(device, parts[0])
+    device.submit(commands)
+    assert_same(image.read(), 255)
+    draw(device, parts[0])
+    assert_same(image.read(), 51)
+    device.submit(commands)
+    assert_same(image.read(), 255)
 
 
 @pixels
-def test_contents_are_those_at_the_submission(device: rhi.Device) -> None:
-    with (
-        device.texture(SIZE, rhi.Format.R8) as image,
-        device.mesh(rectangle()) as mesh,
-        device.uniform(Tint(color=(0, 0, 0, 1))) as tint,
-        device.storage(vec4, 1) as weights,
-    ):
+def test_contents_are_those_at_the_submission(device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh) -> None:
+    with device.uniform(Tint(color=(0, 0, 0, 1))) as tint, device.storage(vec4, 1) as weights:
         with device.record() as commands:
             with commands.render_pass(image, clear=(0, 0, 0, 0)), commands.states(rhi.BlendFunction.ADDITIVE):
                 commands.draw(device.program(Tinted), mesh, tint=tint)
@@ -379,19 +372,18 @@ def test_transient_constants_of_a_buffer_live_as_long_as_it_does(device: rhi.Dev
 
 
 @pixels
-def test_ad_hoc_geometry_can_be_recorded(device: rhi.Device) -> None:
+def test_ad_hoc_geometry_can_be_recorded(device: rhi.Device, image: rhi.Texture) -> None:
     left, right = rectangle(-1, -1, 0, 1), rectangle(0, -1, 1, 1, color=(0.4, 0, 0, 1))
-    with device.texture(SIZE, rhi.Format.R8) as image:
-        program = device.program(Colored)
-        with device.record() as commands, commands.render_pass(image, clear=(0, 0, 0, 0)):
-            with commands.immediate(program, rhi.Primitive.TRIANGLES) as triangles:
-                triangles.vertices(left)
-            indexed = commands.transient.mesh(program, right[[0, 1, 2, 5]], np.array([0, 1, 2, 0, 2, 3], "u2"))
-            commands.draw(program, indexed)
-        for _ in range(3):
-            device.submit(commands)
-            assert_same(image.read(), np.where(np.arange(8) < 4, 255, 102)[None])
-            device.present(image)
+    program = device.program(Colored)
+    with device.record() as commands, commands.render_pass(image, clear=(0, 0, 0, 0)):
+        with commands.immediate(program, rhi.Primitive.TRIANGLES) as triangles:
+            triangles.vertices(left)
+        indexed = commands.transient.mesh(program, right[[0, 1, 2, 5]], np.array([0, 1, 2, 0, 2, 3], "u2"))
+        commands.draw(program, indexed)
+    for _ in range(3):
+        device.submit(commands)
+        assert_same(image.read(), np.where(np.arange(8) < 4, 255, 102)[None])
+        device.present(image)
 
 
 @pixels
@@ -416,12 +408,8 @@ def test_transient_things_of_all_kinds_lie_side_by_side(device: rhi.Device) -> N
 
 
 @pixels
-def test_many_draws_and_indirect_draws_can_be_recorded(device: rhi.Device) -> None:
-    with (
-        device.texture(SIZE, rhi.Format.R8) as image,
-        device.mesh(COLUMNS) as mesh,
-        device.buffer(np.zeros(5, "u4")) as arguments,
-    ):
+def test_many_draws_and_indirect_draws_can_be_recorded(device: rhi.Device, image: rhi.Texture) -> None:
+    with device.mesh(COLUMNS) as mesh, device.buffer(np.zeros(5, "u4")) as arguments:
         program = device.program(Colored)
         with device.record() as commands, commands.render_pass(image, clear=(0, 0, 0, 0)):
             commands.draw_many(program, mesh, mesh.draws([6, 18], 6))
@@ -490,56 +478,56 @@ def test_the_alpha_test_holds_where_it_was_recorded(device: rhi.Device) -> None:
 
 
 @draws
-def test_draws_are_counted_at_each_submission(device: rhi.Device) -> None:
-    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
-        program = device.program(Colored)
-        device.reset_statistics()
-        with device.record() as commands, commands.render_pass(image), commands.states(rhi.CullMode.NONE):
-            commands.draw(program, mesh)
-            commands.draw_many(program, mesh, mesh.draws(0, 3))
-        assert device.statistics.draws == 0
-        device.submit(commands)
-        device.submit(commands)
-        statistics = device.statistics
-        assert statistics.draws == 4
-        assert statistics.software_state_changes == 2
+def test_draws_are_counted_at_each_submission(device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh) -> None:
+    program = device.program(Colored)
+    device.reset_statistics()
+    with device.record() as commands, commands.render_pass(image), commands.states(rhi.CullMode.NONE):
+        commands.draw(program, mesh)
+        commands.draw_many(program, mesh, mesh.draws(0, 3))
+    assert device.statistics.draws == 0
+    device.submit(commands)
+    device.submit(commands)
+    statistics = device.statistics
+    assert statistics.draws == 4
+    assert statistics.software_state_changes == 2
 
 
 @draws
-def test_a_submission_changes_only_the_states_that_its_draws_need(device: rhi.Device) -> None:
+def test_a_submission_changes_only_the_states_that_its_draws_need(
+    device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh
+) -> None:
     """A frame that ends with the states that it begins with changes none when it comes again."""
     opaque = (rhi.CullMode.NONE, rhi.DepthWrite.OFF)
-    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
-        program = device.program(Colored)
+    program = device.program(Colored)
 
-        def draw(*lists: tuple[Any, ...]) -> rhi.CommandBuffer:
-            with device.record() as commands, commands.render_pass(image, clear=(0, 0, 0, 0)):
-                for states in lists:
-                    with commands.states(*states):
-                        commands.draw(program, mesh)
-            return commands
+    def draw(*lists: tuple[Any, ...]) -> rhi.CommandBuffer:
+        with device.record() as commands, commands.render_pass(image, clear=(0, 0, 0, 0)):
+            for states in lists:
+                with commands.states(*states):
+                    commands.draw(program, mesh)
+        return commands
 
-        def count(*buffers: rhi.CommandBuffer) -> list[int]:
-            counts = []
-            for buffer in buffers:
-                before = device.statistics.hardware_state_changes
-                device.submit(buffer)
-                counts.append(device.statistics.hardware_state_changes - before)
-            return counts
-
-        plain, steady, nothing = draw(()), draw(opaque, opaque), draw()
-        mixed, front = draw((), opaque), draw((rhi.CullMode.FRONT, rhi.DepthWrite.OFF))
-        device.submit(plain)
-        assert count(steady, steady, steady) == [2, 0, 0]
-        assert count(nothing, steady) == [0, 0], "without draws, states don't matter"
-        assert count(plain, plain, steady) == [2, 0, 2]
-        assert count(front, front, steady) == [1, 0, 1]
-        assert count(mixed, mixed, plain) == [4, 4, 2], "its first draw needs others than its last"
-        device.submit(steady)
-        with device.render_pass(image), device.states(*opaque):
+    def count(*buffers: rhi.CommandBuffer) -> list[int]:
+        counts = []
+        for buffer in buffers:
             before = device.statistics.hardware_state_changes
-            device.draw(program, mesh)
-        assert device.statistics.hardware_state_changes == before, "the device knows what the buffer left"
+            device.submit(buffer)
+            counts.append(device.statistics.hardware_state_changes - before)
+        return counts
+
+    plain, steady, nothing = draw(()), draw(opaque, opaque), draw()
+    mixed, front = draw((), opaque), draw((rhi.CullMode.FRONT, rhi.DepthWrite.OFF))
+    device.submit(plain)
+    assert count(steady, steady, steady) == [2, 0, 0]
+    assert count(nothing, steady) == [0, 0], "without draws, states don't matter"
+    assert count(plain, plain, steady) == [2, 0, 2]
+    assert count(front, front, steady) == [1, 0, 1]
+    assert count(mixed, mixed, plain) == [4, 4, 2], "its first draw needs others than its last"
+    device.submit(steady)
+    with device.render_pass(image), device.states(*opaque):
+        before = device.statistics.hardware_state_changes
+        device.draw(program, mesh)
+    assert device.statistics.hardware_state_changes == before, "the device knows what the buffer left"
 
 
 # -- queries -----------------------------------------------------------------------------------------------

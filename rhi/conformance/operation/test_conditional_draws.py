@@ -17,15 +17,14 @@ from rhi import (
     Encoder,
     Format,
     Mesh,
-    Op,
     Primitive,
     QuerySet,
     ValidationError,
 )
-from rhi.conformance.shaders import Colored, Corner, FlatShade
+from rhi.conformance.shaders import Colored, Corner, Flat, FlatShade
 from rhi.conformance.shapes import texel_rectangle
 from rhi.errors import rules
-from rhi.shading import Shader, draw_index, instance_index, vec4
+from rhi.shading import draw_index, instance_index, vec4
 
 pytestmark = [
     pytest.mark.recorded_too,
@@ -39,15 +38,12 @@ HIDDEN = [1, 2, 5, 6, 7, 12]
 SEEN = [column for column in range(COLUMNS) if column not in HIDDEN]
 
 
-class Numbered(Shader):
+class Numbered(Flat):
     """Draws the draw index as red and the instance index as green, in sixteenths."""
 
     def vertex(self, v: Corner) -> FlatShade:
         color = vec4(float(draw_index()) / 16.0, float(instance_index()) / 16.0, 1.0, 1.0)
         return FlatShade(clip=v.position, color=color)
-
-    def fragment(self, v: FlatShade) -> vec4:
-        return v.color
 
 
 @pytest.fixture
@@ -61,9 +57,15 @@ def columns(device: Device) -> Iterator[Mesh]:
 
 
 @pytest.fixture
-def targets(device: Device) -> Iterator[tuple[Any, Any]]:
-    with device.texture(SIZE, Format.RGBA8) as image, device.texture(SIZE, Format.D32F) as depth:
-        yield image, depth
+def image(device: Device) -> Iterator[Any]:
+    with device.texture(SIZE, Format.RGBA8) as image:
+        yield image
+
+
+@pytest.fixture
+def depth(device: Device) -> Iterator[Any]:
+    with device.texture(SIZE, Format.D32F) as depth:
+        yield depth
 
 
 @pytest.fixture
@@ -93,9 +95,8 @@ def lit(image: Any) -> list[int]:
 
 
 def test_what_counted_nothing_is_not_drawn(
-    device: Device, columns: Mesh, targets: tuple[Any, Any], queries: QuerySet
+    device: Device, columns: Mesh, image: Any, depth: Any, queries: QuerySet
 ) -> None:
-    image, depth = targets
     program = device.program(Colored)
     with device.render_pass(image, depth, clear=(0, 0, 0, 1), clear_depth=0.0):
         ask(device, program, columns, queries)
@@ -105,10 +106,9 @@ def test_what_counted_nothing_is_not_drawn(
 
 
 def test_the_device_decides_within_one_pass(
-    device: Device, columns: Mesh, targets: tuple[Any, Any], queries: QuerySet
+    device: Device, columns: Mesh, image: Any, depth: Any, queries: QuerySet
 ) -> None:
     """The draws that count and those that depend on them may have the same program and states."""
-    image, depth = targets
     program = device.program(Colored)
     for last in (program, device.program(Numbered)):
         with device.render_pass(image, depth, clear=(0, 0, 0, 1), clear_depth=0.0):
@@ -120,9 +120,8 @@ def test_the_device_decides_within_one_pass(
 
 
 def test_draws_that_count_may_have_the_same_program_and_states(
-    device: Device, columns: Mesh, targets: tuple[Any, Any], queries: QuerySet
+    device: Device, columns: Mesh, image: Any, queries: QuerySet
 ) -> None:
-    image, _ = targets
     program = device.program(Colored)
     counted = columns.draws(6 * np.arange(COLUMNS), np.where(np.isin(np.arange(COLUMNS), HIDDEN), 0, 6))
     for rows in (np.arange(COLUMNS), (np.arange(COLUMNS) + 1) % COLUMNS):
@@ -133,9 +132,8 @@ def test_draws_that_count_may_have_the_same_program_and_states(
 
 
 def test_rows_say_what_decides_about_which_draw(
-    device: Device, columns: Mesh, targets: tuple[Any, Any], queries: QuerySet
+    device: Device, columns: Mesh, image: Any, depth: Any, queries: QuerySet
 ) -> None:
-    image, depth = targets
     program = device.program(Colored)
     with device.render_pass(image, depth, clear_depth=0.0):
         ask(device, program, columns, queries)
@@ -147,9 +145,8 @@ def test_rows_say_what_decides_about_which_draw(
 
 
 def test_a_set_may_decide_often_and_count_anew(
-    device: Device, columns: Mesh, targets: tuple[Any, Any], queries: QuerySet
+    device: Device, columns: Mesh, image: Any, depth: Any, queries: QuerySet
 ) -> None:
-    image, depth = targets
     program = device.program(Colored)
     for hidden in (HIDDEN, [0, 3], [], list(range(COLUMNS)), HIDDEN):
         with device.render_pass(image, depth, clear=(0, 0, 0, 1), clear_depth=0.0):
@@ -161,8 +158,7 @@ def test_a_set_may_decide_often_and_count_anew(
         assert (queries.wait() > 0).tolist() == [column not in hidden for column in range(COLUMNS)]
 
 
-def test_several_sets_decide_side_by_side(device: Device, columns: Mesh, targets: tuple[Any, Any]) -> None:
-    image, depth = targets
+def test_several_sets_decide_side_by_side(device: Device, columns: Mesh, image: Any, depth: Any) -> None:
     program, sets = device.program(Colored), [device.query_set(COLUMNS) for _ in range(3)]
     hidden = [[0, 1], [2, 3, 4], [5]]
     for queries, wall in zip(sets, hidden, strict=True):
@@ -178,9 +174,8 @@ def test_several_sets_decide_side_by_side(device: Device, columns: Mesh, targets
 
 
 def test_draws_of_a_row_are_numbered_from_0(
-    device: Device, columns: Mesh, targets: tuple[Any, Any], queries: QuerySet
+    device: Device, columns: Mesh, image: Any, depth: Any, queries: QuerySet
 ) -> None:
-    image, depth = targets
     with device.render_pass(image, depth, clear_depth=0.0):
         ask(device, device.program(Colored), columns, queries)
     draws = columns.draws(6 * np.arange(7), 6, base_instance=[9, 8, 7, 6, 5, 4, 3])
@@ -192,11 +187,8 @@ def test_draws_of_a_row_are_numbered_from_0(
     assert pixels[:, 2].tolist() == [255, 255, 255, 0, 255, 255, 255]
 
 
-def test_conditions_end_with_the_call(
-    device: Device, columns: Mesh, targets: tuple[Any, Any], queries: QuerySet
-) -> None:
+def test_conditions_end_with_the_call(device: Device, columns: Mesh, image: Any, depth: Any, queries: QuerySet) -> None:
     """Draws behind them, queries in them and the states are as after other draws."""
-    image, depth = targets
     program, query = device.program(Colored), device.occlusion_query()
     with device.render_pass(image, depth, clear_depth=0.0):
         ask(device, program, columns, queries)
@@ -210,8 +202,7 @@ def test_conditions_end_with_the_call(
     query.destroy()
 
 
-def test_no_draws_decide_nothing(device: Device, columns: Mesh, targets: tuple[Any, Any], queries: QuerySet) -> None:
-    image, _ = targets
+def test_no_draws_decide_nothing(device: Device, columns: Mesh, image: Any, queries: QuerySet) -> None:
     program = device.program(Colored)
     with device.render_pass(image):
         device.draw_counted(program, columns, parts(columns, [0]), queries)
@@ -222,8 +213,7 @@ def test_no_draws_decide_nothing(device: Device, columns: Mesh, targets: tuple[A
     assert not lit(image)
 
 
-def test_indexed_draws_are_dropped_too(device: Device, targets: tuple[Any, Any], queries: QuerySet) -> None:
-    image, depth = targets
+def test_indexed_draws_are_dropped_too(device: Device, image: Any, depth: Any, queries: QuerySet) -> None:
     corners = [texel_rectangle(column, 0, 1, SIZE[1], SIZE) for column in range(COLUMNS)]
     with device.mesh(np.concatenate(corners), np.arange(6)) as mesh:
         program = device.program(Colored)
@@ -237,9 +227,8 @@ def test_indexed_draws_are_dropped_too(device: Device, targets: tuple[Any, Any],
 
 
 def test_a_command_buffer_decides_at_each_submission(
-    device: Device, columns: Mesh, targets: tuple[Any, Any], queries: QuerySet
+    device: Device, columns: Mesh, image: Any, depth: Any, queries: QuerySet
 ) -> None:
-    image, depth = targets
     program = device.program(Colored)
     with device.record() as commands:
         with commands.render_pass(image, depth):
@@ -261,30 +250,8 @@ def test_a_command_buffer_decides_at_each_submission(
     assert lit(image) == SEEN
 
 
-def test_a_recording_shows_a_condition_for_each_row(recording: Device) -> None:
-    queries = recording.query_set(4)
-    with (
-        recording.texture(SIZE, Format.RGBA8) as image,
-        recording.mesh(texel_rectangle(0, 0, 1, 1, SIZE)) as mesh,
-    ):
-        program, draws = recording.program(Colored), mesh.draws(np.zeros(3, int), 6)
-        with recording.render_pass(image):
-            recording.draw_counted(program, mesh, draws, queries, [2, 2, 0])
-            before = len(recording.stream)
-            recording.draw_conditional(program, mesh, draws, queries, [2, 2, 0])
-        wanted = {Op.BEGIN_CONDITIONAL, Op.DRAW_INDIRECT, Op.END_CONDITIONAL}
-        commands = [command for command in recording.stream[before:] if command.op in wanted]
-    begin, draw, end = Op.BEGIN_CONDITIONAL, Op.DRAW_INDIRECT, Op.END_CONDITIONAL
-    assert [command.op for command in commands] == [begin, draw, end, begin, draw, end]
-    assert [c["query"] for c in commands if c.op is begin] == [queries.ids[row] for row in (2, 0)]
-    assert [c["draws"] for c in commands if c.op is draw] == [2, 1]
-    assert all(command.site is not None and command.site.file == __file__ for command in commands)
-    queries.destroy()
-
-
 @pytest.mark.parametrize("wrong", ["never counted", "another row", "quads"])
-def test_only_rows_that_counted_decide(device: Device, columns: Mesh, targets: tuple[Any, Any], wrong: str) -> None:
-    image, _ = targets
+def test_only_rows_that_counted_decide(device: Device, columns: Mesh, image: Any, wrong: str) -> None:
     program, queries = device.program(Colored), device.query_set(4)
     draws = parts(columns, [0, 1])
     quads = device.mesh(np.concatenate([texel_rectangle(0, 0, 1, 1, SIZE)] * 4), primitive=Primitive.QUADS)

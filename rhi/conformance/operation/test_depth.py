@@ -25,10 +25,10 @@ from rhi import (
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_format
 from rhi.conformance.reference import compare
-from rhi.conformance.shaders import Bare, Colored, Corner
+from rhi.conformance.shaders import Colored, Positions
 from rhi.conformance.shapes import VertexRows, corners, rectangle
 from rhi.contract.formats import DEPTH_FORMATS
-from rhi.shading import Shader, vec4
+from rhi.shading import vec4
 
 pytestmark = pytest.mark.needs("draws", "shading")
 
@@ -176,13 +176,6 @@ def test_depth_is_kept_between_passes(device: Device) -> None:
             pass
         with device.render_pass(depth=depth):
             device.draw(device.program(Colored), mesh)
-        assert_same(depth.read(), 0.75)
-
-
-def test_depth_clears_ignore_the_write_state(device: Device) -> None:
-    with device.texture(SIZE, Format.D32F) as depth:
-        with device.states(DepthWrite.OFF), device.render_pass(depth=depth, clear_depth=0.75):
-            pass
         assert_same(depth.read(), 0.75)
 
 
@@ -335,11 +328,8 @@ def test_lines_and_points_are_not_offset(device: Device) -> None:
     assert_near(stored[stored > 0], 0.5, 2.0**-23, "24 bits of depth")
 
 
-class Elsewhere(Shader):
+class Elsewhere(Positions):
     """Has the positions of `Colored`, but other varyings and another fragment stage."""
-
-    def vertex(self, v: Corner) -> Bare:
-        return Bare(clip=v.position)
 
     def fragment(self) -> vec4:
         return vec4(0.25)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,13 @@ from rhi import (
     Device,
     Format,
     IndirectDraws,
+    Mesh,
     Primitive,
+    Texture,
 )
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_blendable, require_samples
-from rhi.conformance.shaders import Checkered, Colored, Corner, DepthFromColor, Shade
+from rhi.conformance.shaders import Checkered, Colored, Corner, DepthFromColor, Shade, Shaded, Smooth
 from rhi.conformance.shapes import centers, corners, rectangle
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
@@ -31,25 +34,24 @@ SIZE = (8, 8)
 BOARD = np.indices((8, 8)).sum(axis=0) % 2 == 0
 
 
-def test_a_discarded_fragment_writes_neither_color_nor_depth(device: Device) -> None:
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.texture(SIZE, Format.D32F) as depth,
-        device.mesh(rectangle()) as mesh,
-    ):
+@pytest.fixture
+def image(device: Device) -> Iterator[Texture]:
+    with device.texture(SIZE, Format.R8) as image:
+        yield image
+
+
+def test_a_discarded_fragment_writes_neither_color_nor_depth(device: Device, image: Texture, mesh: Mesh) -> None:
+    with device.texture(SIZE, Format.D32F) as depth:
         with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0):
             device.draw(device.program(Checkered), mesh)
         assert_mask(image.read(), BOARD)
         assert_mask(depth.read(), BOARD)
 
 
-class CountFragments(sl.Shader):
+class CountFragments(Shaded):
     """Counts the fragments that run."""
 
     total: sl.StorageRW[sl.uint]
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> sl.vec4:
         sl.atomic_add(self.total[0], sl.uint(1))
@@ -62,14 +64,11 @@ class CountEarly(CountFragments):
     early_depth = True
 
 
-class CountDiscarding(sl.Shader):
+class CountDiscarding(Shaded):
     """Counts before and after it discards half of the fragments."""
 
     early_depth = True
     total: sl.StorageRW[sl.uint]
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> sl.vec4:
         sl.atomic_add(self.total[0], sl.uint(1))
@@ -80,12 +79,8 @@ class CountDiscarding(sl.Shader):
         return v.color
 
 
-def test_every_covered_texel_runs_one_fragment(device: Device) -> None:
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.mesh(rectangle(-1, 0, 0, 1)) as mesh,
-        device.storage(sl.uint, 1) as total,
-    ):
+def test_every_covered_texel_runs_one_fragment(device: Device, image: Texture) -> None:
+    with device.mesh(rectangle(-1, 0, 0, 1)) as mesh, device.storage(sl.uint, 1) as total:
         with device.render_pass(image):
             device.draw(device.program(CountFragments), mesh, total=total)
         assert_same(total.read(), 16)
@@ -136,13 +131,10 @@ def test_with_early_depth_hidden_fragments_have_none(device: Device) -> None:
 
 
 @pytest.mark.needs("early_depth")
-def test_with_early_depth_a_discarded_fragment_has_already_written_depth(device: Device) -> None:
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.texture(SIZE, Format.D32F) as depth,
-        device.mesh(rectangle()) as mesh,
-        device.storage(sl.uint, 2) as total,
-    ):
+def test_with_early_depth_a_discarded_fragment_has_already_written_depth(
+    device: Device, image: Texture, mesh: Mesh
+) -> None:
+    with device.texture(SIZE, Format.D32F) as depth, device.storage(sl.uint, 2) as total:
         with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0):
             device.draw(device.program(CountDiscarding), mesh, total=total)
         assert_same(total.read(), [64, 32])
@@ -150,14 +142,10 @@ def test_with_early_depth_a_discarded_fragment_has_already_written_depth(device:
         assert_same(depth.read(), 0.5)
 
 
-def test_a_fragment_s_own_depth_replaces_the_triangle_s(device: Device) -> None:
+def test_a_fragment_s_own_depth_replaces_the_triangle_s(device: Device, image: Texture) -> None:
     rows = rectangle(depth=0.1)
     rows["color"][:, 0] = np.where(rows["position"][:, 0] < 0, 0.0, 1.0)
-    with (
-        device.texture(SIZE, Format.D32F) as depth,
-        device.texture(SIZE, Format.R8) as image,
-        device.mesh(rows) as mesh,
-    ):
+    with device.texture(SIZE, Format.D32F) as depth, device.mesh(rows) as mesh:
         with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5):
             device.draw(device.program(DepthFromColor), mesh)
         ramp = np.broadcast_to((np.arange(8) + 0.5) / 8, (8, 8))
@@ -253,13 +241,10 @@ def test_an_indirect_draw_reads_arguments_and_count_that_a_dispatch_wrote(device
     assert DRAW_UNINDEXED.itemsize == 20
 
 
-class Sampled(sl.Shader):
+class Sampled(Shaded):
     """Reads the texel below each fragment."""
 
     source: sl.Texture2D
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> sl.vec4:
         return self.source.load(sl.ivec2(sl.fragment_coordinate().xy)) + v.color
@@ -279,13 +264,10 @@ def test_a_pass_reads_what_the_pass_before_drew(device: Device) -> None:
         assert_same(one.read()[..., 0], 20 / 32)
 
 
-class Fill(sl.Shader):
+class Fill(Shaded):
     """Writes each fragment's number to storage."""
 
     out: sl.StorageRW[sl.uint]
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> sl.vec4:
         at = sl.ivec2(sl.fragment_coordinate().xy)
@@ -307,24 +289,16 @@ class Sum(sl.Shader):
 
 
 @pytest.mark.needs("compute")
-def test_a_dispatch_reads_what_fragments_wrote(device: Device) -> None:
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.mesh(rectangle()) as mesh,
-        device.storage(sl.uint, 64) as values,
-        device.storage(sl.uint, 1) as total,
-    ):
+def test_a_dispatch_reads_what_fragments_wrote(device: Device, image: Texture, mesh: Mesh) -> None:
+    with device.storage(sl.uint, 64) as values, device.storage(sl.uint, 1) as total:
         with device.render_pass(image), device.states(ColorWrite.OFF):
             device.draw(device.program(Fill), mesh, out=values)
         device.dispatch(device.program(Sum), 1, values=values, total=total)
         assert_same(total.read(), 64 * 65 // 2)
 
 
-class WaterfallAtEdges(sl.Shader):
+class WaterfallAtEdges(Shaded):
     """Goes through the columns that are shaded together, of which some are shaded for derivatives only."""
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> sl.vec4:
         column = int(sl.fragment_coordinate().x)
@@ -354,16 +328,13 @@ def test_a_loop_over_what_fragments_broadcast_ends_at_the_edges_of_triangles(dev
     assert_same(drawn[covered, 1], np.ones(covered.sum()))
 
 
-class FromMemory(sl.Shader):
+class FromMemory(Smooth):
     """Reads positions from storage by vertex index."""
 
     points: sl.Storage[sl.vec4]
 
     def vertex(self) -> Shade:
         return Shade(clip=self.points[sl.vertex_index()], color=sl.vec4(1.0))
-
-    def fragment(self, v: Shade) -> sl.vec4:
-        return v.color
 
 
 def test_a_vertex_stage_reads_storage(device: Device) -> None:

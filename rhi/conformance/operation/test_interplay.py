@@ -16,8 +16,10 @@ from rhi import (
     ColorWrite,
     CullMode,
     DepthFunction,
+    DepthWrite,
     Device,
     Format,
+    Mesh,
     Primitive,
     Region,
     Scissor,
@@ -32,7 +34,9 @@ from rhi.conformance.shapes import centers, corners, rectangle
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
 SIZE = (8, 8)
-HOSTILE = (Scissor(0, 0, 1, 1), ColorWrite.OFF, CullMode.FRONT, DepthFunction.NEVER, BlendFunction.ADDITIVE)
+HOSTILE = (
+    Scissor(0, 0, 1, 1), ColorWrite.OFF, DepthWrite.OFF, CullMode.FRONT, DepthFunction.NEVER, BlendFunction.ADDITIVE,
+)  # fmt: skip
 """States that would break a copy that is implemented as a draw."""
 
 
@@ -61,13 +65,9 @@ def hostile_draw(device: Device) -> None:
 
 
 @pytest.mark.parametrize("at_end", [True, False], ids=["in the pass", "by itself"])
-def test_states_do_not_touch_resolves(device: Device, at_end: bool) -> None:
+def test_states_do_not_touch_resolves(device: Device, at_end: bool, mesh: Mesh) -> None:
     require_samples(device, 4)
-    with (
-        device.texture(SIZE, Format.RGBA8, samples=4) as source,
-        device.texture(SIZE, Format.RGBA8) as target,
-        device.mesh(rectangle()) as mesh,
-    ):
+    with device.texture(SIZE, Format.RGBA8, samples=4) as source, device.texture(SIZE, Format.RGBA8) as target:
         with device.render_pass(source, clear=(0.2, 0.4, 0.6, 0.8), resolve=target if at_end else None):
             with device.states(*HOSTILE):
                 device.draw(device.program(Colored), mesh)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,26 @@ import rhi
 import rhi.shading as sl
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_targets, require_vertex_alignment
-from rhi.conformance.shaders import Colored, Corner, FlatShade
+from rhi.conformance.shaders import Colored, Corner, Flat, FlatShade
 from rhi.conformance.shapes import centers, corners, rectangle
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
 ROW = (8, 1)
 CENTERS = centers([(i, 0) for i in range(8)], ROW)
+
+
+@pytest.fixture
+def image(device: rhi.Device) -> Iterator[rhi.Texture]:
+    with device.texture(ROW, rhi.Format.RGBA32F) as image:
+        yield image
+
+
+@pytest.fixture
+def mesh(device: rhi.Device) -> Iterator[rhi.Mesh]:
+    """A point for each texel of the row."""
+    with device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh:
+        yield mesh
 
 
 def drawn_points(device: rhi.Device, mesh: Any, instances: int = 1) -> NDArray[Any]:
@@ -39,11 +53,10 @@ def vertices_of(mesh: rhi.Mesh) -> rhi.Buffer:
 
 
 @pytest.mark.parametrize(("first", "count"), [(0, 8), (0, 3), (5, 3), (3, 0), (7, 1), (8, 0)])
-def test_a_view_draws_its_vertices_only(device: rhi.Device, first: int, count: int) -> None:
+def test_a_view_draws_its_vertices_only(device: rhi.Device, first: int, count: int, mesh: rhi.Mesh) -> None:
     expected = np.zeros(8)
     expected[first : first + count] = 1
-    with device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh:
-        assert_same(drawn_points(device, mesh.view(first, count)), expected)
+    assert_same(drawn_points(device, mesh.view(first, count)), expected)
 
 
 @pytest.mark.parametrize("dtype", ["u2", "u4"])
@@ -78,9 +91,8 @@ def test_a_view_can_have_another_primitive(device: rhi.Device) -> None:
         assert drawn_points(device, mesh.view(primitive=rhi.Primitive.LINES)).sum() >= 7
 
 
-def test_no_instance_draws_nothing(device: rhi.Device) -> None:
-    with device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh:
-        assert_same(drawn_points(device, mesh, 0), 0)
+def test_no_instance_draws_nothing(device: rhi.Device, mesh: rhi.Mesh) -> None:
+    assert_same(drawn_points(device, mesh, 0), 0)
 
 
 def test_meshes_can_share_buffers(device: rhi.Device) -> None:
@@ -147,18 +159,17 @@ class Probe(sl.Struct):
     value: sl.vec4
 
 
-class ShowFloat(sl.Shader):
+class ShowFloat(Flat):
     """Draws the attribute as a color."""
 
     def vertex(self, v: Probe) -> FlatShade:
         return FlatShade(clip=sl.vec4(v.position, 0.5, 1.0), color=v.value)
 
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
-
 
 @pytest.mark.parametrize("code", ["f4", "f2", "u1", "i1"])
-def test_a_float_attribute_takes_floats_and_normalised_integers(device: rhi.Device, code: str) -> None:
+def test_a_float_attribute_takes_floats_and_normalised_integers(
+    device: rhi.Device, code: str, image: rhi.Texture
+) -> None:
     rng = np.random.default_rng(7)
     values = rng.normal(size=(8, 4)).astype(code) if code[0] == "f" else np.zeros((8, 4), code)
     if code[0] != "f":
@@ -168,10 +179,7 @@ def test_a_float_attribute_takes_floats_and_normalised_integers(device: rhi.Devi
     expected = values.astype(np.float64)
     if code[0] != "f":
         expected = np.maximum(expected / np.iinfo(code).max, -1.0)
-    with (
-        device.texture(ROW, rhi.Format.RGBA32F) as image,
-        device.mesh({"position": CENTERS, "value": values}, primitive=rhi.Primitive.POINTS) as mesh,
-    ):
+    with device.mesh({"position": CENTERS, "value": values}, primitive=rhi.Primitive.POINTS) as mesh:
         with device.render_pass(image):
             device.draw(device.program(ShowFloat), mesh)
         assert_near(image.read()[0], expected, 1e-6, "conversion in float32")
@@ -184,37 +192,28 @@ class Pair(sl.Struct):
     pair: sl.vec2
 
 
-class ShowPair(sl.Shader):
+class ShowPair(Flat):
     """Draws two components as a color."""
 
     def vertex(self, v: Pair) -> FlatShade:
         return FlatShade(clip=sl.vec4(v.position, 0.5, 1.0), color=sl.vec4(v.pair, 0.0, 1.0))
 
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
-
 
 @pytest.mark.parametrize("code", ["f4", "f2", "u2", "i2"])
-def test_two_components_take_two(device: rhi.Device, code: str) -> None:
+def test_two_components_take_two(device: rhi.Device, code: str, image: rhi.Texture) -> None:
     values = (np.linspace(-1, 1, 16) * (1 if code[0] == "f" else 32767)).reshape(8, 2).astype(code)
     expected = values.astype(np.float64)
     if code[0] != "f":
         expected = np.maximum(expected / np.iinfo(code).max, -1.0)
-    with (
-        device.texture(ROW, rhi.Format.RGBA32F) as image,
-        device.mesh({"position": CENTERS, "pair": values}, primitive=rhi.Primitive.POINTS) as mesh,
-    ):
+    with device.mesh({"position": CENTERS, "pair": values}, primitive=rhi.Primitive.POINTS) as mesh:
         with device.render_pass(image):
             device.draw(device.program(ShowPair), mesh)
         assert_near(image.read()[0, :, :2], expected, 1e-6, "conversion in float32")
 
 
-def test_a_vector_may_be_fed_more_components_than_it_reads(device: rhi.Device) -> None:
+def test_a_vector_may_be_fed_more_components_than_it_reads(device: rhi.Device, image: rhi.Texture) -> None:
     values = np.arange(32, dtype="f4").reshape(8, 4)
-    with (
-        device.texture(ROW, rhi.Format.RGBA32F) as image,
-        device.mesh({"position": CENTERS, "pair": values}, primitive=rhi.Primitive.POINTS) as mesh,
-    ):
+    with device.mesh({"position": CENTERS, "pair": values}, primitive=rhi.Primitive.POINTS) as mesh:
         with device.render_pass(image):
             device.draw(device.program(ShowPair), mesh)
         assert_same(image.read()[0, :, :2], values[:, :2])
@@ -282,14 +281,11 @@ class Narrow(sl.Struct):
     weight: float
 
 
-class ShowNarrow(sl.Shader):
+class ShowNarrow(Flat):
     """Draws points at three-component positions, with a one-component color."""
 
     def vertex(self, v: Narrow) -> FlatShade:
         return FlatShade(clip=sl.vec4(v.position, 1.0), color=sl.vec4(v.weight))
-
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
 
 def test_three_components_and_one_lie_where_the_dtype_says(device: rhi.Device) -> None:
@@ -315,14 +311,11 @@ class Instanced(sl.Struct):
     shade: float
 
 
-class ShowInstances(sl.Shader):
+class ShowInstances(Flat):
     """Draws a point, moved by the instance's offset."""
 
     def vertex(self, v: Instanced) -> FlatShade:
         return FlatShade(clip=sl.vec4(v.position + v.offset, 0.5, 1.0), color=sl.vec4(v.shade))
-
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
 
 def instanced(device: rhi.Device) -> Any:
@@ -366,14 +359,11 @@ def test_instances_of_indexed_meshes_read_their_elements(device: rhi.Device) -> 
         assert_same(image.read()[0], [0, 0, 0, 0, 2, 3, 0, 0])
 
 
-class Numbered(sl.Shader):
+class Numbered(Flat):
     """Writes the indices of the vertex and instance."""
 
     def vertex(self, v: Corner) -> FlatShade:
         return FlatShade(clip=v.position, color=sl.vec4(float(sl.vertex_index()), float(sl.instance_index()), 0.0, 1.0))
-
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
 
 class NumberedDraws(Numbered):
@@ -389,11 +379,8 @@ def numbered(device: rhi.Device) -> Any:
     return device.program(NumberedDraws if device.capabilities.draw_index else Numbered)
 
 
-def test_a_shader_knows_its_vertex_and_instance(device: rhi.Device) -> None:
-    with (
-        device.texture(ROW, rhi.Format.RGBA32F) as image,
-        device.mesh(corners(CENTERS), np.array([1, 2, 3], "u2"), primitive=rhi.Primitive.POINTS) as mesh,
-    ):
+def test_a_shader_knows_its_vertex_and_instance(device: rhi.Device, image: rhi.Texture) -> None:
+    with device.mesh(corners(CENTERS), np.array([1, 2, 3], "u2"), primitive=rhi.Primitive.POINTS) as mesh:
         with device.render_pass(image):
             device.draw(numbered(device), mesh.view(1, 2, base_vertex=2, base_instance=10), 3)
         # Vertices 2 and 3 plus the base vertex 2. The last of three instances is visible. Instance indices include
@@ -402,26 +389,21 @@ def test_a_shader_knows_its_vertex_and_instance(device: rhi.Device) -> None:
         assert_same(image.read()[0, 5], (5, 12, 0, 1))
 
 
-def test_without_indices_vertices_count_from_the_first_of_the_buffer(device: rhi.Device) -> None:
-    with (
-        device.texture(ROW, rhi.Format.RGBA32F) as image,
-        device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh,
-    ):
-        with device.render_pass(image):
-            device.draw(numbered(device), mesh.view(3, 2))
-        assert_same(image.read()[0, 3:5], [(3, 0, 0, 1), (4, 0, 0, 1)])
+def test_without_indices_vertices_count_from_the_first_of_the_buffer(
+    device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh
+) -> None:
+    with device.render_pass(image):
+        device.draw(numbered(device), mesh.view(3, 2))
+    assert_same(image.read()[0, 3:5], [(3, 0, 0, 1), (4, 0, 0, 1)])
 
 
-class FullTriangle(sl.Shader):
+class FullTriangle(Flat):
     """Covers the whole target with one triangle, from vertex numbers alone."""
 
     def vertex(self) -> FlatShade:
         x = float(sl.vertex_index() % 2) * 4.0 - 1.0
         y = float(sl.vertex_index() // 2) * 4.0 - 1.0
         return FlatShade(clip=sl.vec4(x, y, 0.5, 1.0), color=sl.vec4(1.0))
-
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
 
 def test_a_shader_without_attributes_counts_its_vertices(device: rhi.Device) -> None:
@@ -451,11 +433,10 @@ def test_many_draws_draw_what_each_says(device: rhi.Device) -> None:
 
 @pytest.mark.needs("draw_index")
 @pytest.mark.parametrize("indices", [None, np.arange(8, dtype="u2")], ids=["plain", "indexed"])
-def test_the_same_draws_in_another_order_have_other_numbers(device: rhi.Device, indices: Any) -> None:
-    with (
-        device.texture(ROW, rhi.Format.RGBA32F) as image,
-        device.mesh(corners(CENTERS), indices, primitive=rhi.Primitive.POINTS) as mesh,
-    ):
+def test_the_same_draws_in_another_order_have_other_numbers(
+    device: rhi.Device, indices: Any, image: rhi.Texture
+) -> None:
+    with device.mesh(corners(CENTERS), indices, primitive=rhi.Primitive.POINTS) as mesh:
         for order in ([0, 1, 2], [2, 0, 1], [1], [2, 0, 1]):
             with device.render_pass(image, clear=(0, 0, 0, 0)):
                 device.draw_many(numbered(device), mesh, mesh.draws(order, 1))
@@ -564,14 +545,13 @@ def test_after_clipped_draws_the_scissor_is_the_one_around_them(device: rhi.Devi
         assert_same(image.read()[0, :, 3], [2, 2, 2, 1, 2, 2, 1, 1])
 
 
-def test_clipped_draws_of_a_transient_mesh_see_its_vertices(device: rhi.Device) -> None:
-    with device.texture(ROW, rhi.Format.RGBA32F) as image:
-        program = numbered(device)
-        for first in (0, 2):
-            mesh = device.transient.mesh(program, corners(CENTERS[first:]), primitive=rhi.Primitive.POINTS)
-            with device.render_pass(image, clear=(0, 0, 0, 0)):
-                device.draw_clipped(program, mesh, mesh.draws([1, 3], 1), [(0, 0, 8, 1), (0, 0, 3, 1)])
-            assert_same(image.read()[0, :, 3], np.arange(8) == first + 1)
+def test_clipped_draws_of_a_transient_mesh_see_its_vertices(device: rhi.Device, image: rhi.Texture) -> None:
+    program = numbered(device)
+    for first in (0, 2):
+        mesh = device.transient.mesh(program, corners(CENTERS[first:]), primitive=rhi.Primitive.POINTS)
+        with device.render_pass(image, clear=(0, 0, 0, 0)):
+            device.draw_clipped(program, mesh, mesh.draws([1, 3], 1), [(0, 0, 8, 1), (0, 0, 3, 1)])
+        assert_same(image.read()[0, :, 3], np.arange(8) == first + 1)
 
 
 def test_many_draws_read_the_instances_of_their_base(device: rhi.Device) -> None:
@@ -598,32 +578,23 @@ def test_many_draws_add_their_base_vertices(device: rhi.Device, dtype: str) -> N
         assert_same(image.read()[0], [1, 1, 0, 0, 0, 1, 0, 1])
 
 
-def test_no_draws_draw_nothing(device: rhi.Device) -> None:
-    with (
-        device.texture(ROW, rhi.Format.R32F) as image,
-        device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh,
-    ):
+def test_no_draws_draw_nothing(device: rhi.Device, mesh: rhi.Mesh) -> None:
+    with device.texture(ROW, rhi.Format.R32F) as image:
         with device.render_pass(image):
             device.draw_many(device.program(Colored), mesh, mesh.draws(0, 8)[:0])
         assert_same(image.read(), 0)
 
 
-def test_thousands_of_draws_in_one_call_are_all_drawn(device: rhi.Device) -> None:
+def test_thousands_of_draws_in_one_call_are_all_drawn(device: rhi.Device, mesh: rhi.Mesh) -> None:
     count = 5000
-    with (
-        device.texture(ROW, rhi.Format.R16F) as image,
-        device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh,
-    ):
+    with device.texture(ROW, rhi.Format.R16F) as image:
         with device.render_pass(image), device.states(rhi.BlendFunction.ADDITIVE):
             device.draw_many(device.program(Colored), mesh, mesh.draws(np.arange(count) % 8, 1))
         assert_same(image.read(), count / 8)
 
 
-def test_the_array_of_draws_may_change_right_after_the_call(device: rhi.Device) -> None:
-    with (
-        device.texture(ROW, rhi.Format.R32F) as image,
-        device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh,
-    ):
+def test_the_array_of_draws_may_change_right_after_the_call(device: rhi.Device, mesh: rhi.Mesh) -> None:
+    with device.texture(ROW, rhi.Format.R32F) as image:
         draws = mesh.draws(0, 4)
         with device.render_pass(image):
             device.draw_many(device.program(Colored), mesh, draws)
@@ -662,10 +633,9 @@ def test_an_indirect_draw_reads_its_arguments(device: rhi.Device) -> None:
             assert_same(indirect(device, mesh, rhi.IndirectDraws(buffer, 1, offset=20)), np.arange(8) == 7)
 
 
-def test_an_indirect_draw_without_indices_reads_its_arguments(device: rhi.Device) -> None:
-    with device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh:
-        with device.buffer(mesh.draws([2, 7], [3, 1], instances=[2, 1])) as buffer:
-            assert_same(indirect(device, mesh, rhi.IndirectDraws(buffer, 2)), [0, 0, 2, 2, 2, 0, 0, 1])
+def test_an_indirect_draw_without_indices_reads_its_arguments(device: rhi.Device, mesh: rhi.Mesh) -> None:
+    with device.buffer(mesh.draws([2, 7], [3, 1], instances=[2, 1])) as buffer:
+        assert_same(indirect(device, mesh, rhi.IndirectDraws(buffer, 2)), [0, 0, 2, 2, 2, 0, 0, 1])
 
 
 def test_indirect_draws_may_lie_a_stride_apart(device: rhi.Device) -> None:
@@ -691,24 +661,16 @@ def test_a_count_from_a_buffer_limits_indirect_draws(device: rhi.Device, stored:
 
 
 @pytest.mark.needs("indirect_count")
-def test_a_count_does_not_linger(device: rhi.Device) -> None:
+def test_a_count_does_not_linger(device: rhi.Device, mesh: rhi.Mesh) -> None:
     """A draw without a count buffer executes all its draws, even after one with a count buffer."""
-    with (
-        device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh,
-        device.buffer(mesh.draws(np.arange(4), 1)) as buffer,
-        device.buffer(np.array([1], "u4")) as count,
-    ):
+    with device.buffer(mesh.draws(np.arange(4), 1)) as buffer, device.buffer(np.array([1], "u4")) as count:
         assert_same(indirect(device, mesh, rhi.IndirectDraws(buffer, 4, count=count)), np.arange(8) < 1)
         assert_same(indirect(device, mesh, rhi.IndirectDraws(buffer, 4)), np.arange(8) < 4)
 
 
-def test_arguments_are_read_when_the_draw_is_executed(device: rhi.Device) -> None:
+def test_arguments_are_read_when_the_draw_is_executed(device: rhi.Device, mesh: rhi.Mesh) -> None:
     """Indirect arguments are read when the draw is executed, not when it is issued: a copy before it takes effect."""
-    with (
-        device.mesh(corners(CENTERS), primitive=rhi.Primitive.POINTS) as mesh,
-        device.buffer(mesh.draws(3, 2)) as source,
-        device.buffer(mesh.draws(0, 8)) as buffer,
-    ):
+    with device.buffer(mesh.draws(3, 2)) as source, device.buffer(mesh.draws(0, 8)) as buffer:
         source.copy_to(buffer)
         assert_same(indirect(device, mesh, rhi.IndirectDraws(buffer, 1)), np.isin(np.arange(8), (3, 4)))
 

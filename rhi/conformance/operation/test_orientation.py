@@ -8,7 +8,7 @@ import pytest
 import rhi.shading as sl
 from rhi import Device, Format, Region, Viewport
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
-from rhi.conformance.shaders import Colored, Corner, Shade
+from rhi.conformance.shaders import Colored, Corner, Shade, Shaded, Smooth
 from rhi.conformance.shapes import WHITE, corners, rectangle
 
 pytestmark = [pytest.mark.needs("shading"), pytest.mark.recorded_too]
@@ -60,11 +60,8 @@ def test_a_drawn_texture_is_copied_as_it_is(device: Device) -> None:
         assert_mask(target.read(), mask)
 
 
-class FragmentPlace(sl.Shader):
+class FragmentPlace(Shaded):
     """Writes the coordinates of the fragment."""
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> sl.vec4:
         return sl.fragment_coordinate()
@@ -91,11 +88,8 @@ def test_fragment_coordinates_do_not_depend_on_the_viewport(device: Device) -> N
         assert_same(pixels[5, 7, :2], (7.5, 5.5))
 
 
-class Derivatives(sl.Shader):
+class Derivatives(Shaded):
     """Writes the derivatives of the color, to the right and downwards."""
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> sl.vec4:
         return sl.vec4(sl.ddx(v.color.xy), sl.ddy(v.color.xy))
@@ -170,16 +164,13 @@ class Camera(sl.Struct):
     scale: float
 
 
-class Moved(sl.Shader):
+class Moved(Smooth):
     """Transforms positions by a matrix."""
 
     camera: sl.Uniform[Camera]
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=self.camera.world @ v.position, color=v.color)
-
-    def fragment(self, v: Shade) -> sl.vec4:
-        return v.color
 
 
 TURN = np.array([(1, 2, 3), (4, 5, 6), (7, 8, 10)], float)

@@ -13,7 +13,7 @@ from rhi import Comparison, CompressedFormat, Device, Filter, Format, SamplerDes
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import random_texels, require_format, squeezed
 from rhi.conformance.reference import channels_of, compare, decode, encode
-from rhi.conformance.shaders import Colored, Corner, Shade
+from rhi.conformance.shaders import Colored, Shade, Shaded
 from rhi.conformance.shapes import rectangle
 from rhi.contract.formats import COLOR_FORMATS, ChannelKind
 
@@ -145,10 +145,7 @@ def test_integers_are_read_as_they_are(device: Device, format: Format) -> None:
     shader, element = cast(
         "tuple[Any, Any]", (LoadUint, sl.uvec4) if format.kind is ChannelKind.UINT else (LoadInt, sl.ivec4)
     )
-    with (
-        device.texture(squeezed(format, data), format) as texture,
-        device.storage(element, 8) as results,
-    ):
+    with device.texture(squeezed(format, data), format) as texture, device.storage(element, 8) as results:
         device.dispatch(device.program(shader), (4, 2), source=texture, results=results)
         assert_same(results.read(), expected)
 
@@ -205,13 +202,10 @@ def test_srgb_is_filtered_in_linear_light(device: Device) -> None:
     assert_near(back, 0.5, 1 / 128, FILTERED)
 
 
-class Drawn(sl.Shader):
+class Drawn(Shaded):
     """Samples a texture over the whole target, at the level that the derivatives choose."""
 
     source: sl.Texture2D
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> sl.vec4:
         return self.source.sample(v.color.xy)
@@ -599,13 +593,10 @@ def test_many_bindings_of_every_kind_stay_apart(device: Device) -> None:
         resource.destroy()
 
 
-class Graded(sl.Shader):
+class Graded(Shaded):
     """Samples at the level of explicit derivatives, and at that of implicit ones with a bias of 1, −1 and 0."""
 
     source: sl.Texture2D
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> sl.vec4:
         graded = self.source.sample_grad(v.color.xy, sl.vec2(4.0 / 64.0, 0.0), sl.vec2(0.0, 4.0 / 64.0)).x
@@ -673,15 +664,12 @@ def test_a_floor_seen_at_a_grazing_angle_keeps_more_contrast_with_more_anisotrop
     assert full.sum() > 3 * none.sum() > 0
 
 
-class ComparedLayers(sl.Shader):
+class ComparedLayers(Shaded):
     """Compares a layered and a cube shadow map."""
 
     layers: sl.DepthTexture2DArray
     around: sl.DepthTextureCube
     results: sl.StorageRW[sl.vec4]
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> sl.vec4:
         first = self.layers.sample_compare(sl.vec3(0.5, 0.5, 0.0), 0.5)

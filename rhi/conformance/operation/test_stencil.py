@@ -15,6 +15,7 @@ from rhi import (
     Device,
     Format,
     FrontFace,
+    Mesh,
     Primitive,
     State,
     StencilBack,
@@ -27,9 +28,9 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_same
 from rhi.conformance.reference import compare, stencil
-from rhi.conformance.shaders import Colored, Corner, Shade
+from rhi.conformance.shaders import Colored, Shade, Shaded
 from rhi.conformance.shapes import VertexRows, rectangle
-from rhi.shading import Shader, discard, fragment_coordinate, vec4
+from rhi.shading import discard, fragment_coordinate, vec4
 
 pytestmark = pytest.mark.needs("draws", "shading", "stencil")
 
@@ -87,12 +88,8 @@ def test_each_outcome_has_its_own_operation(device: Device, function: Comparison
     assert_same(color, 255 if expected == 255 else 0)
 
 
-def test_when_stencil_is_off_nothing_is_tested_or_written(device: Device) -> None:
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.texture(SIZE, Format.D24S8) as target,
-        device.mesh(rectangle()) as mesh,
-    ):
+def test_when_stencil_is_off_nothing_is_tested_or_written(device: Device, mesh: Mesh) -> None:
+    with device.texture(SIZE, Format.R8) as image, device.texture(SIZE, Format.D24S8) as target:
         with (
             device.render_pass(image, target, clear=(0, 0, 0, 0), clear_depth=0.0, clear_stencil=9),
             device.states(StencilFront(Comparison.NEVER, REPLACE, REPLACE, REPLACE), StencilReference(3, 3)),
@@ -202,11 +199,8 @@ def test_a_stencil_mask_cuts_out_what_is_drawn_through_it(device: Device) -> Non
         assert_same(image.read(), expected)
 
 
-class Checkered(Shader):
+class Checkered(Shaded):
     """Discards every other fragment of a row."""
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> vec4:
         if int(fragment_coordinate().x) % 2 == 1:
@@ -217,14 +211,10 @@ class Checkered(Shader):
 @pytest.mark.parametrize(("stored", "reference", "depth"), [(5, 6, 0.0), (5, 5, 1.0), (5, 5, 0.0)],
                          ids=["stencil fails", "depth fails", "both pass"])  # fmt: skip
 def test_a_discarded_fragment_changes_no_stencil_whatever_the_tests_say(
-    device: Device, stored: int, reference: int, depth: float
+    device: Device, stored: int, reference: int, depth: float, mesh: Mesh
 ) -> None:
     front = StencilFront(Comparison.EQUAL, StencilOperation.INVERT, StencilOperation.INVERT, StencilOperation.INVERT)
-    with (
-        device.texture((4, 2), Format.R8) as image,
-        device.texture((4, 2), Format.D24S8) as target,
-        device.mesh(rectangle()) as mesh,
-    ):
+    with device.texture((4, 2), Format.R8) as image, device.texture((4, 2), Format.D24S8) as target:
         with (
             device.render_pass(image, target, clear=(0, 0, 0, 0), clear_depth=depth, clear_stencil=stored),
             device.states(StencilTest.ON, front, StencilReference(reference, reference)),

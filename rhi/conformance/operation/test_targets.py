@@ -19,6 +19,7 @@ from rhi import (
     Device,
     DrawPlan,
     Format,
+    Mesh,
     Primitive,
     TextureKind,
 )
@@ -150,13 +151,9 @@ def test_each_target_blends_by_its_own_function(device: Device) -> None:
     assert_same(two, (0, 0, 0, 1))
 
 
-def test_a_target_without_an_output_keeps_other_targets_right(device: Device) -> None:
+def test_a_target_without_an_output_keeps_other_targets_right(device: Device, mesh: Mesh) -> None:
     """A program with one output, in a pass with two targets, writes the first target."""
-    with (
-        device.texture(SIZE, Format.RGBA8) as one,
-        device.texture(SIZE, Format.RGBA8) as two,
-        device.mesh(rectangle()) as mesh,
-    ):
+    with device.texture(SIZE, Format.RGBA8) as one, device.texture(SIZE, Format.RGBA8) as two:
         with device.render_pass([one, two], clear=(0, 0, 0, 0)), device.states(ColorWrite.OFF.at(1)):
             device.draw(device.program(Colored), mesh)
         assert_same(one.read(), 255)
@@ -196,11 +193,8 @@ def test_layers_of_one_texture_are_targets_side_by_side(device: Device) -> None:
         assert_same(image.read_layers()[0], (0, 0, 0, 255))
 
 
-def test_a_depth_layer_is_drawn_to_alone(device: Device) -> None:
-    with (
-        device.texture(SIZE, Format.D32F, kind=TextureKind.D2_ARRAY, layers=3) as depth,
-        device.mesh(rectangle()) as mesh,
-    ):
+def test_a_depth_layer_is_drawn_to_alone(device: Device, mesh: Mesh) -> None:
+    with device.texture(SIZE, Format.D32F, kind=TextureKind.D2_ARRAY, layers=3) as depth:
         with device.render_pass(depth=depth.at(layer=1)):
             device.draw(device.program(Colored), mesh)
         assert_same(depth.read_layers()[..., 0], np.array([0, 0.5, 0])[:, None, None])
@@ -344,10 +338,7 @@ def test_alpha_becomes_coverage(device: Device, alpha: float) -> None:
         device.texture((8, 8), Format.RGBA16F) as target,
         device.mesh(rectangle(color=(1, 1, 1, alpha))) as mesh,
     ):
-        with (
-            device.render_pass(image, clear=(0, 0, 0, 0), resolve=target),
-            device.states(AlphaToCoverage.ON),
-        ):
+        with device.render_pass(image, clear=(0, 0, 0, 0), resolve=target), device.states(AlphaToCoverage.ON):
             device.draw(device.program(Colored), mesh)
         covered = target.read()[..., 0].mean()
     assert_near(covered, alpha, 0.25 if alpha == 0.5 else 0.0, "which samples are covered is left to the device")

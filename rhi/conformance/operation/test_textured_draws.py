@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhi import Device, Filter, Format, Primitive, SamplerDescriptor, Wrap
+from rhi import Device, Filter, Format, Mesh, Primitive, SamplerDescriptor, Wrap
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored, FlatShade, Loads, TexturedVarying, TexturedVertex, Tint, Tinted
 from rhi.conformance.shapes import centers, corners, rectangle
@@ -75,13 +75,9 @@ def test_a_drawn_texture_is_sampled_like_a_written_one(device: Device) -> None:
         assert_same(target.read(), expected)
 
 
-def test_texel_loads_count_from_the_top_left(device: Device) -> None:
+def test_texel_loads_count_from_the_top_left(device: Device, mesh: Mesh) -> None:
     data = texels(5, 3)
-    with (
-        device.texture(data, Format.RGBA8) as source,
-        device.texture((5, 3), Format.RGBA8) as target,
-        device.mesh(rectangle()) as mesh,
-    ):
+    with device.texture(data, Format.RGBA8) as source, device.texture((5, 3), Format.RGBA8) as target:
         with device.render_pass(target):
             device.draw(device.program(Loads), mesh, source=source)
         assert_same(target.read(), data)

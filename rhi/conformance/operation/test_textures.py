@@ -10,12 +10,7 @@ import pytest
 
 from rhi import Access, Device, Format, Region, TextureKind
 from rhi.conformance.compare import assert_near, assert_same
-from rhi.conformance.formats import (
-    random_texels,
-    require_format,
-    require_renderable,
-    squeezed,
-)
+from rhi.conformance.formats import random_texels, require_format, require_renderable, squeezed
 from rhi.conformance.reference import channels_of, decode, encode, halve, largest, rounding
 from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind
 

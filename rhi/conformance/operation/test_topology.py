@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhi import BlendFunction, CullMode, Device, Format, Primitive, StorageBuffer
+from rhi import BlendFunction, CullMode, Device, Format, Primitive, StorageBuffer, Texture
 from rhi.conformance.compare import assert_mask, assert_same
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, FlatColored
@@ -21,15 +21,18 @@ pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 SIZE = (16, 16)
 
 
+@pytest.fixture
+def image(device: Device) -> Iterator[Texture]:
+    with device.texture(SIZE, Format.R8) as image:
+        yield image
+
+
 def drawn(
     device: Device, primitive: Primitive, positions: Any, indices: Any = None, color: Any = (1, 1, 1, 1)
 ) -> NDArray[Any]:
     """Return the image of one draw without culling."""
     rows = corners(positions, color)
-    with (
-        device.texture(SIZE, Format.RGBA8) as image,
-        device.mesh(rows, indices, primitive=primitive) as mesh,
-    ):
+    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(rows, indices, primitive=primitive) as mesh:
         with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
             device.draw(device.program(FlatColored), mesh)
         return image.read()
@@ -231,37 +234,30 @@ def boxes(chosen: Any) -> NDArray[np.bool_]:
 
 @pytest.mark.parametrize("indexed", [None, "u2", "u4"])
 @pytest.mark.parametrize(("first", "count"), [(0, 16), (0, 1), (3, 5), (15, 1), (4, 0)])
-def test_a_view_of_quads_draws_its_quads_only(device: Device, first: int, count: int, indexed: str | None) -> None:
+def test_a_view_of_quads_draws_its_quads_only(
+    device: Device, first: int, count: int, indexed: str | None, image: Texture
+) -> None:
     rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2)), SIZE))
     indices = None if indexed is None else np.arange(64, dtype=indexed)
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.mesh(rows, indices, primitive=Primitive.QUADS) as mesh,
-    ):
+    with device.mesh(rows, indices, primitive=Primitive.QUADS) as mesh:
         with device.render_pass(image), device.states(CullMode.NONE):
             device.draw(device.program(Colored), mesh.view(4 * first, 4 * count))
         assert_mask(image.read(), boxes(range(first, first + count)))
 
 
-def test_indexed_quads_take_their_corners_from_anywhere(device: Device) -> None:
+def test_indexed_quads_take_their_corners_from_anywhere(device: Device, image: Texture) -> None:
     rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2)), SIZE))
     order = np.arange(64).reshape(16, 4)[[9, 2, 14]].reshape(-1)
     shuffled = np.random.default_rng(0).permutation(64)
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.mesh(rows[shuffled], np.argsort(shuffled)[order].astype("u2"), primitive=Primitive.QUADS) as mesh,
-    ):
+    with device.mesh(rows[shuffled], np.argsort(shuffled)[order].astype("u2"), primitive=Primitive.QUADS) as mesh:
         with device.render_pass(image), device.states(CullMode.NONE):
             device.draw(device.program(Colored), mesh)
         assert_mask(image.read(), boxes((9, 2, 14)))
 
 
-def test_indexed_quads_add_their_base_vertex(device: Device) -> None:
+def test_indexed_quads_add_their_base_vertex(device: Device, image: Texture) -> None:
     rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2)), SIZE))
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.mesh(rows, np.arange(8, dtype="u2"), primitive=Primitive.QUADS) as mesh,
-    ):
+    with device.mesh(rows, np.arange(8, dtype="u2"), primitive=Primitive.QUADS) as mesh:
         with device.render_pass(image), device.states(CullMode.NONE):
             device.draw(device.program(Colored), mesh.view(4, 4, base_vertex=20))
         assert_mask(image.read(), boxes((6,)))
@@ -287,16 +283,12 @@ CHANGES: dict[str, Callable[[Device, StorageBuffer[Any], NDArray[Any]], object]]
 
 @pytest.mark.parametrize("change", [*list(CHANGES)[:-1], pytest.param("computed", marks=pytest.mark.needs("compute"))])
 @pytest.mark.parametrize("first", [0, 4])
-def test_indexed_quads_follow_their_indices(device: Device, change: str, first: int) -> None:
+def test_indexed_quads_follow_their_indices(device: Device, change: str, first: int, image: Texture) -> None:
     """What a draw of quads has found of its indices isn't used again after they have changed."""
     rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2)), SIZE))
     now = np.arange(8, dtype="u4") + 4
     expected = {"cleared": (), "written in part": (1, 8)}.get(change, (7, 8))
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.storage(uint, now) as indices,
-        device.mesh(rows, indices.owner, primitive=Primitive.QUADS) as mesh,
-    ):
+    with device.storage(uint, now) as indices, device.mesh(rows, indices.owner, primitive=Primitive.QUADS) as mesh:
         for _ in range(2):
             with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
                 device.draw(device.program(Colored), mesh.view(first))
@@ -308,13 +300,10 @@ def test_indexed_quads_follow_their_indices(device: Device, change: str, first: 
             assert_mask(image.read(), boxes(expected[first // 4 :]))
 
 
-def test_a_view_of_indexed_quads_begins_at_any_index(device: Device) -> None:
+def test_a_view_of_indexed_quads_begins_at_any_index(device: Device, image: Texture) -> None:
     rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2)), SIZE))
     indices = np.array([*range(8), 0, *range(20, 28)], "u2")
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.mesh(rows, indices, primitive=Primitive.QUADS) as mesh,
-    ):
+    with device.mesh(rows, indices, primitive=Primitive.QUADS) as mesh:
         for view, expected in ((mesh.view(0, 8), (0, 1)), (mesh.view(9), (5, 6)), (mesh.view(13), (6,))):
             with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
                 device.draw(device.program(Colored), view)
@@ -337,29 +326,23 @@ def test_quads_are_drawn_once_per_instance(device: Device) -> None:
         assert_same(image.read(), boxes((2,)) * 3)
 
 
-def test_more_quads_than_16_bits_can_count(device: Device) -> None:
+def test_more_quads_than_16_bits_can_count(device: Device, image: Texture) -> None:
     """The last of 20,000 quads with 80,000 vertices are drawn at the right place."""
     positions = np.full((20_000, 4, 2), -3.0)
     for place, box in ((0, 3), (16_384, 5), (19_999, 12)):
         positions[place] = window_to_clip(BOXES[box], SIZE)
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.mesh(corners(positions.reshape(-1, 2)), primitive=Primitive.QUADS) as mesh,
-    ):
+    with device.mesh(corners(positions.reshape(-1, 2)), primitive=Primitive.QUADS) as mesh:
         with device.render_pass(image), device.states(CullMode.NONE):
             device.draw(device.program(Colored), mesh)
         assert_mask(image.read(), boxes((3, 5, 12)))
 
 
-def test_a_strip_with_a_base_vertex_restarts_at_the_last_index(device: Device) -> None:
+def test_a_strip_with_a_base_vertex_restarts_at_the_last_index(device: Device, image: Texture) -> None:
     """The restart index is compared before the base vertex is added."""
     points = [(0, 0), (1, 1), (1, 6), (6, 1), (9, 9), (9, 15), (15, 9)]
     indices = np.array([0, 1, 2, 0xFFFF, 3, 4, 5], "u2")
     rows = corners(window_to_clip(points, SIZE))
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.mesh(rows, indices, primitive=Primitive.TRIANGLE_STRIP) as mesh,
-    ):
+    with device.mesh(rows, indices, primitive=Primitive.TRIANGLE_STRIP) as mesh:
         with device.render_pass(image), device.states(CullMode.NONE):
             device.draw(device.program(Colored), mesh.view(base_vertex=1))
         assert_mask(image.read(), covered(points[1:4], points[4:]))

@@ -13,7 +13,7 @@ import rhi.shading as sl
 from rhi import BlendFunction, CullMode, Device, Format, Primitive, ValidationError
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.reference import SUBTEXELS, rasterise
-from rhi.conformance.shaders import Colored, Corner, FlatShade, Shade, Tint, Tinted, Weighted
+from rhi.conformance.shaders import Colored, Corner, Flat, FlatShade, Shade, Smooth, Tint, Tinted, Weighted
 from rhi.conformance.shapes import centers, corners, rectangle, window_to_clip
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
@@ -201,24 +201,18 @@ class Flagged(sl.Struct):
     number: int
 
 
-class PaintedShader(sl.Shader):
+class PaintedShader(Smooth):
     """Draws vertices in their own colors."""
 
     def vertex(self, v: Painted) -> Shade:
         return Shade(clip=sl.vec4(v.position, 0.5, 1.0), color=v.color)
 
-    def fragment(self, v: Shade) -> sl.vec4:
-        return v.color
 
-
-class FlaggedShader(sl.Shader):
+class FlaggedShader(Flat):
     """Draws vertices in the color of their number."""
 
     def vertex(self, v: Flagged) -> FlatShade:
         return FlatShade(clip=sl.vec4(v.position, 0.5, 1.0), color=sl.vec4(float(v.number)))
-
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
 
 PACKED = np.dtype([("position", "<f4", 2), ("uv", "<f4", 2), ("color", "u1", 4)])
@@ -263,14 +257,11 @@ class PaintedTwo(sl.Struct):
     color: sl.vec2
 
 
-class PaintedTwice(sl.Shader):
+class PaintedTwice(Smooth):
     """Draws vertices in their own two components."""
 
     def vertex(self, v: PaintedTwo) -> Shade:
         return Shade(clip=sl.vec4(v.position, 0.5, 1.0), color=sl.vec4(v.color, 0.0, 1.0))
-
-    def fragment(self, v: Shade) -> sl.vec4:
-        return v.color
 
 
 @pytest.mark.parametrize("way", ["transient", "immediate"])
@@ -353,14 +344,11 @@ class Instance(sl.Struct):
     shift: sl.vec2
 
 
-class Instanced(sl.Shader):
+class Instanced(Flat):
     """Draws the number of each instance."""
 
     def vertex(self, v: Instance) -> FlatShade:
         return FlatShade(clip=sl.vec4(v.position + v.shift, 0.5, 1.0), color=sl.vec4(float(sl.instance_index())))
-
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
 
 @pytest.mark.parametrize("way", ["transient", "immediate"])
@@ -424,7 +412,7 @@ def test_a_mesh_made_before_its_ring_grew_is_drawn_after_it(fresh_device: Device
         assert_same(image.read()[0], np.arange(4))
 
 
-class Weighed(sl.Shader):
+class Weighed(Flat):
     """Draws instances in colors from storage, scaled by one number."""
 
     scale: sl.Uniform[float]
@@ -433,9 +421,6 @@ class Weighed(sl.Shader):
     def vertex(self, v: Instance) -> FlatShade:
         place = sl.vec4(v.position + v.shift, 0.5, 1.0)
         return FlatShade(clip=place, color=self.weights[sl.instance_index()] * self.scale)
-
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
 
 def test_a_command_buffer_has_transient_geometry_of_its_own(device: Device) -> None:
@@ -511,7 +496,7 @@ def test_transient_storage_of_a_number_is_zeroed(device: Device) -> None:
 # -- single values -----------------------------------------------------------------------------------------
 
 
-class Values(sl.Shader):
+class Values(Flat):
     """Sums single values of each kind, so that each lies where the layout says."""
 
     scale: sl.Uniform[float]
@@ -525,9 +510,6 @@ class Values(sl.Shader):
         turned = self.turn @ self.offset
         seen = self.view @ sl.vec4(turned, self.scale)
         return FlatShade(clip=v.position, color=seen + sl.vec4(float(self.number), float(self.bits), 0.0, 0.0))
-
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
 
 @pytest.mark.parametrize("way", ["uniform", "transient", "write", "value"])

@@ -10,7 +10,7 @@ from typing import Final
 
 import rhi.shading as sl
 from rhi.conformance.programs.steps import Ink
-from rhi.conformance.shaders import Corner, FlatShade, Shade
+from rhi.conformance.shaders import Corner, Flat, FlatShade, Shade, Smooth
 
 
 class Move(sl.Struct):
@@ -21,7 +21,7 @@ class Move(sl.Struct):
     layer: int
 
 
-class FlatInk(sl.Shader):
+class FlatInk(Flat):
     """The color of the first corner."""
 
     move: sl.Uniform[Move]
@@ -30,11 +30,8 @@ class FlatInk(sl.Shader):
         step = sl.vec4(self.move.step, 0.0, 0.0) * (float(sl.instance_index()) * v.position.w)
         return FlatShade(clip=v.position + step, color=v.color)
 
-    def fragment(self, v: FlatShade) -> sl.vec4:
-        return v.color
 
-
-class SmoothInk(sl.Shader):
+class SmoothInk(Smooth):
     """The interpolated color."""
 
     move: sl.Uniform[Move]
@@ -42,9 +39,6 @@ class SmoothInk(sl.Shader):
     def vertex(self, v: Corner) -> Shade:
         step = sl.vec4(self.move.step, 0.0, 0.0) * (float(sl.instance_index()) * v.position.w)
         return Shade(clip=v.position + step, color=v.color)
-
-    def fragment(self, v: Shade) -> sl.vec4:
-        return v.color
 
 
 class Pair(sl.Struct):

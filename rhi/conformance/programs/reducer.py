@@ -10,16 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from rhi import Primitive
-from rhi.conformance.programs.steps import (
-    Draw,
-    Part,
-    Pass,
-    Program,
-    Recorded,
-    Shape,
-    Step,
-    Way,
-)
+from rhi.conformance.programs.steps import Draw, Part, Pass, Program, Recorded, Shape, Step, Way
 from rhi.errors import RhiError
 
 

@@ -77,6 +77,14 @@ BEGIN_END = {
 }
 
 
+@pytest.fixture(autouse=True)
+def conditional(request: pytest.FixtureRequest, shared_device: Device) -> None:
+    """Skip a test of conditions where the device has none."""
+    parameters = request.node.callspec.params.values()
+    if "condition" in parameters and not shared_device.capabilities.conditional_rendering:
+        pytest.skip("the device declares no conditional_rendering")
+
+
 @pytest.fixture
 def things(recording: Device) -> Iterator[Things]:
     things = Things(recording)
@@ -96,13 +104,9 @@ def assert_nested(commands: Any) -> None:
     assert not open_ops
 
 
-def can(device: Device, *kinds: str) -> bool:
-    return device.capabilities.conditional_rendering or "condition" not in kinds
-
-
 def surround(stack: ExitStack, things: Things, *kinds: str) -> None:
     """Open a pass around a query that needs one."""
-    if "query" in kinds and (kinds[0] != "pass" or kinds[1] != "query"):
+    if "query" in kinds and kinds != ("pass", "query"):
         stack.enter_context(things.device.render_pass(things.image))
 
 
@@ -110,8 +114,6 @@ def surround(stack: ExitStack, things: Things, *kinds: str) -> None:
 @pytest.mark.parametrize(("outer", "inner"), PAIRS)
 def test_a_scope_left_before_one_inside_it(recording: Device, things: Things, outer: str, inner: str) -> None:
     """Refused where it matters; then all is as before, and commands nest."""
-    if not can(recording, outer, inner):
-        pytest.skip("the device declares no conditional_rendering")
     since = len(recording.stream)
     before = recording._core.states.wanted
     with ExitStack() as stack:
@@ -134,8 +136,6 @@ def test_a_scope_left_before_one_inside_it(recording: Device, things: Things, ou
 @pytest.mark.needs("draws", "occlusion_queries")
 @pytest.mark.parametrize(("outer", "inner"), PAIRS)
 def test_the_same_scopes_left_in_order(recording: Device, things: Things, outer: str, inner: str) -> None:
-    if not can(recording, outer, inner):
-        pytest.skip("the device declares no conditional_rendering")
     since = len(recording.stream)
     with ExitStack() as stack:
         surround(stack, things, outer, inner)
@@ -156,12 +156,9 @@ LEFT_TWICE = {
 @pytest.mark.needs("draws", "occlusion_queries")
 @pytest.mark.parametrize("kind", ALL)
 def test_a_block_left_twice(recording: Device, things: Things, kind: str) -> None:
-    if not can(recording, kind):
-        pytest.skip("the device declares no conditional_rendering")
     rule = LEFT_TWICE[kind]
     with ExitStack() as stack:
-        if kind == "query":
-            stack.enter_context(recording.render_pass(things.image))
+        surround(stack, things, kind)
         with recording.states(DepthWrite.OFF):
             inside = recording._core.states.wanted
             block = ALL[kind](things)
@@ -190,12 +187,9 @@ ENTERED_TWICE = {
 @pytest.mark.needs("draws", "occlusion_queries")
 @pytest.mark.parametrize("kind", ALL)
 def test_a_block_entered_twice(recording: Device, things: Things, kind: str) -> None:
-    if not can(recording, kind):
-        pytest.skip("the device declares no conditional_rendering")
     rule, since = ENTERED_TWICE[kind], len(recording.stream)
     with ExitStack() as stack:
-        if kind == "query":
-            stack.enter_context(recording.render_pass(things.image))
+        surround(stack, things, kind)
         block = ALL[kind](things)
         with block:
             if rule is None:
@@ -311,12 +305,9 @@ def test_a_query_that_is_not_the_innermost_scope_ends_later(recording: Device) -
 @pytest.mark.needs("draws", "occlusion_queries")
 @pytest.mark.parametrize("kind", [*ORDERED, "buffer read"])
 def test_a_frame_ends_outside_of_all_scopes(recording: Device, things: Things, kind: str) -> None:
-    if not can(recording, kind):
-        pytest.skip("the device declares no conditional_rendering")
     rule = {"pass": rules.PASS_OPEN, "query": rules.PASS_OPEN}.get(kind, rules.SCOPE_OPEN)
     with ExitStack() as stack:
-        if kind == "query":
-            stack.enter_context(recording.render_pass(things.image))
+        surround(stack, things, kind)
         stack.enter_context(ALL[kind](things))
         if kind in ORDERED:
             with refuses(rule, recording):
@@ -329,13 +320,10 @@ def test_a_frame_ends_outside_of_all_scopes(recording: Device, things: Things, k
 @pytest.mark.needs("draws", "occlusion_queries")
 @pytest.mark.parametrize("kind", ORDERED)
 def test_a_submission_may_lie_in_scopes_but_not_in_a_pass(recording: Device, things: Things, kind: str) -> None:
-    if not can(recording, kind):
-        pytest.skip("the device declares no conditional_rendering")
     with recording.record() as commands:
         commands.clear(things.buffer, 7)
     with ExitStack() as stack:
-        if kind == "query":
-            stack.enter_context(recording.render_pass(things.image))
+        surround(stack, things, kind)
         stack.enter_context(ALL[kind](things))
         if kind in ("pass", "query"):
             with refuses(rules.PASS_OPEN, recording):
@@ -350,12 +338,8 @@ def test_a_device_closed_inside_a_block_is_closed(backend: str, kind: str) -> No
     """The error is raised after the device has been released, and not by the ends of the blocks."""
     device = rhi.create_device(backend)
     things = Things(device)
-    if not can(device, kind):
-        device.close()
-        pytest.skip("the device declares no conditional_rendering")
     with ExitStack() as stack:
-        if kind == "query":
-            stack.enter_context(device.render_pass(things.image))
+        surround(stack, things, kind)
         stack.enter_context(ALL[kind](things))
         if kind in ORDERED:
             with refuses(rules.SCOPE_OPEN):

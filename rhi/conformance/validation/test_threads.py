@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 import rhi
-from rhi import Access, CullMode, Device, Format, Op, Primitive, SamplerDescriptor
+from rhi import Access, CullMode, Device, Format, Op
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored, Tint, Tinted
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import check_working, refuses
 from rhi.errors import rules
-from rhi.shading import Shader, StorageRW, global_id, uint
 
 T = TypeVar("T")
 Elsewhere: TypeAlias = Callable[[Callable[[], T]], T]
@@ -31,58 +30,24 @@ def elsewhere() -> Iterator[Elsewhere[Any]]:
         yield lambda call: pool.submit(call).result()
 
 
-class Numbered(Shader):
-    """Stores a number."""
-
-    numbers: StorageRW[uint]
-
-    def compute(self) -> None:
-        self.numbers[global_id().x] = uint(7)
-
-
 class Resources:
-    """A resource of each kind, created on the device's thread."""
+    """A buffer and a texture, created on the device's thread."""
 
     def __init__(self, device: Device) -> None:
         self.buffer = device.buffer(np.arange(4))
         self.texture = device.texture(SIZE, Format.RGBA8)
-        self.uniform = device.uniform(Tint(color=(1, 1, 1, 1)))
-        self.device, self.commands = device, device.record()
-        with self.commands:
-            self.commands.clear(self.buffer)
-
-    def destroy(self) -> None:
-        for resource in (self.buffer, self.texture, self.uniform):
-            resource.destroy()
+        self.device = device
 
 
 USES: dict[str, Callable[[Device, Resources], object]] = {
-    "buffer": lambda d, r: d.buffer(4),
-    "storage": lambda d, r: d.storage(uint, 4),
-    "uniform": lambda d, r: d.uniform(Tint(color=(0, 0, 0, 0))),
-    "texture": lambda d, r: d.texture(SIZE, Format.R8),
-    "sampler": lambda d, r: d.sampler(SamplerDescriptor(border=(0.5, 0.25, 0.125, 0.0625))),
-    "mesh": lambda d, r: d.mesh(rectangle()),
     "buffer read": lambda d, r: r.buffer.read(),
-    "buffer write": lambda d, r: r.buffer.write(np.zeros(4, r.buffer.dtype)),
-    "buffer clear": lambda d, r: r.buffer.clear(1),
     "buffer lock": lambda d, r: r.buffer.lock(Access.READ).__enter__(),  # stays locked
-    "uniform write": lambda d, r: r.uniform.write(Tint(color=(0, 0, 0, 0))),
-    "texture read": lambda d, r: r.texture.read(),
     "texture write": lambda d, r: r.texture.write(np.ones((*SIZE, 4), "u1")),
-    "destroy": lambda d, r: r.buffer.destroy(),
-    "destroy texture": lambda d, r: r.texture.destroy(),
     "render pass": lambda d, r: d.render_pass(r.texture).__enter__(),
-    "event": lambda d, r: d.event("elsewhere").__enter__(),
-    "submit": lambda d, r: d.submit(r.commands),
-    "signal": lambda d, r: d.signal(),
-    "completed": lambda d, r: d.completed,
-    "finish": lambda d, r: d.finish(),
-    "present": lambda d, r: d.present(),
-    "make current": lambda d, r: d.make_current(),
-    "release current": lambda d, r: d.release_current(),
+    "states": lambda d, r: d.states(CullMode.NONE).__enter__(),
     "close": lambda d, r: d.close(),
 }
+"""A call of each kind: that all others are refused, too, `tests/rhi/device/test_calls_on_threads.py` shows once."""
 
 
 @pytest.mark.parametrize("use", USES)
@@ -93,7 +58,6 @@ def test_a_call_on_another_thread_is_refused(recording: Device, elsewhere: Elsew
     assert "elsewhere_0" in refusal.error.given
     assert "MainThread" in refusal.error.allowed
     assert_same(resources.buffer.read(), np.arange(4))
-    resources.destroy()
 
 
 @pytest.mark.parametrize("use", USES)
@@ -103,17 +67,6 @@ def test_the_same_call_is_allowed_on_the_device_s_thread(backend: str, use: str)
     device.close(quiet=True)
 
 
-@pytest.mark.needs("compute")
-def test_a_dispatch_on_another_thread_is_refused(recording: Device, elsewhere: Elsewhere[Any]) -> None:
-    program = recording.program(Numbered)
-    with recording.storage(uint, 1) as numbers:
-        with refuses(rules.DEVICE_THREAD, recording):
-            elsewhere(lambda: recording.dispatch(program, 1, numbers=numbers))
-        assert_same(numbers.read(), 0)
-        recording.dispatch(program, 1, numbers=numbers)
-        assert_same(numbers.read(), 7 if recording.capabilities.shading else 0)
-
-
 @pytest.mark.needs("draws")
 def test_a_program_is_created_on_the_device_s_thread(backend: str, elsewhere: Elsewhere[Any]) -> None:
     with rhi.create_device(backend) as device:
@@ -121,47 +74,6 @@ def test_a_program_is_created_on_the_device_s_thread(backend: str, elsewhere: El
             elsewhere(lambda: device.program(Colored))
         device.program(Colored)
         elsewhere(lambda: device.program(Colored))  # exists
-
-
-@pytest.mark.needs("draws", "occlusion_queries")
-def test_an_answer_is_read_on_the_device_s_thread(recording: Device, elsewhere: Elsewhere[Any]) -> None:
-    query, queries = recording.occlusion_query(), recording.query_set(2)
-    with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
-        with recording.render_pass(image), query:
-            recording.draw(recording.program(Colored), mesh)
-        calls: list[Callable[[], object]] = [
-            lambda: query.is_finished, lambda: query.wait(), lambda: query.destroy(), lambda: queries.destroy(),
-        ]  # fmt: skip
-        for call in calls:
-            with refuses(rules.DEVICE_THREAD, recording):
-                elsewhere(call)
-    query.destroy()
-    queries.destroy()
-
-
-# -- what costs nothing only with validation ------------------------------------------------------------------
-
-COMMANDS: dict[str, Callable[[Device, Any, Any, Any], object]] = {
-    "draw": lambda d, program, mesh, tint: d.draw(program, mesh, tint=tint),
-    "draw of the program": lambda d, program, mesh, tint: program.draw(mesh, tint=tint),
-    "draw many": lambda d, program, mesh, tint: d.draw_many(program, mesh, mesh.draws(), tint=tint),
-    "states": lambda d, program, mesh, tint: d.states(CullMode.NONE).__enter__(),
-    "transient": lambda d, program, mesh, tint: d.transient.uniform(Tint(color=(1, 1, 1, 1))),
-    "immediate": lambda d, program, mesh, tint: d.immediate(program, Primitive.QUADS, tint=tint).__enter__(),
-}
-
-
-@pytest.mark.needs("draws")
-@pytest.mark.parametrize("use", COMMANDS)
-def test_with_validation_each_command_is_refused(recording: Device, elsewhere: Elsewhere[Any], use: str) -> None:
-    program, tint = recording.program(Tinted), recording.uniform(Tint(color=(1, 1, 1, 1)))
-    with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
-        with recording.render_pass(image, clear=(0, 0, 0, 0)):
-            recording.draw(program, mesh, 0, tint=tint)
-            with refuses(rules.DEVICE_THREAD, recording):
-                elsewhere(lambda: COMMANDS[use](recording, program, mesh, tint))
-        assert_same(image.read(), 0)
-    tint.destroy()
 
 
 @pytest.mark.needs("draws")

@@ -6,7 +6,6 @@ device.
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import sys
 import threading
@@ -533,13 +532,16 @@ class Core:
     def statistics(self) -> Statistics:
         """Return a snapshot of the counters."""
         self.draws += sum(collect() for collect in self.draw_counters.values())
-        return dataclasses.replace(
-            self.counters,
-            draws=self.draws,
-            dispatches=self.dispatches,
-            upload_bytes=self.upload_bytes,
-            software_state_changes=self.states.software_changes,
-            hardware_state_changes=self.states.hardware_changes,
+        known, states = self.counters, self.states
+        return Statistics(  # `dataclasses.replace` takes five times as long
+            self.draws,
+            self.dispatches,
+            known.queries,
+            self.upload_bytes,
+            known.creations,
+            states.software_changes,
+            states.hardware_changes,
+            known.recorded_commands,
         )
 
     def reset_statistics(self) -> None:

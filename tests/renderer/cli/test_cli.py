@@ -165,39 +165,27 @@ def write_lines(path: Path) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("command", [
-    ["render", "lines.gltf"],
-    ["capture", "lines.gltf", "--frames", "1", "--output", "lines.csv"],
-    ["compare", "visibility", "lines.gltf", "--camera-path", "sky", "--frames", "1", "--algorithms", "none"],
-    ["compare", "techniques", "lines.gltf", "--rounds", "1", "--techniques", "forward"],
-])  # fmt: skip
-def test_what_a_file_has_and_the_scene_has_not_is_listed(
-    capsys: pytest.CaptureFixture[str], here: Path, command: list[str]
+    "render lines.gltf --backend null --size 64x36",
+    "capture lines.gltf --backend null --size 64x36 --frames 1 --output lines.csv",
+    "compare visibility lines.gltf --backend null --size 64x36 --camera-path sky --frames 1 --algorithms none",
+    "compare techniques lines.gltf --backend null --size 64x36 --rounds 1 --techniques forward",
+    "compare stereo lines.gltf --backend null --sizes 64x36 --camera-path sky --frame 0 --frames 1 --shadows off,on",
+], ids=lambda command: command.partition(" lines")[0])  # fmt: skip
+def test_what_a_file_has_and_the_scene_has_not_is_listed_once(
+    capsys: pytest.CaptureFixture[str], here: Path, command: str
 ) -> None:
     listed = write_lines(here / "lines.gltf")
-    main([*command, "--backend", "null", "--size", "64x36", "--json"])
+    main([*command.split(), "--json"])
     output = capsys.readouterr()
-    assert "left out: lines (meshes[0].primitives[1])" in output.err.splitlines()
+    assert output.err.splitlines().count("left out: lines (meshes[0].primitives[1])") == 1
     assert json.loads(output.out)["left_out"] == [listed]
 
 
 @pytest.mark.usefixtures("gl")
 def test_accuracy_lists_it_and_charts_are_drawings(capsys: pytest.CaptureFixture[str], here: Path) -> None:
-    listed = write_lines(here / "lines.gltf")
-    asked = "--knob precision --views 1 --rounds 1 --size 32x18 --backend gl --plot errors.svg --json"
-    main(["accuracy", "lines.gltf", *asked.split()])
-    output = capsys.readouterr()
-    assert "left out: lines (meshes[0].primitives[1])" in output.err.splitlines()
-    assert json.loads(output.out)["left_out"] == [listed]
+    command = "accuracy lines.gltf --backend gl --size 32x18 --knob precision --views 1 --rounds 1 --plot errors.svg"
+    test_what_a_file_has_and_the_scene_has_not_is_listed_once(capsys, here, command)
     assert (here / "errors.svg").read_text().startswith("<?xml")
-
-
-def test_comparing_eyes_lists_it_once(capsys: pytest.CaptureFixture[str], here: Path) -> None:
-    listed = write_lines(here / "lines.gltf")
-    shown = ["--camera-path", "sky", "--frame", "0", "--frames", "1", "--sizes", "64x36", "--stereo", "color"]
-    main(["compare", "stereo", "lines.gltf", "--backend", "null", "--shadows", "off,on", *shown, "--json"])
-    output = capsys.readouterr()
-    assert output.err.splitlines().count("left out: lines (meshes[0].primitives[1])") == 1
-    assert json.loads(output.out)["left_out"] == [listed]
 
 
 def test_a_plan_lists_it_beside_the_effects_that_a_frame_lacks(capsys: pytest.CaptureFixture[str], here: Path) -> None:
@@ -212,13 +200,13 @@ def test_a_report_about_a_whole_scene_lists_nothing(capsys: pytest.CaptureFixtur
     assert "left_out" not in run_json(capsys, CITY, "--backend", "null")
 
 
-def test_a_scene_is_converted_and_looks_the_same(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+def test_a_scene_is_converted_and_looks_the_same(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_json(capsys, CITY, "new/city.glb", command="convert")["left_out"] == []
     one, other = (run_json(capsys, scene, "--backend", "null") for scene in (CITY, "new/city.glb"))
     assert {key for key in one if one[key] != other[key]} <= {"scene", "milliseconds", "image"}
 
 
-def test_what_a_file_cannot_hold_is_listed(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+def test_what_a_file_cannot_hold_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
     main(["convert", "hall:columns=2,flags=2", "hall.gltf"])
     output = capsys.readouterr()
     assert output.err == "left out: simulations of nodes (simulated[0], 12 times)\n"
@@ -260,20 +248,26 @@ def test_demo_without_a_drawing_device_prints_the_null_rows(
     assert not list(here.iterdir())
 
 
-@pytest.mark.usefixtures("gl")
-def test_demo_takes_the_backend_that_the_environment_names(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, here: Path
-) -> None:
-    monkeypatch.setenv("RHI_BACKEND", "gl")
+def run_demo(capsys: pytest.CaptureFixture[str]) -> tuple[list[list[str]], str]:
+    """Return the path, the way and the backend of each row that `demo` prints, and what it says besides."""
     assert main(["demo", CITY, "--frames", "1", "--size", "64x36", "--output", "pictures"]) == 0
     output = capsys.readouterr()
-    assert {line.split()[2] for line in output.out.splitlines()[2:]} - {"wgpu"} == {"gl", "null"}
-    assert output.err.count("drawn by gl") == 2
+    return [line.split()[:3] for line in output.out.splitlines()[2:]], output.err
+
+
+@pytest.mark.usefixtures("gl")
+def test_demo_takes_the_backend_that_the_environment_names(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RHI_BACKEND", "gl")
+    rows, said = run_demo(capsys)
+    assert {backend for *_, backend in rows} - {"wgpu"} == {"gl", "null"}
+    assert said.count("drawn by gl") == 2
 
 
 @pytest.mark.usefixtures("gl")
 def test_demo_leaves_out_what_does_not_work_and_says_why(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, here: Path
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     create = rhi.create_device
 
@@ -283,19 +277,16 @@ def test_demo_leaves_out_what_does_not_work_and_says_why(
         return create(name, **options)
 
     monkeypatch.setattr(rhi, "create_device", fail_on_cl)
-    assert main(["demo", CITY, "--frames", "1", "--size", "64x36", "--output", "pictures"]) == 0
-    output = capsys.readouterr()
-    assert "cl is left out: no OpenCL device" in output.err
-    assert {line.split()[2] for line in output.out.splitlines()[2:]} - {"wgpu"} == {"gl", "null"}
+    rows, said = run_demo(capsys)
+    assert "cl is left out: no OpenCL device" in said
+    assert {backend for *_, backend in rows} - {"wgpu"} == {"gl", "null"}
 
 
 @pytest.mark.usefixtures("gl")
 def test_demo_compares_all_backends_that_work_and_pictures_each_path(
     capsys: pytest.CaptureFixture[str], here: Path
 ) -> None:
-    assert main(["demo", CITY, "--frames", "1", "--size", "64x36", "--output", "pictures"]) == 0
-    rows = [line.split()[:3] for line in capsys.readouterr().out.splitlines()[2:]]
-    assert rows == [
+    assert run_demo(capsys)[0] == [
         [path, way, backend]
         for path in ("ground", "sky")
         for backend in [report.name for report in rhi.report() if report.usable]
@@ -305,10 +296,9 @@ def test_demo_compares_all_backends_that_work_and_pictures_each_path(
         assert np.asarray(Image.open(here / "pictures" / name)).std() > 5
 
 
-def test_python_m_renderer_is_the_command_line(here: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "renderer", "render", "ctiy"], capture_output=True, text=True, check=False
-    )
+def test_python_m_renderer_is_the_command_line() -> None:
+    command = [sys.executable, "-m", "renderer", "render", "ctiy"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith("error: ")
     assert done.stderr.count("\n") == 1
@@ -328,13 +318,12 @@ def test_a_missing_driver_is_one_line(capsys: pytest.CaptureFixture[str], monkey
 
 
 def test_overlay_and_particles_are_drawn_over_the_image_and_change_no_counter(
-    capsys: pytest.CaptureFixture[str], here: Path
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    command = "hall:columns=6,rows=2,flags=0,fountains=4 --size 640x360 --frame 60 --technique forward --backend gl"
     pictures, reports = [], []
     for layers in ([], ["--particles"], ["--particles", "--overlay"]):
-        arguments = ("hall:columns=6,rows=2,flags=0,fountains=4", "--size", "640x360", "--frame", "60")
-        arguments += ("--technique", "forward")
-        report = run_json(capsys, *arguments, "--backend", "gl", "--visibility", "frustum", *layers)
+        report = run_json(capsys, *command.split(), "--visibility", "frustum", *layers)
         del report["hardware_state_changes"]  # a layer leaves other states than it has found
         pictures.append(np.asarray(Image.open(report["image"])).astype(int))
         reports.append({key: value for key, value in report.items() if key != "milliseconds"})
@@ -375,8 +364,7 @@ def test_only_the_viewer_imports_what_was_drawn_with_last(
 
 
 def test_plan_says_why_each_pass_is_there_and_what_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["plan", "grid:mesh=box,count=9", "--size", "64x36", "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = run_json(capsys, "grid:mesh=box,count=9", "--size", "64x36", command="plan")
     assert [one["name"] for one in report["passes"]] == ["forward"]
     assert report["passes"][0]["because"]
     assert "spot lights" in [one["name"] for one in report["left_out"]]
@@ -396,9 +384,8 @@ def test_techniques_draw_in_other_ways_on_demand(
     technique: str, way: str, more: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def list_passes(*arguments: str) -> set[str]:
-        command = ["plan", "grid:mesh=box,count=9,lights=4", "--backend", "null", "--json", *arguments]
-        assert main(command) == 0
-        return {one["name"] for one in json.loads(capsys.readouterr().out)["passes"]}
+        report = run_json(capsys, "grid:mesh=box,count=9,lights=4", "--backend", "null", *arguments, command="plan")
+        return {one["name"] for one in report["passes"]}
 
     usual = list_passes("--technique", technique)
     assert list_passes("--technique", technique, way) - usual == set(more)
@@ -419,9 +406,8 @@ def test_the_technique_in_use_is_named_with_its_reason(
     capsys: pytest.CaptureFixture[str], arguments: list[str], technique: str, because: str
 ) -> None:
     for command in ("plan", "render"):
-        size = ["--size", "64x36", "--backend", "null", "--json"]
-        assert main([command, "grid:mesh=box,count=9", *size, *arguments]) == 0
-        report = json.loads(capsys.readouterr().out)
+        size = ["--size", "64x36", "--backend", "null"]
+        report = run_json(capsys, "grid:mesh=box,count=9", *size, *arguments, command=command)
         assert (report["technique"], report["because"]) == (technique, because)
 
 
@@ -432,8 +418,7 @@ def test_a_picture_of_what_a_frame_is_made_of_is_no_choice_of_a_technique(capsys
 
 @pytest.mark.usefixtures("gl")
 def test_a_device_chooses_the_technique_of_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["plan", "grid:mesh=box,count=9", "--size", "64x36", "--backend", "gl", "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = run_json(capsys, "grid:mesh=box,count=9", "--size", "64x36", "--backend", "gl", command="plan")
     assert report["because"].startswith("the fastest in this view, ")
     first = {"forward": "forward", "clustered_deferred": "geometry"}[report["technique"]]
     assert report["passes"][0]["name"] == first

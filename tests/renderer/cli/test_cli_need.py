@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-import rhi
 from renderer.cli import main
 from renderer.lab.need import LADDER
 
@@ -28,11 +27,8 @@ def test_times_are_measured_on_each_backend_that_is_named(capsys: pytest.Capture
     assert removed.splitlines()[0].endswith("time on null |")
 
 
+@pytest.mark.usefixtures("gl")
 def test_the_page_has_the_tables_and_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    try:
-        rhi.create_device("gl").close()
-    except rhi.DeviceError as error:
-        pytest.skip(f"no gl device here: {error}")
     assert main(["need", "--rung", "box", "--rounds", "2", "--output", str(tmp_path)]) == 0
     table = capsys.readouterr().out
     page = (tmp_path / "need.md").read_text()

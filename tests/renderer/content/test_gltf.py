@@ -9,9 +9,13 @@ import pytest
 from gltf_documents import TRIANGLE, GltfDocument
 from PIL import Image
 
-from renderer.content import add_model, load_model
-from renderer.scene import AlphaMode, Orthographic, SceneBuilder, ShadingModel
-from rhi import Filter, Wrap
+from renderer.cli import main
+from renderer.content import add_model, load_model, save_scene
+from renderer.renderer import Renderer
+from renderer.scene import AlphaMode, Camera, Orthographic, SceneBuilder, ShadingModel
+from renderer.techniques import TECHNIQUES
+from renderer.visibility import ALGORITHMS, make_visibility
+from rhi import Filter, Wrap, to_srgb
 
 QUAD = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], np.float32)
 UP = np.tile(np.array([[0, 0, 1]], np.float32), (4, 1))
@@ -74,10 +78,11 @@ def test_a_buffer_may_stand_in_the_document_itself(tmp_path):
     assert load_model(str(tmp_path / "a.gltf")).triangle_count == 1
 
 
-def test_a_file_name_may_be_escaped(tmp_path):
+@pytest.mark.parametrize("uri", ["my%20caf%C3%A9%2B1.bin", "my café+1.bin"])
+def test_a_file_name_may_be_escaped(tmp_path, uri):
     document = one_mesh()
-    (tmp_path / "my data.bin").write_bytes(document.data)
-    values = document.values | {"buffers": [{"uri": "my%20data.bin", "byteLength": len(document.data)}]}
+    (tmp_path / "my café+1.bin").write_bytes(document.data)
+    values = document.values | {"buffers": [{"uri": uri, "byteLength": len(document.data)}]}
     (tmp_path / "a.gltf").write_text(json.dumps(values))
     assert load_model(str(tmp_path / "a.gltf")).triangle_count == 1
 
@@ -116,22 +121,6 @@ def test_quantised_positions_are_read_as_they_are(tmp_path):
     scene = load(document, tmp_path)
     assert scene.meshes.vertices["position"].tolist() == (TRIANGLE * 100).tolist()
     assert scene.objects.upper[0] == pytest.approx([50, 50, 0])
-
-
-def test_interleaved_vertices_are_read(tmp_path):
-    document = GltfDocument(nodes=[{"mesh": 0}])
-    rows = np.concatenate([TRIANGLE, UP[:3], TRIANGLE[:, :2]], axis=1)
-    view = document.view(rows.tobytes(), byteStride=32)
-    kinds = (("POSITION", "VEC3", 0), ("NORMAL", "VEC3", 12), ("TEXCOORD_0", "VEC2", 24))
-    attributes = {
-        name: document.add("accessors", bufferView=view, byteOffset=offset, componentType=5126, count=3, type=kind)
-        for name, kind, offset in kinds
-    }
-    document.add("meshes", primitives=[{"attributes": attributes}])
-    vertices = load(document, tmp_path).meshes.vertices
-    assert vertices["position"].tolist() == TRIANGLE.tolist()
-    assert vertices["uv"].tolist() == TRIANGLE[:, :2].tolist()
-    assert vertices["normal"].tolist() == UP[:3].tolist()
 
 
 @pytest.mark.parametrize("has_base", [True, False])
@@ -209,15 +198,6 @@ def test_primitives_that_share_a_large_array_get_the_part_that_they_use(tmp_path
     assert meshes.indices.tolist() == [0, 1, 2]
 
 
-def test_points_and_lines_are_listed(tmp_path):
-    document = one_mesh()
-    part = document.values["meshes"][0]["primitives"]
-    part += [part[0] | {"mode": 0}, part[0] | {"mode": 1}, part[0] | {"mode": 1}]
-    scene = load(document, tmp_path)
-    assert scene.triangle_count == 1
-    assert left_out(scene) == {"points": 1, "lines": 2}
-
-
 # -- assets --------------------------------------------------------------------------------------------------------
 
 
@@ -273,13 +253,7 @@ def test_a_material_is_read_with_its_factors_and_textures(tmp_path):
     assert found["emissive"].tolist() == [8, 4, 0]
     assert (found["alpha_mode"], found["alpha_cutoff"]) == (AlphaMode.MASK, 0.25)
     assert found["double_sided"] == 1
-    names = (
-        "texture",
-        "metallic_roughness_texture",
-        "normal_texture",
-        "occlusion_texture",
-        "emissive_texture",
-    )
+    names = ("texture", "metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture")
     rows = [int(found[name]) for name in names]
     assert scene.textures["is_color"][rows].tolist() == [1, 0, 0, 0, 1]
     assert scene.textures["image"][rows].tolist() == [0] * 5
@@ -300,10 +274,11 @@ def test_an_unlit_material_only_emits(tmp_path):
     )
     scene = load(document, tmp_path)
     found = scene.materials[0]
-    assert found["base_color"].tolist() == [0, 0, 0, 0.5]
-    assert found["emissive"].tolist() == [0.5, 1, 1]
+    assert (found["emission"] * found["base_color"][:3]).tolist() == [0.5, 1, 1]
+    assert found["base_color"][:3].max() <= 2e-6  # what a light of 2,000 leaves is no step of 8 bits
+    assert found["base_color"][3] == 0.5
     assert found["specular_color"].tolist() == [0, 0, 0]
-    assert scene.textures["is_color"][[found["texture"], found["emissive_texture"]]].tolist() == [1, 1]
+    assert scene.textures["is_color"][[found["texture"]]].tolist() == [1]
 
 
 def test_a_texture_keeps_its_sampler_and_its_transform(tmp_path):
@@ -465,3 +440,68 @@ def test_a_light_without_a_range_ends_where_it_is_faint(tmp_path):
 
 def test_a_file_without_lights_gets_a_sun(tmp_path):
     assert len(load(one_mesh(), tmp_path).lights.directional) == 1
+
+
+# -- scenes without objects ----------------------------------------------------------------------------------------
+
+LAMP = {"extensions": {"KHR_lights_punctual": {"light": 0}}}
+EMPTY = {
+    "lights": GltfDocument(nodes=[LAMP], extensions={"KHR_lights_punctual": {"lights": [{"type": "point"}]}}),
+    "cameras": GltfDocument(
+        nodes=[{"camera": 0}], cameras=[{"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}]
+    ),
+    "nodes": GltfDocument(nodes=[{"children": [1]}, {"name": "below"}], scenes=[{"nodes": [0]}]),
+    "moving nodes": GltfDocument(nodes=[{}]),
+}
+EMPTY["moving nodes"].animate(0, "translation", [0, 1], [[0, 0, 0], [1, 0, 0]])
+
+
+@pytest.mark.parametrize("kind", EMPTY)
+def test_a_file_without_meshes_is_a_scene_in_which_nothing_is_shown(tmp_path, kind):
+    scene = load(EMPTY[kind], tmp_path)
+    assert scene.objects.shown.tolist() == [False]
+    assert len(scene.lights) == 1  # its own, or a sun
+    assert next(iter(scene.views)) == ("camera 0" if kind == "cameras" else "overview")
+    scene.check_bounds([0.0, 0.7])
+    save_scene(scene, tmp_path / "again.glb")
+    assert load_model(tmp_path / "again.glb").objects.shown.tolist() == [False]
+
+
+@pytest.mark.parametrize("kind", EMPTY)
+@pytest.mark.parametrize("name", TECHNIQUES)
+def test_every_technique_draws_nothing_of_it(null, tmp_path, kind, name):
+    scene = load(EMPTY[kind], tmp_path)
+    with Renderer(null, scene, technique=TECHNIQUES[name](), size=(32, 32)) as renderer:
+        frame = renderer.render(Camera.look_at([0, 0, 3], [0, 0, 0]))
+    assert (frame.statistics.draws, frame.statistics.triangles) == (0, 0)
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_every_visibility_algorithm_finds_nothing_in_it(gl, tmp_path, name):
+    scene = load(EMPTY["lights"], tmp_path)
+    with Renderer(gl, scene, visibility=make_visibility(name, scene, gl), size=(32, 32)) as renderer:
+        for seconds in (0.0, 0.1, 0.2):
+            frame = renderer.render(Camera.look_at([0, 0, 3], [0.5, 0.5, 0]), seconds)
+    assert frame.statistics.triangles == 0
+
+
+@pytest.mark.parametrize("name", TECHNIQUES)
+def test_its_picture_is_the_background(drawing_device, tmp_path, name):
+    scene = load(EMPTY["lights"], tmp_path)
+    with Renderer(drawing_device, scene, technique=TECHNIQUES[name](), size=(32, 32)) as renderer:
+        picture = renderer.render(Camera.look_at([0, 0, 3], [0.5, 0.5, 0])).image.read()[..., :3]
+    assert np.abs(picture - 255 * to_srgb(np.array(scene.background))).max() <= 1
+
+
+def test_its_lights_join_a_scene_under_construction(tmp_path):
+    builder = SceneBuilder("two files")
+    add_model(builder, one_mesh().write(tmp_path / "a.glb"))
+    add_model(builder, EMPTY["lights"].write(tmp_path / "b.glb"))
+    scene = builder.build()
+    assert (len(scene.objects), len(scene.lights)) == (1, 1)
+
+
+def test_the_command_line_renders_it(tmp_path, capsys):
+    path = EMPTY["lights"].write(tmp_path / "lights.gltf")
+    assert main(["render", path, "--backend", "null", "--size", "32x32", "--technique", "forward"]) == 0
+    assert "triangles:              0" in capsys.readouterr().out

@@ -7,16 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from renderer.content import load_model
-from renderer.content.gltf.tracks import (
-    CUBIC,
-    LINEAR,
-    ROTATION,
-    SCALE,
-    STEP,
-    TRANSLATION,
-    NodeMotion,
-    Track,
-)
+from renderer.content.gltf.tracks import CUBIC, LINEAR, ROTATION, SCALE, STEP, TRANSLATION, NodeMotion, Track
 from renderer.scene.clips import Clips
 
 REST = (np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.ones((1, 3)))

@@ -40,6 +40,18 @@ def test_a_skin_moves_each_vertex_to_the_mean_of_where_its_joints_take_it(tmp_pa
         assert normal == pytest.approx(UP, abs=1e-6)
 
 
+@pytest.mark.parametrize("kind", ["u1", "u2"])
+def test_weights_of_joints_may_be_normalised_integers(tmp_path, kind):
+    document = make_skinned()
+    wanted, _ = vertices_at(load_model(document.write(tmp_path / "a.glb")), 1.0)
+    share = np.clip(STRIP[:, 1:2] / 4, 0, 1)
+    whole = np.round(np.hstack([1 - share, share, 0 * share, 0 * share]) * np.iinfo(kind).max).astype(kind)
+    attributes = document.values["meshes"][0]["primitives"][0]["attributes"]
+    attributes["WEIGHTS_0"] = document.accessor(whole, normalized=True)
+    found, _ = vertices_at(load_model(document.write(tmp_path / "b.glb")), 1.0)
+    assert found == pytest.approx(wanted, abs=0.02 if kind == "u1" else 1e-4)
+
+
 def test_a_skin_is_simulated_where_it_is_drawn_and_never_leaves_its_bounds(tmp_path):
     scene = load_model(make_skinned(root={"translation": [7, 0, 0]}).write(tmp_path / "a.glb"))
     assert scene.objects.simulated.tolist() == [True]

@@ -10,12 +10,12 @@ import pytest
 from gltf_documents import STRIP, make_skinned
 from PIL import Image
 
-import rhi
 from renderer.content import load_model
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective
 from renderer.techniques import Forward
 from renderer.visibility import NoCulling
+from tests.renderer.conftest import open_device
 
 FOLDER = Path(os.environ.get("RHI_TEST_MODELS", "/usr/share/assimp/models")) / "glTF2"
 SIZE = (64, 48)
@@ -26,10 +26,7 @@ def devices():
     with ExitStack() as stack:
         made = []
         for name in ("gl", "cl"):
-            try:
-                made.append(stack.enter_context(rhi.create_device(name)))
-            except rhi.DeviceError as error:
-                pytest.skip(f"no {name} device here: {error.given or error.rule.sentence}")
+            made.append(stack.enter_context(open_device(name)))
             if not made[-1].capabilities.renders:
                 pytest.skip(f"the {name} device draws nothing")
         yield made

@@ -184,6 +184,61 @@ def test_a_buffer_that_cannot_be_read_is_refused(tmp_path, uri):
     assert error.value.rule.id == "scene-unreadable-model"
 
 
+@pytest.mark.parametrize("name", ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_texture_basisu"])
+def test_the_tip_for_a_required_extension_is_to_export_without_it(tmp_path, name):
+    path = with_triangle(nodes=[{"mesh": 0}], extensionsRequired=[name]).write(tmp_path / "bad.glb")
+    with pytest.raises(ValidationError, match=rf"extensionsRequired: {name}[^$]*tip: +export it without compression"):
+        load_model(path)
+
+
+def test_vertices_that_are_there_only_compressed_are_refused_and_others_are_read(tmp_path):
+    document = with_triangle(nodes=[{"mesh": 0}], extensionsUsed=["KHR_draco_mesh_compression"])
+    primitive = document.values["meshes"][0]["primitives"][0]
+    primitive["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0}}
+    scene = load_model(document.write(tmp_path / "good.glb"))
+    assert [one.what for one in scene.omissions] == ["KHR_draco_mesh_compression"]
+    document.values["accessors"][0].pop("bufferView")
+    place = "meshes[0].primitives[0].extensions.KHR_draco_mesh_compression"
+    assert refusal(document, tmp_path)[1:] == (f"{place}: the vertices are there only compressed", "also as accessors")
+
+
+@pytest.mark.parametrize(
+    ("buffer", "given", "allowed"),
+    [
+        ({"extensions": {"EXT_meshopt_compression": {}}}, "uri: missing, with EXT_meshopt_compression", "the buffer's"),
+        ({}, "uri: missing", "the buffer's file, or data:"),
+        ({"uri": "data:;base64,AAAAAAAA"}, "byteLength: 36", "6, the bytes that are there, or less"),
+    ],
+)
+def test_a_buffer_that_lacks_bytes_is_refused_with_what_there_is(tmp_path, buffer, given, allowed):
+    values = with_triangle(nodes=[{"mesh": 0}]).values | {"buffers": [{"byteLength": 36, **buffer}]}
+    (tmp_path / "bad.gltf").write_text(json.dumps(values))
+    with pytest.raises(ValidationError) as error:
+        load_model(tmp_path / "bad.gltf")
+    assert error.value.given == f"{tmp_path / 'bad.gltf'}: buffers[0].{given}"
+    assert error.value.allowed.startswith(allowed)
+    assert ("without compression" in error.value.tip) == ("extensions" in buffer)
+
+
+@pytest.mark.parametrize("content", [b"<html>", b"version https://git-lfs", '{"asset": 1}'.encode("utf-16")])
+def test_what_is_no_gltf_at_all_is_refused_with_what_it_begins_with(tmp_path, content):
+    (tmp_path / "bad.glb").write_bytes(content)
+    with pytest.raises(ValidationError) as error:
+        load_model(tmp_path / "bad.glb")
+    assert error.value.given == f"{tmp_path / 'bad.glb'}: it begins with {content[:16]!r}"
+    assert error.value.allowed == "a .glb, or a JSON object in UTF-8"
+
+
+def test_a_chunk_beyond_the_file_is_refused_with_the_room_that_there_is(tmp_path):
+    content = pack_glb(with_triangle(nodes=[{"mesh": 0}]).values, b"")
+    room = len(content) - 20
+    (tmp_path / "bad.glb").write_bytes(content[:12] + (room + 1).to_bytes(4, "little") + content[16:])
+    with pytest.raises(ValidationError) as error:
+        load_model(tmp_path / "bad.glb")
+    assert error.value.given == f"{tmp_path / 'bad.glb'}: a chunk of {room + 1} bytes at byte 12"
+    assert error.value.allowed == f"{room} or less, padded to 4 bytes"
+
+
 def test_a_glb_that_was_cut_off_anywhere_is_refused(tmp_path):
     make_document().write(tmp_path / "whole.glb")
     content = (tmp_path / "whole.glb").read_bytes()
@@ -200,23 +255,16 @@ def test_json_that_is_no_document_is_refused(tmp_path, text):
         load_model(str(tmp_path / "bad.gltf"))
 
 
-def test_a_file_without_triangles_is_refused_and_says_what_it_has(tmp_path):
-    document = GltfDocument(nodes=[{"mesh": 0}])
-    document.mesh(mode=0)
-    rule, given, _ = refusal(document, tmp_path)
-    assert rule == "scene-empty-model"
-    assert "points" in given
-
-
 @pytest.mark.parametrize(
     ("document", "reason"),
     [
-        (GltfDocument(nodes=[{}]), "it has no meshes"),
-        (GltfDocument(nodes=[{}], meshes=[{"primitives": []}]), "none of its 1 meshes has a triangle"),
+        (GltfDocument(), "it has no meshes, and its scene has no nodes"),
+        (GltfDocument(nodes=[{}], scenes=[{}]), "it has no meshes, and its scene has no nodes"),
+        (GltfDocument(nodes=[{}], meshes=[{"primitives": []}]), "none of its 1 meshes has a triangle, a line or a"),
         (with_triangle(nodes=[{}, {}]), "none of its 2 nodes has one of its 1 meshes"),
         (
             with_triangle(nodes=[{}, {"mesh": 0}], scenes=[{"nodes": [0]}]),
-            "nodes[1] has a mesh, but scenes[0] has no node whose mesh has a triangle",
+            "nodes[1] has a mesh, but scenes[0] has no node whose mesh is drawn",
         ),
     ],
 )
@@ -265,6 +313,7 @@ def list_places(value, above=()):
 
 QUICK = settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 DOCUMENTS = [make_document(), make_skinned(), make_morphing()]
+DOCUMENTS[2].values["meshes"][0]["primitives"].append({**DOCUMENTS[2].values["meshes"][0]["primitives"][0], "mode": 2})
 PLACES = [
     (number, place) for number, document in enumerate(DOCUMENTS) for place in list_places(document.values) if place
 ]

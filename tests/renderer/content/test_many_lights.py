@@ -92,10 +92,7 @@ def test_more_lights_light_a_larger_part_of_the_city_as_densely() -> None:
 
 
 def test_a_city_without_room_for_all_lights_has_more_windows() -> None:
-    full, fuller = (
-        load_scene("night:blocks=2,detail=2,lights=48"),
-        load_scene("night:blocks=2,detail=2,lights=900"),
-    )
+    full, fuller = (load_scene("night:blocks=2,detail=2,lights=48"), load_scene("night:blocks=2,detail=2,lights=900"))
     assert len(places(fuller)) == 900
     for name, ratio in (("post", 1), ("car", 1)):
         assert len(boxes(fuller, name)[0]) == ratio * len(boxes(full, name)[0])
@@ -109,17 +106,7 @@ def test_lights_at_night_are_lamps_windows_and_cars_of_plausible_range(night: Sc
     assert ((lights.spot["range"] >= 10.0) & (lights.spot["range"] <= 20.0)).all()
     assert len(lights.directional) == 1  # the moon
     assert lights.directional["intensity"][0] < 0.2
-    for name in (
-        "post",
-        "lens",
-        "lit window",
-        "lantern",
-        "lantern post",
-        "car",
-        "car trim",
-        "headlamps",
-        "tail lamps",
-    ):
+    for name in ("post", "lens", "lit window", "lantern", "lantern post", "car", "car trim", "headlamps", "tail lamps"):
         boxes(night, name)
 
 

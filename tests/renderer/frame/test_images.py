@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-from frames import open_renderer
+from frames import EYE, make_boxes, open_renderer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rhi
-from renderer.content import BUILT_IN
 from renderer.frame.images import MOST_ARRAYS, MOST_MEMORY, SceneImages, count_bytes, plan_arrays
 from renderer.scene import AlphaMode, Scene, SceneBuilder, TextureMap
 from renderer.techniques import ForwardPlus
@@ -18,13 +19,16 @@ from rhi import Filter, Op, SamplerDescriptor, Wrap
 CLAMPED = SamplerDescriptor(wrap_u=Wrap.CLAMP, wrap_v=Wrap.CLAMP)
 
 
-def scene_of(*sizes: tuple[int, int], **material: object) -> Scene:
-    builder = SceneBuilder("images")
-    images = [builder.add_image(np.zeros((height, width, 4), np.uint8)) for width, height in sizes]
-    mesh, node = builder.add_mesh(BUILT_IN["box"]()), builder.add_node()
-    for image in images:
-        builder.add_objects(node, mesh, builder.add_material(texture=image))
+def scene_of(*sizes: tuple[int, int]) -> Scene:
+    """Make boxes in one place, each with a black image of one of these sizes."""
+    builder = make_boxes()
+    for width, height in sizes:
+        add_box(builder, texture=builder.add_image(np.zeros((height, width, 4), np.uint8)))
     return builder.build()
+
+
+def add_box(builder: SceneBuilder, **material: Any) -> None:
+    builder.add_objects(builder.add_node(), 0, builder.add_material(**material))
 
 
 def bytes_of(sizes: list[tuple[int, int]]) -> int:
@@ -94,11 +98,10 @@ def test_plain_textures_need_no_table(null: rhi.Device) -> None:
 
 
 def test_an_image_with_two_samplers_is_there_once(null: rhi.Device) -> None:
-    builder = SceneBuilder("images")
+    builder = make_boxes()
     image = builder.add_image(np.zeros((8, 8, 4), np.uint8))
-    mesh, node = builder.add_mesh(BUILT_IN["box"]()), builder.add_node()
     for texture in (TextureMap(image), TextureMap(image, sampler=CLAMPED)):
-        builder.add_objects(node, mesh, builder.add_material(texture=texture))
+        add_box(builder, texture=texture)
     images = SceneImages(null, builder.build())
     assert len(images.textures) == 1
     assert len(images.arrays) == 2
@@ -106,12 +109,10 @@ def test_an_image_with_two_samplers_is_there_once(null: rhi.Device) -> None:
 
 
 def test_rare_samplers_give_way_where_there_are_too_many(null: rhi.Device) -> None:
-    builder = SceneBuilder("images")
+    builder = make_boxes()
     image = builder.add_image(np.zeros((8, 8, 4), np.uint8))
-    mesh, node = builder.add_mesh(BUILT_IN["box"]()), builder.add_node()
     for number in range(MOST_ARRAYS + 2):
-        sampler = SamplerDescriptor(max_anisotropy=1.0 + number)
-        builder.add_objects(node, mesh, builder.add_material(texture=TextureMap(image, sampler=sampler)))
+        add_box(builder, texture=TextureMap(image, sampler=SamplerDescriptor(max_anisotropy=1.0 + number)))
     assert len(SceneImages(null, builder.build()).arrays) == MOST_ARRAYS // 2
 
 
@@ -120,12 +121,10 @@ def test_images_in_an_array_of_another_size_are_resampled(null: rhi.Device, near
     """The smallest images of too many sizes share an array; each shows what it did, larger."""
     magnify = Filter.NEAREST if nearest else Filter.LINEAR
     random = np.random.default_rng(5)
-    builder = SceneBuilder("images")
-    mesh, node = builder.add_mesh(BUILT_IN["box"]()), builder.add_node()
+    builder = make_boxes()
     images = [random.integers(0, 256, (1 << k, 1 << k, 4), np.uint8) for k in range(9)]
     for image in images:
-        texture = TextureMap(builder.add_image(image), sampler=SamplerDescriptor(magnify=magnify))
-        builder.add_objects(node, mesh, builder.add_material(texture=texture))
+        add_box(builder, texture=TextureMap(builder.add_image(image), sampler=SamplerDescriptor(magnify=magnify)))
     shown = SceneImages(null, builder.build())
     assert shown.table is not None
     joined = 0
@@ -144,21 +143,19 @@ def test_images_in_an_array_of_another_size_are_resampled(null: rhi.Device, near
 
 def test_colors_and_data_are_in_arrays_of_their_own_that_passes_read_alone(null: rhi.Device) -> None:
     """A depth pass reads masks: colours, and no normals."""
-    builder = SceneBuilder("images")
-    mesh, node = builder.add_mesh(BUILT_IN["box"]()), builder.add_node()
+    builder = make_boxes()
     for size in (8, 16):
         normal, color = (builder.add_image(np.zeros((size, size, 4), np.uint8)) for _ in range(2))
-        material = builder.add_material(texture=color, normal_texture=normal, alpha_mode=AlphaMode.MASK)
-        builder.add_objects(node, mesh, material)
+        add_box(builder, texture=color, normal_texture=normal, alpha_mode=AlphaMode.MASK)
     builder.lights.add_point((0, 0, 2), 5.0)  # without one, no depth is drawn first
     scene = builder.build()
     images = SceneImages(null, scene)
     assert (len(images.colors), len(images.data)) == (2, 2)
     assert images.table is not None
-    places = images.table.read()["array"][scene.materials["texture"]].tolist()
-    assert places == images.table.read()["array"][scene.materials["normal_texture"]].tolist() == [0, 1]
+    arrays, materials = images.table.read()["array"], scene.materials[1:]
+    assert arrays[materials["texture"]].tolist() == arrays[materials["normal_texture"]].tolist() == [0, 1]
     with open_renderer(null, scene, ForwardPlus()) as renderer:
-        renderer.render(scene.views["overview"])
+        renderer.render(EYE)
     names = [{one.name for one in c["descriptor"].bindings} for c in null.stream.filter(Op.CREATE_PROGRAM)]
     reading = [name & {"images", "images_1", "maps", "maps_1"} for name in names if "images" in name]
     assert reading == [{"images", "images_1"}, {"images", "images_1", "maps", "maps_1"}]

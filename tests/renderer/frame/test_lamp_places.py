@@ -27,6 +27,7 @@ def make_lights(at: tuple[float, float, float] = (0.0, 0.0, 0.0), count: int = 7
         more = () if add == lights.add_points else ((0.0, -1.0, 0.0),)
         angles = {} if add == lights.add_points else {"inner": 0.1, "outer": 0.3}
         add(where, *more, range=random.uniform(1.0, 9.0, count), color=random.uniform(0, 1, (count, 3)), **angles)
+    lights.refresh()
     return lights
 
 
@@ -92,6 +93,7 @@ def test_a_device_without_kernels_is_given_relative_positions() -> None:
 def count(null: rhi.Device, lamps: Lamps, lights: Lights, *eyes: tuple[float, float, float]) -> tuple[int, int]:
     """Return the bytes that are uploaded for eyes, and the kernels that are run."""
     before, begin = null.statistics.upload_bytes, len(null.stream)
+    lights.refresh()
     lamps.update(lights, BOTH, [np.array(eye) for eye in eyes])
     return null.statistics.upload_bytes - before, len(null.stream[begin:].filter(Op.DISPATCH))
 
@@ -115,6 +117,7 @@ def test_an_eye_that_was_closed_sees_what_has_changed(gl: rhi.Device) -> None:
     eyes = [np.zeros(3), np.ones(3)]
     lamps.update(lights, BOTH, eyes)
     lights.point["position"] += 1.0
+    lights.refresh()
     lamps.update(lights, BOTH, eyes[:1])
     lamps.update(lights, BOTH, eyes)
     check(lamps, lights, 1, eyes[1], 8e-6)

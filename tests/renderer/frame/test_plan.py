@@ -117,11 +117,7 @@ def test_a_circle_is_refused_by_the_names_of_its_passes() -> None:
     rule, given = refused(egg, hen, final)
     assert rule == "plan-circle"
     assert given == "'egg' waits for 'hen' waits for 'egg'"
-    assert names(make_plan([step("egg", "", [Target("egg", Format.R8)]), hen, final])) == [
-        "egg",
-        "hen",
-        "final",
-    ]
+    assert names(make_plan([step("egg", "", [Target("egg", Format.R8)]), hen, final])) == ["egg", "hen", "final"]
 
 
 def test_a_pass_that_reads_its_own_result_waits_for_itself() -> None:
@@ -233,8 +229,4 @@ def test_contents_are_intact_when_they_are_read(passes: list[Pass[object]]) -> N
     assert len(plan.passes) + len(plan.dropped) == len(passes)
     for target in (target for one in plan.passes for target in one.writes):
         texture = plan.textures[where[target.name]]
-        assert (texture.format, texture.scale, texture.samples) == (
-            target.format,
-            target.scale,
-            target.samples,
-        )
+        assert (texture.format, texture.scale, texture.samples) == (target.format, target.scale, target.samples)

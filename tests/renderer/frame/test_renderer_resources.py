@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from frames import make_boxes
 from hypothesis import given
 from hypothesis import strategies as st
 
 import rhi
-from renderer.content import BUILT_IN
 from renderer.frame import MirroredArray, SceneResources
 from renderer.lights.lists import list_lights
-from renderer.scene import Camera, Scene, SceneBuilder, translation
+from renderer.scene import Camera, Scene, translation
 from rhi.shading import vec4
 
 
@@ -66,11 +66,10 @@ def test_the_buffer_holds_what_was_written_last(history: list[list[int]]) -> Non
 
 def lit_boxes() -> Scene:
     """Make 6 fixed and 6 moving boxes a metre apart in two lines, along which 5 lights of a range of 2 m stand."""
-    builder = SceneBuilder("boxes")
-    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
+    builder = make_boxes()
     places = np.stack([np.tile(np.arange(6.0), 2), np.zeros(12), np.repeat([0.0, 3.0], 6)], axis=1)
     nodes = builder.add_nodes(translation(places), dynamic=np.arange(12) % 2 == 0)
-    builder.add_objects(nodes, mesh, material)
+    builder.add_objects(nodes, 0, 0)
     builder.lights.add_points(places[:5:2], 2.0)
     builder.lights.add_spots(places[7:10:2], (0, -1, 0), 2.0, 0.1, 0.2)
     return builder.build()

@@ -67,7 +67,7 @@ def test_a_new_size_replaces_all_textures(null: rhi.Device) -> None:
     targets = Targets(null, (64, 36))
     targets.provide((IMAGE, DEPTH))
     before = targets.image, targets.depth
-    targets.size = (32, 18)
+    targets.resize((32, 18))
     targets.provide((IMAGE, DEPTH))
     assert all(texture.destroyed for texture in before)
     assert targets.image.size == targets.depth.size == (32, 18)

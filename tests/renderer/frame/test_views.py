@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
+from frames import need_algorithm
 from frames import open_renderer as open_any
 
 import rhi
@@ -28,7 +29,7 @@ from renderer.shaders.depth import DepthOnly
 from renderer.techniques import Forward
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.variants import bind, find_variant
-from renderer.visibility import FrustumCulling, list_algorithms
+from renderer.visibility import FrustumCulling
 from rhi import DepthFunction, DepthWrite, Format
 from rhi.backends.null import NullBackend
 
@@ -76,8 +77,7 @@ class DepthFirst:
 
 @pytest.mark.parametrize("name", ["none", "frustum", "chc_plus_plus", "conditional", "depth_pyramid", "two_pass"])
 def test_two_passes_of_a_view_draw_the_same_picture_as_one(drawing_device: rhi.Device, city: Scene, name: str) -> None:
-    if name not in list_algorithms(drawing_device):
-        pytest.skip(f"this device can't run {name}")
+    need_algorithm(drawing_device, name)
     images = []
     for technique in (Forward(), DepthFirst()):
         with open_renderer(drawing_device, city, technique, visibility=name) as renderer:

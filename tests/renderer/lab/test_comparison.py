@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time as clock
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -49,13 +49,6 @@ def ticks(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
         now[0] += seconds
 
     return pass_by
-
-
-def test_each_round_starts_with_another_subject() -> None:
-    order: list[str] = []
-    subjects = [Subject({"name": name}, lambda _, name=name: order.append(name)) for name in "abc"]
-    compare(subjects, {}, range(4), warm_ups=0)
-    assert order == list("abcbcacababc")
 
 
 def test_what_is_done_before_a_run_and_between_rounds_is_not_timed(ticks: Callable[[float], None]) -> None:
@@ -121,19 +114,29 @@ def test_counts_are_those_of_timed_runs_and_cells_have_their_order() -> None:
     assert compare([one], {"calls": largest}, (2, 6))[0]["calls"] == 6
 
 
-@pytest.mark.parametrize("form", ["", "--json", "--markdown"])
-def test_a_benchmark_prints_its_rows(
-    form: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def measure(given: object) -> Iterator[Record]:
-        yield from compare([Subject({"name": "a"}, clock.sleep)], {"ratio": ratio()}, [0])
+Run = Callable[..., Any]
 
-    monkeypatch.setattr("sys.argv", ["some.py", "--rounds", "1", *form.split()])
-    monkeypatch.setenv("RHI_KERNELS", "")  # and so back to what it was at the end
-    monkeypatch.delenv("RHI_KERNELS")
-    run_benchmark("Says what it is.", [options.rounds("rounds")], measure)
-    assert os.environ["RHI_KERNELS"] == "optimised"  # as a long run has them
-    out = capsys.readouterr().out
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Runs a benchmark that has these rows, by these arguments, and returns what it prints; RHI_KERNELS is what it was
+    at the end."""
+
+    def run(rows: Iterable[Record], *arguments: str, asked: str | None = None, **given: Any) -> Any:
+        monkeypatch.setattr("sys.argv", ["some.py", *arguments])
+        monkeypatch.setenv("RHI_KERNELS", asked or "")
+        if asked is None:
+            monkeypatch.delenv("RHI_KERNELS")
+        run_benchmark("Says what it is.", [options.rounds("rounds")], lambda _: rows, **given)
+        return capsys.readouterr()
+
+    return run
+
+
+@pytest.mark.parametrize("form", ["", "--json", "--markdown"])
+def test_a_benchmark_prints_its_rows(form: str, run: Run) -> None:
+    rows = compare([Subject({"name": "a"}, clock.sleep)], {"ratio": ratio()}, [0])
+    out = run(rows, "--rounds", "1", *form.split()).out
     if form == "--json":
         assert json.loads(out) == {"rows": [{"name": "a", "ratio": 1.0}]}
     else:
@@ -143,37 +146,22 @@ def test_a_benchmark_prints_its_rows(
         ]  # fmt: skip
 
 
-def test_a_benchmark_keeps_the_kernels_that_were_asked_for(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("asked", "given", "ran"),
+    [(None, {}, "optimised"), ("quick", {}, "quick"), (None, {"kernels": ""}, "")],
+    ids=["as a long run has them", "as was asked for", "as a first run has them"],
+)
+def test_a_benchmark_runs_the_kernels_of_a_long_run_or_others_on_demand(
+    asked: str | None, given: dict[str, str], ran: str, run: Run
 ) -> None:
-    monkeypatch.setattr("sys.argv", ["some.py"])
-    monkeypatch.setenv("RHI_KERNELS", "quick")
-    run_benchmark("Says what it is.", (), lambda given: [{"a": 1}])
-    assert os.environ["RHI_KERNELS"] == "quick"
-    capsys.readouterr()
+    run([{"a": 1}], asked=asked, **given)
+    assert os.environ["RHI_KERNELS"] == ran
 
 
-def test_a_benchmark_may_measure_what_a_first_run_has(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.argv", ["some.py"])
-    monkeypatch.setenv("RHI_KERNELS", "")  # and so back to what it was at the end
-    monkeypatch.delenv("RHI_KERNELS")
-    run_benchmark("Says what it is.", (), lambda given: [{"a": 1}], kernels="")
-    assert os.environ["RHI_KERNELS"] == ""
-    capsys.readouterr()
-
-
-def test_rows_with_other_columns_are_another_table(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_rows_with_other_columns_are_another_table(run: Run) -> None:
     rows = [{"a": 1}, {"a": 2}, {"b": 3, "c": 4}]
-    monkeypatch.setattr("sys.argv", ["some.py", "--markdown"])
-    run_benchmark("Says what it is.", (), lambda given: rows)
-    assert capsys.readouterr().out == "| a |\n| --- |\n| 1 |\n| 2 |\n\n| b | c |\n| --- | --- |\n| 3 | 4 |\n"
-    monkeypatch.setattr("sys.argv", ["some.py", "--json"])
-    run_benchmark("Says what it is.", (), lambda given: rows)
-    assert json.loads(capsys.readouterr().out) == {"rows": rows}
+    assert run(rows, "--markdown").out == "| a |\n| --- |\n| 1 |\n| 2 |\n\n| b | c |\n| --- | --- |\n| 3 | 4 |\n"
+    assert json.loads(run(rows, "--json").out) == {"rows": rows}
 
 
 class SlowlyBetter:
@@ -257,10 +245,6 @@ def test_each_comparison_says_which_kernels_cl_ran(command: str, tmp_path: Path)
 
 
 @pytest.mark.parametrize(("ran", "is_noted"), [("quick", True), ("quick, then optimised", True), ("optimised", False)])
-def test_figures_that_a_long_run_has_not_are_noted(
-    ran: str, is_noted: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.argv", ["some.py"])
-    monkeypatch.setenv("RHI_KERNELS", "quick")
-    run_benchmark("Says what it is.", (), lambda given: [{"a": 1}, {"a": 1, "kernels": ran}, {"a": 2, "kernels": None}])
-    assert ("quick kernels ran" in capsys.readouterr().err) is is_noted
+def test_figures_that_a_long_run_has_not_are_noted(ran: str, is_noted: bool, run: Run) -> None:
+    said = run([{"a": 1}, {"a": 1, "kernels": ran}, {"a": 2, "kernels": None}]).err
+    assert ("quick kernels ran" in said) is is_noted

@@ -15,6 +15,7 @@ from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.visibility import FrustumCulling, NoCulling
 from rhi import Op
 from rhi.shading import compile_shader
+from tests.renderer.conftest import open_device
 
 HALL = "hall:columns=18,rows=2,flags=0,fountains=24"
 
@@ -114,11 +115,10 @@ def test_particles_show_in_front_of_what_is_behind_them_and_only_there() -> None
     hall = load_scene("hall:columns=6,rows=2,flags=0,fountains=4")
     pictures = []
     for name in ("gl", "cl"):
-        try:
-            device = rhi.create_device(name)
-        except rhi.DeviceError as error:
-            pytest.skip(f"no {name} device here: {error.given or error.rule.sentence}")
-        with device, Renderer(device, hall, visibility=NoCulling(hall), size=(160, 90)) as renderer:
+        with (
+            open_device(name) as device,
+            Renderer(device, hall, visibility=NoCulling(hall), size=(160, 90)) as renderer,
+        ):
             camera = hall.views["overview"]
             plain = renderer.render(camera, 1.5)
             before, depth = plain.image.read().astype(int), plain.depth.read()

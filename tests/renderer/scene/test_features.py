@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from frames import make_boxes
 from hypothesis import given
 from hypothesis import strategies as st
 
 import rhi
-from renderer.content import BUILT_IN
 from renderer.renderer import Renderer
-from renderer.scene import TEXTURE, AlphaMode, Scene, SceneBuilder, TextureMap, make_material
+from renderer.scene import TEXTURE, AlphaMode, Scene, TextureMap, make_material
 from renderer.scene.features import MaterialFeatures
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import NoCulling
@@ -77,12 +77,10 @@ def test_an_array_of_another_length_is_counted_from_scratch(count: int) -> None:
 
 @pytest.mark.parametrize("technique", ["forward", "deferred_plus"])
 def test_materials_may_be_replaced_by_more_but_not_by_fewer_than_objects_have(technique: str) -> None:
-    builder = SceneBuilder("two boxes")
-    mesh = builder.add_mesh(BUILT_IN["box"]())
-    materials = [builder.add_material(base_color=color) for color in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0))]
-    builder.add_objects(builder.add_nodes(np.tile(np.eye(4), (2, 1, 1))), mesh, materials)
+    builder = make_boxes((0, 0, 0), base_color=(1.0, 0.0, 0.0))
+    builder.add_objects(builder.add_node(), 0, builder.add_material(base_color=(0.0, 0.0, 1.0)))
     scene = builder.build()
-    camera, before = scene.views["overview"], scene.materials
+    camera, before = scene.views["eye"], scene.materials
     with rhi.create_device("null") as null:
         renderer = Renderer(null, scene, technique=TECHNIQUES[technique](), visibility=NoCulling(scene), size=(16, 16))
         with renderer:
@@ -129,10 +127,9 @@ def test_only_materials_that_have_changed_are_examined(monkeypatch: pytest.Monke
 
 
 def build(**material: Any) -> Scene:
-    builder = SceneBuilder("box")
+    builder = make_boxes()
     builder.add_image(np.full((4, 4, 4), 128, np.uint8))
-    mesh = builder.add_mesh(BUILT_IN["box"]())
-    builder.add_objects(builder.add_node(), mesh, builder.add_material(**material))
+    builder.add_objects(builder.add_node(), 0, builder.add_material(**material))
     return builder.build()
 
 

@@ -84,3 +84,18 @@ def test_lights_are_white_and_of_intensity_1_unless_told_otherwise() -> None:
         assert some["intensity"].tolist() == [1.0] * count
         assert some["color"].tolist() == [[1.0, 1.0, 1.0]] * count
         assert not some["casts_shadow"].any()
+
+
+@pytest.mark.parametrize("kind", ["directional", "point", "spot"])
+def test_the_contents_of_lights_are_another_object_where_one_was_written_to(kind: str) -> None:
+    lights = Lights()
+    lights.add_directional((0, -1, 0))
+    lights.add_point((0, 1, 0), 5.0)
+    lights.add_spot((0, 1, 0), (0, -1, 0), 5.0, 0.1, 0.2)
+    lights.refresh()
+    known = lights.contents
+    lights.refresh()
+    assert lights.contents is known
+    getattr(lights, kind)["intensity"] *= 0.5
+    lights.refresh()
+    assert lights.contents is not known

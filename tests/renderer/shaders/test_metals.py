@@ -9,13 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from renderer.shaders.lighting import tone_map
-from renderer.shaders.metals import (
-    SMOOTHEST,
-    ambient_light_of_metal,
-    metal_surface,
-    metal_terms,
-    reflected_by_metal,
-)
+from renderer.shaders.metals import SMOOTHEST, ambient_light_of_metal, metal_surface, metal_terms, reflected_by_metal
 from renderer.shaders.structs import Ambient, Incidence, SurfacePoint
 from rhi.shading import evaluate
 

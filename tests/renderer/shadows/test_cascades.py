@@ -14,14 +14,7 @@ from renderer.content import load_scene
 from renderer.scene import Camera, Orthographic, Perspective, Projection
 from renderer.scene.arrays import Floats
 from renderer.shadows import ShadowSettings
-from renderer.shadows.cascades import (
-    Cascade,
-    enclose_slices,
-    find_corners,
-    find_range,
-    find_splits,
-    fit_cascades,
-)
+from renderer.shadows.cascades import Cascade, enclose_slices, find_corners, find_range, find_splits, fit_cascades
 from renderer.shadows.casters import SceneCasters
 from renderer.shadows.needed import _find_depth
 

@@ -13,16 +13,7 @@ import rhi
 from renderer.content import BUILT_IN, load_scene
 from renderer.frame import Effect
 from renderer.renderer import Renderer
-from renderer.scene import (
-    AlphaMode,
-    Camera,
-    Perspective,
-    Scene,
-    SceneBuilder,
-    StereoRig,
-    scaling,
-    translation,
-)
+from renderer.scene import AlphaMode, Camera, Perspective, Scene, SceneBuilder, StereoRig, scaling, translation
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from depth_textures import put_depths
 from filter_reference import find_lit_share
 from frames import make_boxes, open_renderer, read_colors
 from numpy.typing import NDArray
@@ -46,21 +47,6 @@ class Compared(sl.Struct):
     depth: float
 
 
-class StoredDepth(sl.Struct):
-    """What `StoreDepth` writes."""
-
-    depth: sl.FragmentDepth
-
-
-class StoreDepth(FarDepth):
-    """Copies numbers to depth."""
-
-    numbers: sl.Texture2D
-
-    def fragment(self) -> StoredDepth:
-        return StoredDepth(depth=self.numbers.load(sl.ivec2(sl.fragment_coordinate().xy)).x)
-
-
 class FilterCheck(FarDepth, ShadowReader):
     """Shows the lit share of points, one in each pixel."""
 
@@ -89,13 +75,8 @@ def test_filters_are_those_of_a_numpy_reference(drawing_device: rhi.Device, filt
     points["depth"] = random.uniform(0.3, 0.7, 4096)
     given = (points["at"].astype(float), points["depth"].astype(float), points["slope"].astype(float))
     want, doubt = find_lit_share(filter, depths.astype(float), *given, TILE)
-    atlas = drawing_device.texture((64, 64), rhi.Format.D32F)
+    atlas = put_depths(drawing_device, depths)
     image = drawing_device.texture((64, 64), rhi.Format.RGBA32F)
-    numbers = drawing_device.texture(depths, rhi.Format.R32F)
-    states = (rhi.CullMode.NONE, rhi.DepthFunction.ALWAYS)
-    with drawing_device.render_pass(None, atlas), drawing_device.states(*states):
-        drawing_device.draw(drawing_device.program(StoreDepth), drawing_device.mesh(3), numbers=numbers)
-    assert np.array_equal(atlas.read().reshape(64, 64), depths)
     bindings: dict[str, Any] = {"shadow_atlas": atlas}
     if filter is ShadowFilter.HARDWARE:
         sampler = rhi.SamplerDescriptor(mip=None, compare=rhi.Comparison.GREATER_EQUAL)
@@ -573,14 +554,12 @@ def test_only_shadows_on_normal_maps_take_a_second_normal(bends: bool, casts: bo
 
 def build_wall(lamps: int, spots: int = 0, *, walled: bool = True) -> Scene:
     """Make a floor and a wall across it, behind which, at x < 0, all lamps are."""
-    builder = SceneBuilder("wall")
-    mesh, white = builder.add_mesh(BUILT_IN["box"]()), builder.add_material(base_color=(0.8, 0.8, 0.8))
+    builder = make_boxes(base_color=(0.8, 0.8, 0.8))
     floor = builder.add_node(translation((0, -0.5, 0)) @ scaling((60, 1, 60)))
-    builder.add_objects(floor, mesh, white, casts_shadow=False)
-    if walled:
-        builder.add_objects(builder.add_node(translation((0, 0, 0)) @ scaling((0.5, 20, 60))), mesh, white)
-    else:  # a caster in the range of each, in the way of nothing that is seen
-        builder.add_objects(builder.add_node(translation((-2, -3, 0)) @ scaling((0.5, 0.5, 40))), mesh, white)
+    builder.add_objects(floor, 0, 0, casts_shadow=False)
+    # Without the wall there is a caster in the range of each, in the way of nothing that is seen.
+    caster = scaling((0.5, 20, 60)) if walled else translation((-2, -3, 0)) @ scaling((0.5, 0.5, 40))
+    builder.add_objects(builder.add_node(caster), 0, 0)
     places = np.random.default_rng(1).uniform((-4, 1, -8), (-1, 4, 2), (lamps + spots, 3))
     builder.lights.add_points(places[:lamps], 8.0, intensity=6.0, casts_shadow=True)
     if spots:

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
+from frames import need_algorithm
 from frames import open_renderer as open_any
 from numpy.typing import NDArray
 
@@ -31,7 +32,7 @@ from renderer.scene import (
 from renderer.shaders import PointLight, ViewConstants
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES
-from renderer.visibility import FrustumCulling, VisibilityAlgorithm, list_algorithms
+from renderer.visibility import FrustumCulling, VisibilityAlgorithm
 from rhi import Op
 from rhi.math import multiply
 
@@ -94,8 +95,7 @@ def test_each_picture_of_each_technique_is_that_of_its_eye(
 def test_each_picture_with_each_algorithm_is_that_of_its_eye(
     drawing_device: rhi.Device, request: pytest.FixtureRequest, scene_name: str, name: str
 ) -> None:
-    if name not in list_algorithms(drawing_device):
-        pytest.skip(f"this device can't run {name}")
+    need_algorithm(drawing_device, name)
     scene: Scene = request.getfixturevalue(scene_name)
     with open_renderer(drawing_device, scene, visibility=name) as renderer:
         for frame in range(600, 660, 6):
@@ -105,8 +105,7 @@ def test_each_picture_with_each_algorithm_is_that_of_its_eye(
 @pytest.mark.parametrize("name", ["depth_pyramid", "two_pass"])
 def test_what_both_eyes_see_is_known_where_the_device_lists_it(gl: rhi.Device, hall: Scene, name: str) -> None:
     """The right eye's lists replace the left one's, which were read before."""
-    if name not in list_algorithms(gl):
-        pytest.skip(f"this device can't run {name}")
+    need_algorithm(gl, name)
     with open_renderer(gl, hall, visibility=name) as renderer:
         camera = hall.paths["ground"].camera(600)
         alone = set(renderer.render(camera).visible.tolist())

@@ -8,16 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.content import BUILT_IN
-from renderer.scene import (
-    AlphaMode,
-    Camera,
-    Scene,
-    SceneBuilder,
-    TextureMap,
-    make_geometry,
-    scaling,
-    translation,
-)
+from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, TextureMap, make_geometry, scaling, translation
 from rhi import SamplerDescriptor, Wrap
 
 MIRRORED = SamplerDescriptor(wrap_u=Wrap.MIRROR, wrap_v=Wrap.CLAMP)

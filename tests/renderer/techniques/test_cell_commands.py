@@ -9,14 +9,7 @@ from frames import make_lit_boxes, open_renderer
 
 import rhi
 from renderer.lab.measure.plans import describe_plan
-from renderer.techniques import (
-    Clustered,
-    ClusteredDeferred,
-    DeferredPlus,
-    ForwardPlus,
-    Technique,
-    TiledDeferred,
-)
+from renderer.techniques import Clustered, ClusteredDeferred, DeferredPlus, ForwardPlus, Technique, TiledDeferred
 from renderer.techniques.parts.cell_lists import CLUSTERS
 from rhi import Op
 

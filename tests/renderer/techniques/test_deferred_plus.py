@@ -15,16 +15,7 @@ from renderer import rules
 from renderer.content import BUILT_IN, load_scene
 from renderer.lab.measure.plans import describe_plan
 from renderer.renderer import Renderer
-from renderer.scene import (
-    AlphaMode,
-    Camera,
-    Scene,
-    SceneBuilder,
-    TextureMap,
-    make_geometry,
-    scaling,
-    translation,
-)
+from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, TextureMap, make_geometry, scaling, translation
 from renderer.techniques import DeferredPlus, Forward
 from renderer.techniques.deferred_plus import PackedShading
 from renderer.techniques.parts.material_bins import PixelBins

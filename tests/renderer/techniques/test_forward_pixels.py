@@ -14,15 +14,7 @@ import rhi
 from renderer.content import load_scene
 from renderer.frame import resources
 from renderer.renderer import Renderer
-from renderer.scene import (
-    Camera,
-    Depth,
-    Perspective,
-    SceneBuilder,
-    make_geometry,
-    scaling,
-    translation,
-)
+from renderer.scene import Camera, Depth, Perspective, SceneBuilder, make_geometry, scaling, translation
 
 LENS = Perspective(fov=0.9, aspect=SIZE[0] / SIZE[1])
 MIDDLE = np.array([10_000_000.3, 20.2, -30_000_000.3])

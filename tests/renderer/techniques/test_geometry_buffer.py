@@ -7,10 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.techniques.parts.geometry_buffer import (
-    decode_texel,
-    encode_texel,
-)
+from renderer.techniques.parts.geometry_buffer import decode_texel, encode_texel
 from rhi.shading import evaluate
 
 Floats = NDArray[Any]

@@ -14,6 +14,7 @@ from frames import (
     find_eye,
     list_passes,
     make_boxes,
+    need_algorithm,
     open_renderer,
     read_colors,
     record,
@@ -36,10 +37,10 @@ from renderer.lab.accuracy.float64 import shade_exactly
 from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, scaling, translation
 from renderer.shaders import MaterialShader, SurfaceInput, SurfaceParameters
 from renderer.techniques import TECHNIQUES, Deferred, DeferredPlus, Forward, Inferred, LightPrePass, Technique
-from renderer.visibility import list_algorithms
 from rhi import Op
 from rhi.commands.ops import DRAWS
 from rhi.shading import run_compute
+from tests.renderer.conftest import open_device
 
 COMPARED: dict[str, Callable[[], Technique]] = {
     **{name: make for name, make in TECHNIQUES.items() if name != "forward"},
@@ -88,8 +89,7 @@ def test_all_techniques_draw_materials_with_shaders_alike(drawing_device: rhi.De
 
 @pytest.mark.parametrize("name", ["none", "frustum", "chc_plus_plus", "conditional", "depth_pyramid", "two_pass"])
 def test_all_algorithms_draw_each_object_by_its_shader(drawing_device: rhi.Device, name: str) -> None:
-    if name not in list_algorithms(drawing_device):
-        pytest.skip(f"this device can't run {name}")
+    need_algorithm(drawing_device, name)
     scene = load_scene(YARD)
     expected = draw(drawing_device, scene, size=SIZE)
     with open_renderer(drawing_device, scene, visibility=name, size=SIZE) as renderer:
@@ -101,11 +101,7 @@ def test_all_algorithms_draw_each_object_by_its_shader(drawing_device: rhi.Devic
 def test_gl_and_cl_agree() -> None:
     pictures = []
     for backend in ("gl", "cl"):
-        try:
-            device = rhi.create_device(backend)
-        except rhi.DeviceError:
-            pytest.skip(f"no {backend} device here")
-        with device:
+        with open_device(backend) as device:
             pictures.append(draw(device, load_scene(YARD), size=SIZE))
     apart = np.abs(pictures[0] - pictures[1]).max(axis=2)
     assert np.count_nonzero(apart > 3) <= 0.005 * apart.size, "edges alone"

@@ -7,15 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene import (
-    Camera,
-    HeightField,
-    Orthographic,
-    Perspective,
-    Scene,
-    SceneBuilder,
-    make_height_field,
-)
+from renderer.scene import Camera, HeightField, Orthographic, Perspective, Scene, SceneBuilder, make_height_field
 from renderer.tessellation.kernels import FieldView
 
 HEIGHT = 96

@@ -25,7 +25,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-import rhi
+from tests.renderer.conftest import open_device
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="no selenium: pip install selenium")
 errors = pytest.importorskip("selenium.common.exceptions")
@@ -102,11 +102,8 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture(scope="module", params=["cl", "gl"])
 def backend(request: pytest.FixtureRequest) -> str:
-    try:
-        rhi.create_device(request.param).close()
-    except rhi.DeviceError as error:
-        pytest.skip(f"no {request.param} device here: {error.given}")
-    return str(request.param)
+    with open_device(request.param) as device:
+        return device.backend_name
 
 
 @pytest.fixture

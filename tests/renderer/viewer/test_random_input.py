@@ -22,6 +22,7 @@ from renderer.viewer.keys import KEYS
 from renderer.viewer.look import LIT, PLAIN
 from rhi.backends.cl.raster.draw_lists import DrawListCache
 from rhi_screen.gestures import HELD
+from tests.renderer.conftest import open_device
 
 Events = Iterator[dict[str, Any]]
 SCENE = "hall:fountains=1,columns=3,detail=4,flags=1"
@@ -201,11 +202,7 @@ def test_ten_thousand_frames_of_random_input_keep_no_frame(
     monkeypatch.setenv("RHI_KERNELS", "quick")  # optimising those of all techniques takes longer than the frames
     monkeypatch.setattr(sys.modules[__name__], "QUIET", QUIET | {"set", "capture"})  # new programs, and further frames
     seen: list[Kept] = []
-    try:
-        device = rhi.create_device(backend, record=False)
-    except rhi.DeviceError as error:
-        pytest.skip(f"no {backend} device here: {error.given}")
-    with device:
+    with open_device(backend, record=False) as device:
         viewer, user, coverage = play(device, SCENE, 10_000, 2, lambda: seen.append(count_kept(device)))
         viewer.close()
     assert set(user.names) - user.obeyed == ({"screenshot"} if backend == "null" else set())

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
+from frames import need_algorithm as need_algorithm
 from hypothesis import strategies as st
 
 import rhi
@@ -59,6 +61,12 @@ def mirrored_boxes(*, two_sides: bool = False) -> Scene:
         builder.add_objects(nodes[row], opened if has_two else mesh, material)
     builder.lights.add_directional((-0.4, -1.0, -0.3), (1.0, 1.0, 1.0), 1.5)
     return builder.build()
+
+
+def make_cloud(count: int = 60, seed: int = 7, **motion: Any) -> Scene:
+    """Make small boxes around the origin, all in view from z = 30."""
+    rng = np.random.default_rng(seed)
+    return make_boxes(rng.uniform(-6.0, 6.0, (count, 3)), rng.uniform(0.1, 0.8, (count, 3)), **motion)
 
 
 @st.composite

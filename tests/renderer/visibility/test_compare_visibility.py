@@ -159,7 +159,7 @@ def test_progress_is_shown_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setattr(sys, "stderr", stream)
         clock = itertools.count(step=10.0)  # a frame takes long: work of less than a second shows nothing
         monkeypatch.setattr("tqdm.std.time", lambda clock=clock: next(clock))
-        assert list(show_progress(range(3), 3, "compare")) == [0, 1, 2]
+        assert list(show_progress(range(3), "compare")) == [0, 1, 2]
         assert ("compare" in stream.getvalue()) is shown
 
 
@@ -233,17 +233,7 @@ def test_at_ground_level_the_counts_are_those_of_the_thesis_or_less(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, frames: str
 ) -> None:
     delay_answers(monkeypatch, 0)  # late ones cost triangles: no matter of the algorithms
-    command = [
-        "compare",
-        "visibility",
-        "city",
-        "--camera-path",
-        "ground",
-        "--frames",
-        frames,
-        "--size",
-        "320x180",
-    ]
+    command = ["compare", "visibility", "city", "--camera-path", "ground", "--frames", frames, "--size", "320x180"]
     algorithms = ["--algorithms", "frustum,stop_and_wait,chc,chc_plus_plus"]
     assert main([*command, *algorithms, "--backend", "gl", "--json"]) == 0
     rows = {row["algorithm"]: row for row in json.loads(capsys.readouterr().out)["rows"]}

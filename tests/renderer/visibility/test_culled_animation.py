@@ -6,23 +6,14 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
-from occlusion_scenes import DEVICE, WAITING, Oracle, draw_with
+from occlusion_scenes import DEVICE, WAITING, Oracle, draw_with, need_algorithm
 
 import rhi
 from renderer.content import BUILT_IN, load_scene
 from renderer.content.hall import _Sway
 from renderer.renderer import Renderer
-from renderer.scene import (
-    Camera,
-    Orthographic,
-    Recompute,
-    Scene,
-    SceneBuilder,
-    rotation,
-    scaling,
-    translation,
-)
-from renderer.visibility import FrustumCulling, NoCulling, list_algorithms, make_visibility
+from renderer.scene import Camera, Orthographic, Recompute, Scene, SceneBuilder, rotation, scaling, translation
+from renderer.visibility import FrustumCulling, NoCulling, make_visibility
 from rhi import Op
 from rhi.math import multiply
 
@@ -164,8 +155,7 @@ def make_reference(monkeypatch: pytest.MonkeyPatch) -> Scene:
 def test_what_shows_again_is_drawn_as_of_its_frame(
     drawing_device: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    if name not in list_algorithms(drawing_device):
-        pytest.skip(f"{name} doesn't run here")
+    need_algorithm(drawing_device, name)
     hall, always = load_scene(HALL), make_reference(monkeypatch)
     assert len(hall.objects.simulated_rows) == len(always.objects.simulated_rows) + 60
     path, size = hall.paths["ground"], (97, 55)

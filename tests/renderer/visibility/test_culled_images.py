@@ -11,7 +11,7 @@ from itertools import cycle
 
 import numpy as np
 import pytest
-from occlusion_scenes import DEVICE, look, mirrored_boxes
+from occlusion_scenes import DEVICE, look, mirrored_boxes, need_algorithm
 
 import rhi
 from renderer.content import load_scene
@@ -23,8 +23,6 @@ from renderer.visibility import (
     FrustumCulling,
     ScenePass,
     VisibilityStatistics,
-    list_algorithms,
-    make_visibility,
 )
 
 PAIRS = [*(("gl", name) for name in NAMES), *(("cl", name) for name in (*DEVICE, "software_depth"))]
@@ -126,12 +124,9 @@ def uncut(device: rhi.Device) -> Iterator[Callable[[str], Uncut]]:
 def test_it_looks_as_without_culling(
     device: rhi.Device, uncut: Callable[[str], Uncut], name: str, situation: str
 ) -> None:
-    if name not in list_algorithms(device):
-        pytest.skip(f"{name} doesn't run here")
+    need_algorithm(device, name)
     expected = uncut(situation)
-    algorithm = make_visibility(name, expected.scene, device)
-    assert expected.count_wrong_pixels(algorithm) == [0] * len(expected.shots)
-    algorithm.destroy()
+    assert expected.try_algorithm(name) == [0] * len(expected.shots)
 
 
 def test_pictures_that_are_compared_show_something(device: rhi.Device, uncut: Callable[[str], Uncut]) -> None:

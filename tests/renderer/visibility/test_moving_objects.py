@@ -10,23 +10,15 @@ from collections.abc import Callable, Collection
 
 import numpy as np
 import pytest
+from frames import need_algorithm
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from occlusion_scenes import (
-    SIZE,
-    cameras,
-    count_wrong_pixels,
-    delay_answers,
-    draw_with,
-    look,
-    make_boxes,
-    visible,
-)
+from occlusion_scenes import SIZE, Uncut, cameras, delay_answers, draw_with, look, make_boxes, visible
 
 import rhi
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
-from renderer.visibility import ALGORITHMS, VisibilitySettings, list_algorithms, make_visibility
+from renderer.visibility import ALGORITHMS, VisibilitySettings, make_visibility
 from renderer.visibility.boxes.bounds import squared_distances
 from renderer.visibility.boxes.forest import Forest, Frontier
 
@@ -75,8 +67,7 @@ def count(device: rhi.Device, scene: Scene, name: str) -> tuple[list[set[int]], 
 def test_a_moving_copy_of_a_scene_draws_the_same_objects_with_about_as_many_queries(
     device: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str, wall: str
 ) -> None:
-    if name not in list_algorithms(device):
-        pytest.skip(f"{name} doesn't run on {device.backend_name}")
+    need_algorithm(device, name)
     delay_answers(monkeypatch, 0)
     still, asked = count(device, make_walled(wall, ()), name)
     for moving in (range(BOXES), range(BOXES + 1)):  # the boxes; all objects
@@ -143,10 +134,8 @@ def test_a_walk_that_was_broken_off_leaves_nothing_behind() -> None:
 def test_objects_that_move_through_the_near_plane_look_as_without_culling(
     drawing_device: rhi.Device, name: str
 ) -> None:
-    if name not in list_algorithms(drawing_device):
-        pytest.skip(f"{name} doesn't run on {drawing_device.backend_name}")
+    need_algorithm(drawing_device, name)
     scene = make_walled("half", range(BOXES + 1), motion=lambda seconds: (0.0, 0.0, 60.0 * seconds))
-    algorithm = make_visibility(name, scene, drawing_device)
     shots = [(EYE, second) for second in (0.0, 0.2, 0.33, 0.334, 0.5, 0.7, 1.1, 0.0, 0.3)]
-    assert count_wrong_pixels(drawing_device, scene, algorithm, shots) == [0] * len(shots)
-    algorithm.destroy()
+    with Uncut(drawing_device, scene, shots) as uncut:
+        assert uncut.try_algorithm(name) == [0] * len(shots)

@@ -12,14 +12,7 @@ from occlusion_scenes import make_boxes
 
 from renderer.content.shapes import box
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, SceneBuilder, rotation
-from renderer.visibility.boxes.bounds import (
-    QueryBoxes,
-    find_near,
-    near_radius,
-    pad_boxes,
-    pad_rotated,
-    see_boxes,
-)
+from renderer.visibility.boxes.bounds import QueryBoxes, find_near, near_radius, pad_boxes, pad_rotated, see_boxes
 from renderer.visibility.boxes.volumes import TightestBoxes, find_rotated
 
 AHEAD = (0.0, 0.0, -1.0)

@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from occlusion_scenes import OCCLUSION, WAITING, Oracle, delay_answers, draw_with, make_boxes, visible
+from occlusion_scenes import OCCLUSION, WAITING, Oracle, delay_answers, draw_with, make_boxes, make_cloud, visible
 
 import rhi
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Perspective, Scene
+from renderer.scene import Camera, Perspective
 from renderer.visibility import (
     CallbackPass,
     Chc,
@@ -37,15 +37,9 @@ EYE = Camera.look_at((0.0, 0.0, 30.0), (0.0, 0.0, 0.0), projection=Perspective(n
 NAMES = {StopAndWait: "stop_and_wait", Chc: "chc", ChcPlusPlus: "chc_plus_plus"}
 
 
-def make_cloud(count: int = 60, seed: int = 1) -> Scene:
-    """Make small boxes around the origin, all in view of EYE."""
-    rng = np.random.default_rng(seed)
-    return make_boxes(rng.uniform(-6.0, 6.0, (count, 3)), rng.uniform(0.1, 0.8, (count, 3)))
-
-
 @pytest.fixture
 def renderer(null: rhi.Device) -> Iterator[Renderer]:
-    with Renderer(null, make_cloud(), size=(64, 36)) as made:
+    with Renderer(null, make_cloud(seed=1), size=(64, 36)) as made:
         yield made
 
 
@@ -322,7 +316,7 @@ def test_the_queues_allocate_nothing_in_a_hundred_frames(renderer: Renderer, kin
 
 
 def test_conditional_culling_needs_a_device_with_conditions(null: rhi.Device) -> None:
-    scene = make_cloud(3)
+    scene = make_cloud(3, seed=1)
     with rhi.create_device("null") as device:
         device._core.capabilities = replace(device.capabilities, conditional_rendering=False)
         with pytest.raises(ValidationError, match=r"^\[visibility-no-conditions\]"):
@@ -342,7 +336,7 @@ def test_conditional_culling_is_listed_where_queries_are_native(native: bool, li
         assert (find_obstacle("conditional", device) is None) is listed
         if not listed:
             with pytest.raises(ValidationError, match=r"^\[visibility-no-conditions\]"):
-                ConditionalCulling(make_cloud(3), device)
+                ConditionalCulling(make_cloud(3, seed=1), device)
 
 
 @pytest.mark.parametrize("threshold", [99, 100])

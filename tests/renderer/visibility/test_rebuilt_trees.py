@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from occlusion_scenes import OCCLUSION, count_wrong_pixels, delay_answers, draw_with, look, make_boxes
+from occlusion_scenes import OCCLUSION, Uncut, delay_answers, draw_with, look, make_boxes, need_algorithm
 
 import rhi
 from renderer.renderer import Renderer
 from renderer.scene import Scene
-from renderer.visibility import Chc, VisibilitySettings, list_algorithms, make_visibility
+from renderer.visibility import Chc, VisibilitySettings, make_visibility
 from renderer.visibility.boxes.forest import WORN, Forest
 from renderer.visibility.queries.memory import NEVER, NodeMemory
 
@@ -167,8 +167,7 @@ def test_in_the_frame_of_a_rebuild_visible_objects_are_still_known(
 def test_objects_in_rebuilt_trees_look_as_without_culling(
     drawing_device: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str, leaf_size: int
 ) -> None:
-    if name not in list_algorithms(drawing_device):
-        pytest.skip(f"{name} doesn't run on {drawing_device.backend_name}")
+    need_algorithm(drawing_device, name)
     monkeypatch.setattr("renderer.visibility.boxes.forest.WORN", 1.0)
     scene = make_moving(
         lambda places, seconds: places + 6.0 * np.sin(seconds * (1.0 + np.arange(3 * BOXES).reshape(-1, 3) % 7))
@@ -176,8 +175,6 @@ def test_objects_in_rebuilt_trees_look_as_without_culling(
     rebuilds = []
     rebuild = Forest.rebuild
     monkeypatch.setattr(Forest, "rebuild", lambda forest: (rebuilds.append(1), rebuild(forest)))
-    algorithm = make_visibility(name, scene, drawing_device, VisibilitySettings(leaf_size=leaf_size))
-    shots = [(EYE, 0.1 * frame) for frame in range(8)]
-    assert count_wrong_pixels(drawing_device, scene, algorithm, shots, SIZE) == [0] * len(shots)
+    with Uncut(drawing_device, scene, [(EYE, 0.1 * frame) for frame in range(8)], SIZE) as uncut:
+        assert uncut.try_algorithm(name, leaf_size=leaf_size) == [0] * 8
     assert name == "stop_and_wait" or rebuilds
-    algorithm.destroy()

@@ -7,23 +7,18 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from occlusion_scenes import DEVICE, ORIGIN, Oracle, draw_with, look, make_boxes, walk
+from occlusion_scenes import DEVICE, ORIGIN, Oracle, draw_with, look, make_boxes, make_cloud, need_algorithm, walk
 
 import rhi
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Perspective, Scene
-from renderer.visibility import NoCulling, list_algorithms, make_visibility
+from renderer.visibility import NoCulling, make_visibility
 from renderer.visibility.repeated import RepeatedCommands, clear
 from rhi import Op
 from rhi.backends.null import Activity, CostModel, Lane, NullBackend, SimulatedBackend, Simulation
 
 CAMERA = look((0.0, 0.0, 30.0), ORIGIN, near=0.1)
-
-
-def make_cloud(count: int = 60) -> Scene:
-    rng = np.random.default_rng(7)
-    return make_boxes(rng.uniform(-6.0, 6.0, (count, 3)), rng.uniform(0.1, 0.8, (count, 3)))
 
 
 # -- repeated commands -------------------------------------------------------------------------------------
@@ -150,8 +145,7 @@ def test_another_size_direction_of_depth_or_target_is_recorded_anew(null: rhi.De
 
 @pytest.mark.parametrize("name", [*DEVICE, "conditional", "chc_plus_plus"])
 def test_a_new_size_with_questions_in_flight_changes_no_pixel(device: rhi.Device, name: str) -> None:
-    if name not in list_algorithms(device):
-        pytest.skip(f"{device.backend_name} has no conditional rendering")
+    need_algorithm(device, name)
     scene = load_scene("city:blocks=8,detail=2")
     none, algorithm = NoCulling(scene), make_visibility(name, scene, device)
     with Renderer(device, scene, size=(97, 55)) as renderer:

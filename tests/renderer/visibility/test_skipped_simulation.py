@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 
 import pytest
-from occlusion_scenes import WAITING, Oracle, draw_with
+from occlusion_scenes import WAITING, Oracle, draw_with, need_algorithm
 
 import rhi
 from renderer.cli import main
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
-from renderer.visibility import ALGORITHMS, FrustumCulling, NoCulling, list_algorithms, make_visibility
+from renderer.visibility import ALGORITHMS, FrustumCulling, NoCulling, make_visibility
 
 HALL = "hall:columns=18,rows=2,flags=0,fountains=12"
 
@@ -26,8 +26,7 @@ def hall() -> Scene:
 def test_skipped_fountains_come_back_as_if_they_had_been_simulated(
     drawing_device: rhi.Device, hall: Scene, name: str
 ) -> None:
-    if name not in list_algorithms(drawing_device):
-        pytest.skip(f"{name} doesn't run here")
+    need_algorithm(drawing_device, name)
     path = hall.paths["ground"]
     algorithm, none = make_visibility(name, hall, drawing_device), NoCulling(hall)
     skipped = steps = 0

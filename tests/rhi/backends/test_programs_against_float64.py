@@ -42,18 +42,7 @@ from rhi.conformance.programs.intervals import Interval
 from rhi.conformance.programs.merging import blend
 from rhi.conformance.programs.reducer import reduce
 from rhi.conformance.programs.runner import compare, run
-from rhi.conformance.programs.steps import (
-    Draw,
-    Image,
-    Ink,
-    Part,
-    Pass,
-    Place,
-    Shape,
-    Step,
-    Write,
-    to_python,
-)
+from rhi.conformance.programs.steps import Draw, Image, Ink, Part, Pass, Place, Shape, Step, Write, to_python
 from rhi.contract.formats import DEPTH_FORMATS
 
 PROGRAMS = 6

@@ -112,15 +112,6 @@ def test_a_command_gives_its_arguments_by_name(recorder):
     assert command["base_instance"] == 5
 
 
-def test_an_unknown_argument_is_refused_with_the_known_ones(recorder):
-    recorder.signal(1)
-    assert recorder.stream[0]["value"] == 1
-    with pytest.raises(ValidationError) as caught:
-        recorder.stream[0]["count"]
-    assert caught.value.rule.id == "command-argument"
-    assert caught.value.allowed == "value"
-
-
 # -- filters ---------------------------------------------------------------------------------------------
 
 
@@ -170,16 +161,6 @@ def test_draws_include_indirect_ones(recorder):
     recorder.draw_indirect(1, Primitive.TRIANGLES, 2, 0, 1, 20, 0, 0)
     recorder.dispatch(1, 1, 1)
     assert [command.op for command in recorder.stream.draws()] == [Op.DRAW, Op.DRAW_INDIRECT]
-
-
-def test_a_filter_by_argument_needs_an_op(labelled):
-    with pytest.raises(ValidationError) as caught:
-        labelled.filter(count=3)
-    assert caught.value.rule.id == "command-argument"
-    with pytest.raises(ValidationError) as caught:
-        labelled.filter(Op.DISPATCH, count=3)
-    assert caught.value.allowed == "x, y, z"
-    assert len(labelled.filter(Op.DISPATCH, y=2)) == 1
 
 
 # -- what holds at a command -----------------------------------------------------------------------------

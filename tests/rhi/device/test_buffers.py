@@ -43,14 +43,6 @@ def test_vectors_are_rows_of_a_plain_array(kit: Kit) -> None:
     assert storage.read().tolist() == [[0, 1, 2, 3], [4, 5, 6, 7]]
 
 
-def test_a_refused_write_changes_nothing(kit: Kit) -> None:
-    storage = kit.device.storage(Light, 2)
-    before = len(kit.device.stream)
-    with pytest.raises(rhi.ValidationError):
-        storage.write(np.zeros(1, np.float32))
-    assert len(kit.device.stream) == before
-
-
 # -- vectors of three components ----------------------------------------------------------------------------------
 
 

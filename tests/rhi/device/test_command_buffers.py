@@ -15,7 +15,6 @@ from testing_kit import Corner, House, Light
 import rhi
 from rhi.backends.null import Faults, NullBackend, SimulatedBackend, Simulation, create_backend
 from rhi.commands.recorder import CommandMethods
-from rhi.conformance.compare import assert_same
 from rhi.errors.rules import DEVICE_DRIVER
 from rhi.testing import expect, watch
 from rhi.trace import load, replay, save
@@ -275,11 +274,3 @@ def test_two_buffers_made_before_the_first_submission_serve_one_mesh(null_device
     null_device.finish()
     gone = {command.values[0] for command in null_device.stream.filter(rhi.Op.DESTROY)}
     assert {command.values[0] for command in made} <= gone
-
-
-def test_the_device_s_own_image_comes_from_a_submission(null_device: rhi.Device) -> None:
-    image = null_device.texture((4, 4), rhi.Format.R8)
-    with null_device.record() as commands, commands.render_pass(image, clear=(1, 0, 0, 0)):
-        pass
-    null_device.submit(commands)
-    assert_same(image.read(), 255)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from null_kit import Camera, Kit, Object, hand_made_program
+from null_kit import Kit, Object, hand_made_program
 
 import rhi
 from rhi import Op, Primitive
@@ -93,23 +93,6 @@ def test_a_vertex_array_that_could_not_be_made_is_made_at_the_next_try(
     assert draw.resource(draw["vertex_array"]) is not None
 
 
-def test_a_block_without_vertices_draws_nothing(kit: Kit) -> None:
-    with (
-        kit.device.render_pass(kit.image),
-        kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)),
-    ):
-        pass
-    assert not kit.ops(Op.DRAW)
-
-
-def test_an_exception_in_the_block_draws_nothing(kit: Kit) -> None:
-    with kit.device.render_pass(kit.image), pytest.raises(KeyError):
-        with kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)) as points:
-            points.vertex(position=(0, 0))
-            raise KeyError
-    assert not kit.ops(Op.DRAW)
-
-
 def test_blocks_share_one_vertex_array_until_the_ring_grows(kit: Kit) -> None:
     def draw(count: int) -> None:
         with kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)) as points:
@@ -152,14 +135,6 @@ def test_vertex_arrays_of_programs_that_are_gone_do_not_stay(kit: Kit, monkeypat
     assert len(kit.ops(Op.CREATE_VERTEX_ARRAY)) == 50
     gone = {c["resource"] for c in kit.ops(Op.DESTROY)}
     assert sum(c["vertex_array"] not in gone for c in kit.ops(Op.CREATE_VERTEX_ARRAY)) <= 11
-
-
-def test_transient_constants_lie_at_different_aligned_places(kit: Kit) -> None:
-    first = kit.device.transient.uniform(Camera(tint=(1, 0, 0, 1)))
-    second = kit.device.transient.uniform(Camera(tint=(0, 1, 0, 1)))
-    alignment = kit.device.capabilities.uniform_alignment
-    assert second.offset - first.offset >= first.size
-    assert second.offset % alignment == 0
 
 
 def test_transient_constants_are_bound_anew_when_their_ring_has_grown(kit: Kit) -> None:

@@ -7,7 +7,6 @@ import pytest
 from null_kit import Camera, Kit, Object, hand_made_program
 
 import rhi
-from rhi.contract.descriptors import Binding, BindingKind
 
 Op = rhi.Op
 BINDS = (Op.BIND_PROGRAM, Op.BIND_UNIFORM)
@@ -86,31 +85,6 @@ def test_a_missing_binding_is_refused_by_both_draws(kit: Kit) -> None:
     assert by_device.value.rule.id == by_program.value.rule.id == "binding-missing"
 
 
-def test_a_mesh_whose_buffer_was_destroyed_is_refused_also_when_another_was_drawn_since(kit: Kit) -> None:
-    vertices = kit.device.buffer(np.zeros(3, [("position", "f4", (2,))]))
-    mesh = kit.device.mesh(vertices)
-    arguments = {"camera": kit.camera, "object": kit.objects[0]}
-    with kit.device.render_pass(kit.image):
-        kit.device.draw(kit.program, mesh, **arguments)
-        vertices.destroy()
-        kit.device.draw(kit.program, kit.mesh, **arguments)
-        with pytest.raises(rhi.ValidationError) as caught:
-            kit.device.draw(kit.program, mesh, **arguments)
-    assert caught.value.rule.id == "resource-destroyed"
-
-
-def test_drawing_with_a_locked_resource_is_refused_and_works_after_the_lock(kit: Kit) -> None:
-    arguments = {"camera": kit.camera, "object": kit.objects[0]}
-    with kit.device.render_pass(kit.image):
-        kit.device.draw(kit.program, kit.mesh, **arguments)
-        with kit.objects.lock(rhi.Access.WRITE):
-            for _ in range(2):
-                with pytest.raises(rhi.ValidationError) as caught:
-                    kit.device.draw(kit.program, kit.mesh, **arguments)
-                assert caught.value.rule.id == "lock-open"
-        kit.device.draw(kit.program, kit.mesh, **arguments)
-
-
 def test_drawing_while_something_else_is_locked_works(kit: Kit) -> None:
     other = kit.device.buffer(16)
     with kit.device.render_pass(kit.image), other.lock(rhi.Access.WRITE):
@@ -127,19 +101,6 @@ def test_a_number_of_instances_reaches_the_backend(kit: Kit, instances: int) -> 
     assert type(given) is int
 
 
-@pytest.mark.parametrize("name", ["class", "self"])
-def test_a_binding_whose_name_is_no_keyword_argument_is_refused(kit: Kit, name: str) -> None:
-    with pytest.raises(rhi.ValidationError) as caught:
-        kit.device.program(hand_made_program("bad", Binding(name, BindingKind.UNIFORM, 0, False, Camera, 16)))
-    assert caught.value.rule.id == "binding-name"
-    kit.device.program(hand_made_program("good", Binding("mesh", BindingKind.UNIFORM, 0, False, Camera, 16)))
-
-
 def test_the_same_class_gives_the_same_program(kit: Kit) -> None:
     descriptor = hand_made_program("once")
     assert kit.device.program(descriptor) is kit.device.program(descriptor)
-
-
-def test_structs_of_equal_layout_are_different_types() -> None:
-    assert Camera.uniform_dtype.itemsize == Object.uniform_dtype.itemsize
-    assert Camera is not Object

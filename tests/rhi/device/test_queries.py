@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
 from null_kit import Kit
 
 import rhi
@@ -22,13 +21,6 @@ def test_an_emulated_query_takes_the_counter_at_two_fence_values(kit: Kit) -> No
         pass
     ops = [c.op for c in kit.ops(Op.WRITE_QUERY, Op.SIGNAL)]
     assert ops == [Op.WRITE_QUERY, Op.SIGNAL, Op.WRITE_QUERY, Op.SIGNAL]
-
-
-def test_an_emulated_query_cannot_make_draws_conditional(kit: Kit) -> None:
-    query = kit.device.occlusion_query(emulated=True)
-    with pytest.raises(rhi.ValidationError) as caught:
-        kit.device.conditional(query)
-    assert caught.value.rule.id == "device-capability"
 
 
 def test_an_event_entered_again_is_timed_each_time() -> None:

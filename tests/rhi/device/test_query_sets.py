@@ -29,6 +29,7 @@ def test_rows_are_begun_and_ended_one_after_the_other(kit: Kit) -> None:
     begin, draw, end = Op.BEGIN_QUERY, Op.DRAW, Op.END_QUERY
     assert [c.op for c in commands] == [begin, draw, end, begin, draw, draw, end, begin, draw, end]
     assert [c["query"] for c in commands if c.op is begin] == [queries.ids[row] for row in (2, 0, 3)]
+    assert all(command.site is not None and command.site.file == __file__ for command in commands)
     assert len(queries.ids) == len(queries) == 5
 
 
@@ -163,6 +164,7 @@ def test_conditional_draws_are_one_condition_for_each_run_of_rows(kit: Kit) -> N
     assert [c.op for c in commands] == [begin, draw, end] * 3
     assert [c["query"] for c in commands if c.op is begin] == [queries.ids[row] for row in (3, 0, 2)]
     assert [c["draws"] for c in commands if c.op is draw] == [2, 1, 2]
+    assert all(command.site is not None and command.site.file == __file__ for command in commands)
     assert kit.device.statistics.draws == counted.draws + 3
     assert kit.device.statistics.upload_bytes == counted.upload_bytes + draws.nbytes
 

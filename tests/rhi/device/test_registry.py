@@ -73,23 +73,6 @@ def test_options_without_a_name_go_to_the_backends_that_are_tried() -> None:
     assert "gl: profile" in caught.value.given
 
 
-def test_a_closed_device_refuses_work_by_name() -> None:
-    with rhi.create_device("null") as device:
-        pass
-    with pytest.raises(rhi.ValidationError) as caught:
-        device.buffer(16)
-    assert caught.value.rule.id == "device-closed"
-
-
-def test_a_lock_never_released_is_reported_when_the_device_closes() -> None:
-    device = rhi.create_device("null")
-    device.buffer(16).lock(rhi.Access.WRITE).__enter__()
-    with pytest.raises(rhi.ValidationError) as caught:
-        device.close()
-    assert caught.value.rule.id == "lock-open"
-    assert device.closed
-
-
 def test_the_report_names_every_backend(capsys: pytest.CaptureFixture[str]) -> None:
     main([])
     text = capsys.readouterr().out

@@ -69,17 +69,6 @@ def wanted(cache):
     return dict(zip(STATE_TYPES, cache.wanted.values, strict=True))
 
 
-class Fancy(PlatformState):
-    """A state that only some platform has."""
-
-    OFF = 0
-    ON = 1
-
-    @classmethod
-    def platform(cls):
-        return "somewhere"
-
-
 DEFAULT_MODEL = {state_type: expand(value) for state_type, value in DEFAULTS.items()} | {PlatformState: ()}
 
 
@@ -136,29 +125,6 @@ def test_scopes_restore_when_an_exception_leaves_them(scopes, depth):
     assert cache.depth == 0
 
 
-def test_one_scope_may_be_entered_inside_itself():
-    cache = StateCache()
-    scope = cache.scope((CullMode.NONE,))
-    with scope, scope:
-        assert cache.wanted[CullMode] is CullMode.NONE
-    assert cache.wanted[CullMode] is CullMode.BACK
-
-
-def test_a_state_set_and_restored_before_a_draw_is_never_sent():
-    cache = StateCache()
-    with cache.scope((CullMode.NONE, DepthWrite.OFF)):
-        pass
-    assert cache.flush() == ()
-    assert (cache.software_changes, cache.hardware_changes) == (2, 0)
-
-
-def test_only_what_differs_is_sent():
-    cache = StateCache()
-    with cache.scope((CullMode.NONE, DepthWrite.ON)):  # DepthWrite is ON anyway
-        assert cache.flush() == (StateChange(CullMode, CullMode.NONE),)
-    assert cache.flush() == (StateChange(CullMode, CullMode.BACK),)
-
-
 def test_equal_combinations_are_one_vector_whichever_way_they_came_about():
     cache = StateCache()
     with cache.scope((CullMode.NONE,)), cache.scope((DepthTest.OFF,)):
@@ -167,57 +133,10 @@ def test_equal_combinations_are_one_vector_whichever_way_they_came_about():
         assert cache.wanted is first
 
 
-def test_a_state_for_one_target_leaves_the_others():
-    cache = StateCache()
-    with cache.scope((ColorWrite.OFF.at(2),)):
-        row = cache.wanted[ColorWrite]
-    assert [value == ColorWrite.OFF for value in row] == [target == 2 for target in range(MAX_TARGETS)]
-
-
 def test_a_state_for_all_targets_replaces_those_of_single_ones():
     cache = StateCache()
     with cache.scope((ColorWrite.OFF.at(2),)), cache.scope((ColorWrite.ON,)):
         assert cache.flush() == ()
-
-
-def test_the_counters_start_anew_after_a_reset():
-    cache = StateCache()
-    with cache.scope((CullMode.NONE,)):
-        cache.flush()
-    assert (cache.software_changes, cache.hardware_changes) == (1, 1)
-    cache.reset_counters()
-    assert (cache.software_changes, cache.hardware_changes) == (0, 0)
-
-
-@pytest.mark.parametrize(
-    ("states", "rule"),
-    [
-        (("none",), "state-type"),
-        ((CullMode.NONE, 3), "state-type"),
-        (([],), "state-type"),
-        ((CullMode,), "state-type"),
-        ((CullMode.NONE, CullMode.BACK), "state-duplicate"),
-        ((ColorWrite.OFF.at(1), ColorWrite.ON.at(1)), "state-duplicate"),
-    ],
-)
-def test_a_bad_scope_is_refused_and_changes_nothing(states, rule):
-    cache = StateCache()
-    with pytest.raises(ValidationError) as caught, cache.scope(states):
-        pass
-    assert caught.value.rule.id == rule
-    assert wanted(cache) == DEFAULT_MODEL
-    assert (cache.depth, cache.software_changes) == (0, 0)
-
-
-def test_a_state_of_the_devices_own_platform_is_taken_and_one_of_another_refused():
-    own, none = StateCache(replace(ANY_DEVICE, platform_states=frozenset({Fancy}))), StateCache()
-    with own.scope((Fancy.ON,)):
-        assert own.wanted[PlatformState] == (Fancy.ON,)
-    assert own.wanted[PlatformState] == ()
-    with pytest.raises(ValidationError) as refused:
-        none.scope((Fancy.ON,)).__enter__()
-    assert refused.value.rule.id == "platform-state"
-    assert none.depth == 0
 
 
 def test_a_scope_of_no_states_changes_nothing():
@@ -228,12 +147,6 @@ def test_a_scope_of_no_states_changes_nothing():
             assert cache.wanted is before
             assert (cache.depth, cache.software_changes) == (2, 1)
     assert wanted(cache) == DEFAULT_MODEL
-
-
-def test_states_of_two_targets_are_no_duplicates():
-    cache = StateCache()
-    with cache.scope((ColorWrite.OFF.at(1), ColorWrite.OFF.at(2))):
-        assert cache.software_changes == 2
 
 
 def test_a_missing_capability_refuses_the_state_but_not_its_default():
@@ -281,16 +194,6 @@ def test_the_pool_of_vectors_stays_bounded():
         assert cache.vector_count <= 52
         assert len(cache.wanted.after) <= 52
         assert len(cache.wanted.changes) <= 52
-
-
-def test_a_kept_scope_survives_a_full_pool():
-    cache = StateCache(pool_entries=4)
-    with cache.scope((CullMode.NONE,)):
-        for x in range(20):
-            with cache.scope((Scissor(x),)):
-                pass
-        assert cache.wanted[CullMode] is CullMode.NONE
-    assert wanted(cache) == DEFAULT_MODEL
 
 
 def test_stack_and_hardware_cache_fit_into_4_kilobytes():

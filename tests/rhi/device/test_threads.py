@@ -12,7 +12,7 @@ import pytest
 import rhi
 from rhi import Device, Format, Op
 from rhi.backends.null import NullBackend
-from rhi.conformance.shaders import Bare, Corner
+from rhi.conformance.shaders import Bare, Corner, Positions
 from rhi.conformance.shapes import rectangle
 from rhi.shading import Shader, compile_shader, vec4
 
@@ -116,11 +116,8 @@ def test_a_draw_asks_for_no_context_but_a_pass_does() -> None:
     device.close()
 
 
-class White(Shader):
+class White(Positions):
     """White wherever something is drawn."""
-
-    def vertex(self, v: Corner) -> Bare:
-        return Bare(clip=v.position)
 
     def fragment(self) -> vec4:
         return vec4(1.0, 1.0, 1.0, 1.0)

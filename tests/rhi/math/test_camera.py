@@ -232,3 +232,23 @@ def test_degrees_are_recognised():
 def test_the_module_is_there_without_an_import_of_its_own():
     assert rhi.math.perspective is perspective
     assert not hasattr(rhi, "maths")
+
+
+@pytest.mark.parametrize("name", ["right", "forward", "view", "view_projection", "relative_view_projection", "frustum"])
+def test_what_follows_from_a_camera_is_computed_once_and_cannot_be_written_to(name):
+    camera = Camera.look_at((1.0, 2.0, 3.0), (4.0, 5.0, 7.0))
+    found = getattr(camera, name)
+    assert getattr(camera, name) is found
+    with pytest.raises(ValueError, match="read-only"):
+        getattr(found, "planes", found)[0] = 1.0
+
+
+def test_matrices_that_functions_return_can_be_written_to():
+    for matrix in (look_at((0, 0, 1), (0, 0, 0)), orbit((0, 0, 0), 1.0), perspective(1.0, 1.0)):
+        matrix[0, 0] = 2.0
+
+
+def test_the_same_aspect_gives_the_same_camera():
+    camera = Camera.look_at((1.0, 2.0, 3.0), (4.0, 5.0, 7.0), projection=Perspective(aspect=1.5))
+    assert camera.with_aspect(1.5) is camera
+    assert camera.with_aspect(1.6) is not camera

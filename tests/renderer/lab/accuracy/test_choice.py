@@ -21,16 +21,7 @@ from renderer.cli import main
 from renderer.cli.accuracy import list_left_out
 from renderer.cli.executors import SerialExecutor, make_executor
 from renderer.content import load_scene
-from renderer.lab.accuracy import (
-    FrontPoint,
-    KnobReport,
-    Situation,
-    SweepJob,
-    ValueRow,
-    choice,
-    choose,
-    run_jobs,
-)
+from renderer.lab.accuracy import FrontPoint, KnobReport, Situation, SweepJob, ValueRow, choice, choose, run_jobs
 from renderer.lab.accuracy.choice import (
     CombinationBench,
     expect_error,
@@ -43,6 +34,7 @@ from renderer.lab.accuracy.choice import (
 from renderer.lab.accuracy.jobs import list_jobs, load_sample, order_jobs, save_sample
 from renderer.lab.accuracy.sweep import KnobSample, SweepShare, ValueSample, list_views
 from renderer.scene import Shot
+from renderer.scene.arrays import Floats
 from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter
 from tests.renderer.conftest import open_device
@@ -126,28 +118,22 @@ def test_more_is_expected_of_other_views_than_the_mean() -> None:
     assert expect_error([4.0]) == 4.0
 
 
+def make_bench(**methods: Callable[..., Any]) -> type[Any]:
+    """Make a bench that says what it would measure."""
+    nothing = {"__init__": lambda *_: None, "__enter__": lambda self: self, "__exit__": lambda *_: None}
+    return type("SaidBench", (), nothing | methods)
+
+
 def test_a_choice_keeps_its_bound_with_a_margin(monkeypatch: pytest.MonkeyPatch) -> None:
     cheap, dear = mark_best([point_of(1.0, 1.0), point_of(0.5, 2.0)])
     drawn: list[int] = []
 
-    class Bench:
-        """Says what errors would be: those of the cheap settings are spread more."""
+    def compare(_: object, settings: RenderSettings, frames: Sequence[Shot]) -> list[float]:
+        drawn.extend(frame.number for frame in frames)
+        spread = 1.0 if settings is cheap.settings else 0.1
+        return [1.0 + spread * (number % 2) for number in range(len(frames))]
 
-        def __init__(self, *_: object) -> None:
-            pass
-
-        def __enter__(self) -> Bench:
-            return self
-
-        def __exit__(self, *_: object) -> None:
-            pass
-
-        def compare(self, settings: RenderSettings, frames: Sequence[Shot]) -> list[float]:
-            drawn.extend(frame.number for frame in frames)
-            spread = 1.0 if settings is cheap.settings else 0.1
-            return [1.0 + spread * (number % 2) for number in range(len(frames))]
-
-    monkeypatch.setattr(choice, "CombinationBench", Bench)
+    monkeypatch.setattr(choice, "CombinationBench", make_bench(compare=compare))
     found = choose(replace(SITUATION, backend="null"), [cheap, dear], error_at_most=3.0)
     assert (found.point, found.refused, found.error, found.held_out_error) == (dear, 1, 1.1, 1.1)
     assert (found.views, found.held_out_views) == (10, 20)
@@ -156,6 +142,32 @@ def test_a_choice_keeps_its_bound_with_a_margin(monkeypatch: pytest.MonkeyPatch)
     found = choose(replace(SITUATION, backend="null"), [cheap, dear], error_at_most=4.0)
     assert (found.point, found.refused) == (cheap, 0)
     assert found.expected == pytest.approx(1.5 + 4.0 * np.std([1.0, 2.0] * 5, ddof=1))
+
+
+@pytest.mark.parametrize(("slower", "chosen"), [(0.0, 1), (0.1, 0)])
+def test_a_time_is_kept_by_the_median_frame_of_a_walk(
+    slower: float, chosen: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points = [replace(point_of(error, ms), low=0.5, is_best=True) for error, ms in ((2.0, 8.0), (1.0, 18.0))]
+
+    def walk(_: object, settings: RenderSettings, frames: Sequence[Shot]) -> Floats:
+        times = np.where(np.arange(len(frames)) < 3, 20.0, 5.0)
+        return times if settings is points[0].settings else 2.0 * times + slower
+
+    made = make_bench(walk=walk, compare=lambda _, settings, frames: [1.0] * len(frames))
+    monkeypatch.setattr(choice, "CombinationBench", made)
+    found = choose(replace(SITUATION, backend="null"), points, budget_ms=10.0)  # 18 ms may be 9, by their interval
+    assert (found.point, found.refused, found.over) == (points[chosen], 1 - chosen, 0.3)
+    with pytest.raises(rhi.ValidationError, match="5 ms, the median of 10 frames of a walk"):
+        choose(replace(SITUATION, backend="null"), points, budget_ms=4.5)
+
+
+def test_what_was_left_to_trials_is_left_to_them_again() -> None:
+    given = RenderSettings()
+    plain = choice.make_plain(given).change("technique.samples", 4)
+    left = choice.leave_to_trials(plain, given)
+    assert (left.technique.name, left.algorithm, left.technique.samples) == ("auto", "auto", 4)
+    assert choice.leave_to_trials(plain, plain) == plain
 
 
 def test_a_bound_that_no_settings_keep_is_refused() -> None:
@@ -238,11 +250,10 @@ def test_what_a_job_has_found_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert load_sample(tmp_path / "other.json") is None
 
 
+@pytest.mark.usefixtures("gl")
 def test_the_command_writes_a_page_and_settings_that_render_reads(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with open_device("gl"):
-        pass
     monkeypatch.chdir(tmp_path)
     scene = ["city:blocks=2", "--backend", "gl", "--size", "48x28"]
     sweep = ["accuracy", *scene, "--views", "2", "--rounds", "2", "--knob", "precision", "--knob", "fxaa"]
@@ -305,9 +316,8 @@ def test_what_is_left_out_is_said_once_for_all_values() -> None:
 
 
 @pytest.mark.nightly
+@pytest.mark.usefixtures("gl")
 def test_a_sweep_that_was_killed_does_nothing_twice(tmp_path: Path) -> None:
-    with open_device("gl"):
-        pass
     knobs = ("fxaa", "depth", "precision", "second_eye")
     command = [sys.executable, "-m", "renderer", "accuracy", "city:blocks=2", "--backend", "gl", "--size", "32x18"]
     command += ["--views", "1", "--rounds", "2", "--output", str(tmp_path)]

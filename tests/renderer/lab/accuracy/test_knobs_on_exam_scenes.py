@@ -101,9 +101,8 @@ def test_a_drawn_second_eye_is_what_the_judge_sees() -> None:
 
 
 @pytest.mark.parametrize("knob", [knob for knob in KNOBS.values() if knob.is_encoding], ids=lambda knob: knob.name)
+@pytest.mark.usefixtures("gl")
 def test_no_error_of_an_encoding_rises(knob: Knob) -> None:
-    with open_device("gl"):
-        pass
     report = sweep_knob(Situation("", backend="gl", rounds=1), knob.name)
     assert find_rises(knob, {row.value: row.mean_error for row in report.rows}) == []
 

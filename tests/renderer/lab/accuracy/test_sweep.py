@@ -29,10 +29,7 @@ from tests.renderer.conftest import open_device
 TINY = Situation("city:blocks=2", backend="gl", size=(48, 28), views=2, rounds=2)
 
 
-@pytest.fixture(autouse=True)
-def needs_gl() -> None:
-    with open_device("gl"):
-        pass
+pytestmark = pytest.mark.usefixtures("gl")
 
 
 def test_errors_fall_and_times_are_ratios_to_the_most_accurate_value() -> None:

@@ -206,33 +206,6 @@ def test_a_dask_cluster_of_two_workers_runs_the_trials(here: Path) -> None:
     assert len((here / "tuned/trials.csv").read_text().splitlines()) == 5
 
 
-@pytest.mark.parametrize(
-    ("extra", "said"),
-    [
-        (["--b", "0:5"], "--b"),
-        (["--b", "9:5"], "--b"),
-        (["--n", "x"], "--n"),
-        (["--executor", "magic"], "none of serial, processes"),
-        (["--executor", "processes:0"], "none of serial, processes"),
-        (["--executor", "dask:"], "none of serial, processes"),
-        (["--camera-path", "grund"], "did you mean 'ground'"),
-        (["--camera-path", "walk.json"], "walk.json"),
-        (["--frame", "1797"], "camera-frame-range"),
-        (["--backend", "null"], "answers no queries"),
-    ],
-)
-def test_bad_input_of_tune_is_one_line(
-    here: Path, capsys: pytest.CaptureFixture[str], extra: list[str], said: str
-) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main([*COMMAND, *extra])
-    assert stop.value.code == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert error.count("\n") == 1
-    assert not list(here.iterdir())
-
-
 def test_without_dask_its_executor_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(name: str) -> None:
         raise ModuleNotFoundError(name)

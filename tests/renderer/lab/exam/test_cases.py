@@ -8,6 +8,7 @@ import pytest
 
 import rhi
 from renderer.lab.exam import CASES, examine
+from tests.renderer.conftest import open_device
 
 
 def list_exams() -> list[object]:
@@ -22,11 +23,7 @@ def list_exams() -> list[object]:
 
 @pytest.fixture(scope="module")
 def examined(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
-    try:
-        device = rhi.create_device(request.param)
-    except rhi.DeviceError as error:
-        pytest.skip(f"no {request.param} device here: {error.given or error.rule.sentence}")
-    with device:
+    with open_device(request.param) as device:
         yield device
 
 

@@ -18,6 +18,7 @@ from renderer.lab.measure.backends import PASSES, BackendPasses
 from tests.renderer.conftest import run_with_quick_kernels
 
 SCENE = "city:blocks=6"
+ONE_ROW = f"compare backends {SCENE} --passes depth --rounds 1 --backends gl --size 32x32".split()
 
 
 def compare(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
@@ -51,19 +52,7 @@ def test_each_backend_is_compared_with_gl(capsys: pytest.CaptureFixture[str]) ->
 
 def test_rows_of_backends_are_a_table_and_a_chart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     chart = tmp_path / "backends.png"
-    arguments = [
-        "--passes",
-        "depth",
-        "--rounds",
-        "1",
-        "--backends",
-        "gl",
-        "--size",
-        "32x32",
-        "--plot",
-        str(chart),
-    ]
-    assert main(["compare", "backends", SCENE, *arguments]) == 0
+    assert main([*ONE_ROW, "--plot", str(chart)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split() == ["pass", "backend", "ms", "ratio", "to", "gl", "kernels"]
     assert lines[2].split()[:2] == ["depth", "gl"]
@@ -127,8 +116,7 @@ def test_a_row_says_which_kernels_ran(
 
 
 def test_rows_of_backends_are_markdown(capsys: pytest.CaptureFixture[str]) -> None:
-    small = ("--passes", "depth", "--rounds", "1", "--backends", "gl", "--size", "32x32")
-    assert main(["compare", "backends", SCENE, *small, "--markdown"]) == 0
+    assert main([*ONE_ROW, "--markdown"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "| pass | backend | ms | ratio to gl | kernels |"
     assert lines[2].startswith("| depth | gl |")

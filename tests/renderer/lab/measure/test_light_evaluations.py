@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import pytest
+from frames import make_boxes
 
 import rhi
-from renderer.content import BUILT_IN
 from renderer.lab.measure.light_evaluations import Counted, count_light_evaluations, find_count
 from renderer.renderer import Renderer
-from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, scaling, translation
+from renderer.scene import AlphaMode, Camera, Scene, scaling, translation
 from renderer.techniques import (
     TECHNIQUES,
     Clustered,
@@ -31,10 +31,7 @@ COUNTED = [name for name, make in TECHNIQUES.items() if find_count(make()) is no
 
 def walls(*distances: float, points: int = 0, spots: int = 0, reach: float = 100.0) -> Scene:
     """Make walls that fill the image, at these distances from the eye, and lights a metre before the first one."""
-    builder = SceneBuilder("walls")
-    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
-    for distance in distances:
-        builder.add_objects(builder.add_node(translation((0, 0, -distance)) @ scaling((40, 40, 0.1))), mesh, material)
+    builder = make_boxes(*(translation((0, 0, -distance)) @ scaling((40, 40, 0.1)) for distance in distances))
     for number in range(points):
         builder.lights.add_point((0.01 * number, 0, 1 - min(distances)), reach)
     for number in range(spots):
@@ -76,10 +73,8 @@ def test_a_small_light_is_looked_at_where_it_may_reach_and_by_forward_shading_ev
 
 def test_a_light_of_an_object_behind_is_looked_at_if_it_is_drawn_first(gl: rhi.Device) -> None:
     """Objects are drawn front to back by their farthest corners: that of the near, thick wall is the farther one."""
-    builder = SceneBuilder("thick")
-    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
-    for middle, depth in ((-10.0, 10.0), (-8.0, 0.1)):
-        builder.add_objects(builder.add_node(translation((0, 0, middle)) @ scaling((40, 40, depth))), mesh, material)
+    thick, thin = translation((0, 0, -10)) @ scaling((40, 40, 10)), translation((0, 0, -8)) @ scaling((40, 40, 0.1))
+    builder = make_boxes(thick, thin)
     builder.lights.add_point((0, 0, -1), 100.0)
     builder.views["eye"] = Camera.look_at((0, 0, 0), (0, 0, -1))
     scene = builder.build()

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from frames import make_boxes
 
 import rhi
-from renderer.content import BUILT_IN, load_scene
+from renderer.content import load_scene
 from renderer.lab.measure.light_evaluations import count_light_evaluations
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
+from renderer.scene import Camera, Scene, scaling, translation
 from renderer.techniques import TECHNIQUES, Deferred, Forward, ForwardMultipass, Technique
 from renderer.visibility import FrustumCulling, NoCulling
 
@@ -28,13 +30,10 @@ def count(device: rhi.Device, scene: Scene, technique: Technique, camera: Camera
 
 def wall(side: int, lights: int, reach: float) -> Scene:
     """Make a wall of `side` × `side` boxes that fills the image, and lights that are spread before it."""
-    builder = SceneBuilder("wall")
-    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
     width = 20.0 / side
-    for x in range(side):
-        for y in range(side):
-            place = translation((width * (x + 0.5) - 10.0, width * (y + 0.5) - 10.0, -5.0))
-            builder.add_objects(builder.add_node(place @ scaling((width, width, 0.1))), mesh, material)
+    middles = width * (np.arange(side) + 0.5) - 10.0
+    size = scaling((width, width, 0.1))
+    builder = make_boxes(*(translation((x, y, -5.0)) @ size for x in middles for y in middles))
     for number in range(lights):
         builder.lights.add_point((3.0 * ((number + 0.5) / lights - 0.5), 0.1, -4.5), reach)
     return builder.build()

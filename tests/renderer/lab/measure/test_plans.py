@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from frames import EYE, make_boxes
 
 import rhi
 from renderer.content import BUILT_IN, load_scene
@@ -34,8 +35,7 @@ def test_the_report_lists_the_memory_of_images_and_of_the_rest() -> None:
         image = builder.add_image(np.full((size, size, 4), size + len(builder._images), np.uint8))
         builder.add_objects(node, mesh, builder.add_material(texture=image))
     scene = builder.build()
-    camera = Camera.look_at((0, 0, 10), (0, 0, 0))
-    memory = describe_plan(scene, Forward(), camera, (64, 36)).memory
+    memory = describe_plan(scene, Forward(), EYE, (64, 36)).memory
     rows = {(one.name, one.shape): (one.count, one.bytes) for one in memory.rows}
     four, eight = 4 * (16 + 4 + 1), 4 * (64 + 16 + 4 + 1)
     assert rows["images", "4 × 4, 2 layers, 3 levels, RGBA8_SRGB"] == (1, 2 * four)
@@ -86,10 +86,6 @@ def test_the_report_counts_what_changes_between_objects(two_sides: bool, kinds: 
 
 @pytest.mark.parametrize(("mirrored", "draws"), [(1, 1), (-1, 2)])
 def test_the_report_counts_the_draws_of_a_pass(mirrored: int, draws: int) -> None:
-    builder = SceneBuilder("boxes")
-    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
-    for x, side in ((-1, 1), (1, mirrored)):
-        builder.add_objects(builder.add_node(translation((x, 0, 0)) @ scaling((side, 1, 1))), mesh, material)
-    camera = Camera.look_at((0, 0, 10), (0, 0, 0))
-    (one,) = describe_plan(builder.build(), Forward(), camera, (64, 36)).passes
+    scene = make_boxes((-1, 0, 0), translation((1, 0, 0)) @ scaling((mirrored, 1, 1))).build()
+    (one,) = describe_plan(scene, Forward(), EYE, (64, 36)).passes
     assert (one.draws, one.dispatches) == (draws, 0)

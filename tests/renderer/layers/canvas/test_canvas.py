@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 import rhi
 from renderer.layers.canvas import Canvas, Font, lay_out, srgb
 from rhi import Format, Op
+from tests.renderer.conftest import open_device
 
 WHITE = srgb("#ffffff")
 TEXT = "AVATAR To.\tWAVE 0123456789\nÄöüß éñ÷ \x07\tgjpqy |_"
@@ -141,11 +142,7 @@ def add_everything(canvas: Canvas) -> None:
 def test_gl_and_cl_draw_the_same_pixels() -> None:
     pictures = []
     for name in ("gl", "cl"):
-        try:
-            device = rhi.create_device(name)
-        except rhi.DeviceError as error:
-            pytest.skip(f"no {name} device here: {error.given or error.rule.sentence}")
-        with device:
+        with open_device(name) as device:
             pictures.append(draw(device, (190, 100), add_everything).astype(int))
     first, second = pictures
     difference = np.abs(first - second).max(axis=2)

@@ -19,15 +19,9 @@ from renderer.layers.overlay.overlay import name_algorithm
 from renderer.layers.overlay.panels import Box, draw_graph, draw_legend, draw_map, draw_timers, find_ground
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene
-from renderer.visibility import (
-    AutoCulling,
-    CullingWalk,
-    FrustumCulling,
-    NoCulling,
-    WalkOutcome,
-    make_visibility,
-)
+from renderer.visibility import AutoCulling, CullingWalk, FrustumCulling, NoCulling, WalkOutcome, make_visibility
 from rhi import Format, Op, TimerNode
+from tests.renderer.conftest import open_device
 
 SIZE = (960, 540)
 
@@ -183,11 +177,7 @@ def draw_panels(device: rhi.Device, scale: int) -> np.ndarray:
 def test_panels_are_the_same_on_gl_and_cl(scale: int) -> None:
     pictures = []
     for name in ("gl", "cl"):
-        try:
-            device = rhi.create_device(name)
-        except rhi.DeviceError as error:
-            pytest.skip(f"no {name} device here: {error.given or error.rule.sentence}")
-        with device:
+        with open_device(name) as device:
             pictures.append(draw_panels(device, scale).astype(int))
     difference = np.abs(pictures[0] - pictures[1]).max(axis=2)
     # llvmpipe blends in 8 bits; a pixel centre on the edge of a slanted line may fall to either side.

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from gl_kit import FULL, SIZE, GlKit, describe_program
+from gl_kit import FULL, GlKit, describe_program
 
-from rhi.contract.descriptors import Attachment, DepthAttachment, PassDescriptor, QueryKind
+from rhi.contract.descriptors import DepthAttachment
 from rhi.contract.formats import Format
 from rhi.contract.states import (
     AlphaReference,
@@ -41,25 +41,6 @@ def test_clears_ignore_masks_and_scissor_and_leave_them_in_force(gl_kit: GlKit) 
     assert np.allclose(gl_kit.read(depth), 0.25, atol=1e-6)
 
 
-def test_clears_and_resolves_ignore_a_condition_that_stays_in_force(gl_kit: GlKit) -> None:
-    program = gl_kit.program(describe_program())
-    shape, color = gl_kit.shape(program, FULL), gl_kit.texture()
-    samples = gl_kit.texture(samples=4)
-    query = gl_kit.query(QueryKind.OCCLUSION)
-    gl_kit.set(CullMode.NONE)
-    gl_kit.begin(color)
-    gl_kit.backend.begin_query(query)
-    gl_kit.backend.end_query(query)
-    gl_kit.backend.begin_conditional(query, False)
-    target = Attachment(samples, clear=(0, 1, 0, 1), resolve=color)
-    gl_kit.backend.begin_pass(PassDescriptor((SIZE, SIZE), (target,), samples=4))
-    gl_kit.backend.bind_program(program)
-    gl_kit.draw(shape)
-    gl_kit.backend.end_pass()
-    gl_kit.backend.end_conditional()
-    assert (gl_kit.read(color) == (0, 255, 0, 255)).all()
-
-
 def test_depth_is_written_while_its_test_is_off(gl_kit: GlKit) -> None:
     program = gl_kit.program(describe_program())
     shape, color, depth = gl_kit.shape(program, FULL), gl_kit.texture(), gl_kit.texture(Format.D32F)
@@ -85,14 +66,3 @@ def test_states_may_hold_numpy_scalars(checked_kit: GlKit) -> None:
         AlphaReference(real),  # type: ignore[arg-type]
         PolygonOffset(real, real),  # type: ignore[arg-type]
     )
-
-
-def test_the_viewport_follows_the_size_of_the_pass(gl_kit: GlKit) -> None:
-    program = gl_kit.program(describe_program())
-    shape, color = gl_kit.shape(program, FULL), gl_kit.texture()
-    gl_kit.set(CullMode.NONE)
-    gl_kit.backend.bind_program(program)
-    gl_kit.backend.begin_pass(PassDescriptor((1, 1)))
-    gl_kit.begin(color)
-    gl_kit.draw(shape)
-    assert (gl_kit.read(color)[..., 0] == 255).all()

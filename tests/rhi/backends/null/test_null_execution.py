@@ -6,7 +6,6 @@ import pytest
 from rhi.backends.null import Draw, ExecutionStatistics, NullBackend, create_backend
 from rhi.backends.null.backend import COMMAND_NANOSECONDS, KEPT_INDIRECT
 from rhi.commands.ops import Op as OpInOps
-from rhi.commands.recorder import Recorder
 from rhi.commands.stream import Op
 from rhi.contract.backend import Backend
 from rhi.contract.descriptors import (
@@ -203,15 +202,6 @@ def test_statistics_count_what_was_executed(backend):
     backend.end_pass()
     backend.dispatch(1, 1, 1)
     assert backend.statistics == ExecutionStatistics(6, 3, 0, 0, 1, 6 * COMMAND_NANOSECONDS)
-
-
-def test_the_recorder_writes_down_what_the_backend_executes_and_neither_counts_for_the_other(backend):
-    recorder = Recorder(backend)
-    draw(recorder)
-    draw(recorder)
-    assert len(recorder.stream.draws()) == backend.statistics.draws == 2
-    recorder.stream.clear()
-    assert backend.statistics.draws == 2
 
 
 # -- queries ---------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 import rhi
+from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import check_working
 
 
@@ -35,6 +36,20 @@ def recording(shared_recording: rhi.Device) -> Iterator[rhi.Device]:
     """The shared device that records its commands; its stream continues from test to test."""
     yield shared_recording
     check_working(shared_recording)
+
+
+@pytest.fixture
+def image(recording: rhi.Device) -> Iterator[rhi.Texture]:
+    """A target of 4×4 texels."""
+    with recording.texture((4, 4), rhi.Format.R8) as image:
+        yield image
+
+
+@pytest.fixture
+def mesh(recording: rhi.Device) -> Iterator[rhi.Mesh]:
+    """Two triangles without indices: 6 vertices."""
+    with recording.mesh(rectangle()) as mesh:
+        yield mesh
 
 
 @pytest.fixture

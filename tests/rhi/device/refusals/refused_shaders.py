@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import rhi.shading as sl
-from rhi import (
-    Format,
-)
-from rhi.conformance.shaders import Bare, Corner, Tint
+from rhi import Format
+from rhi.conformance.shaders import Positions, Tint
 
 
 class Shift(sl.Struct):
@@ -15,7 +13,7 @@ class Shift(sl.Struct):
     by: sl.vec4
 
 
-class Everything(sl.Shader):
+class Everything(Positions):
     """A binding of each kind."""
 
     tint: sl.Uniform[Tint]
@@ -24,20 +22,14 @@ class Everything(sl.Shader):
     shadow: sl.DepthTexture2D
     target: sl.Image2D = sl.image(Format.RGBA8)
 
-    def vertex(self, v: Corner) -> Bare:
-        return Bare(clip=v.position)
-
     def fragment(self) -> sl.vec4:
         self.target.store(sl.ivec2(0, 0), sl.vec4(self.weights[0]))
         lit = self.shadow.sample_compare(sl.vec2(0.5, 0.5), 0.5)
         return self.tint.color * self.albedo.sample(sl.vec2(0.5, 0.5)) * lit
 
 
-class Passing(sl.Shader):
+class Passing(Positions):
     """A program of its own, to be destroyed."""
-
-    def vertex(self, v: Corner) -> Bare:
-        return Bare(clip=v.position)
 
     def fragment(self) -> sl.vec4:
         return sl.vec4(1.0)

@@ -6,13 +6,15 @@ import re
 from typing import Any
 
 import pytest
+from null_kit import Camera, hand_made_program
 from refused_shaders import Everything, Shift
 
 import rhi.shading as sl
 from rhi import Access, Comparison, Device, Format, SamplerDescriptor, TextureKind
-from rhi.conformance.shaders import Bare, Corner, Tint
+from rhi.conformance.shaders import Tint
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
+from rhi.contract.descriptors import Binding, BindingKind
 from rhi.errors import rules
 
 SIZE = (4, 4)
@@ -52,11 +54,6 @@ def kit(recording: Device) -> Any:
         *(kit.bindings[name] for name in ("tint", "weights", "albedo")),
     ):
         thing.destroy()
-
-
-def test_the_control_draws(kit: Kit) -> None:
-    with kit.device.render_pass(kit.image):
-        kit.draw()
 
 
 @pytest.mark.parametrize("name", ["tint", "weights", "albedo", "shadow", "target"])
@@ -191,25 +188,9 @@ def test_a_uniform_in_a_buffer_must_be_aligned_and_large_enough(kit: Kit) -> Non
     buffer.destroy()
 
 
-def test_a_refused_draw_leaves_the_bindings_of_the_one_before(kit: Kit) -> None:
-    with kit.device.render_pass(kit.image):
-        kit.draw()
-        with refuses(rules.BINDING_TYPE, kit.device):
-            kit.draw(tint=kit.bindings["tint"], albedo=3)
-        since = len(kit.device.stream)
-        kit.draw()
-        assert [command.op.name for command in kit.device.stream[since:]][-1] == "DRAW"
-
-
-class Self(sl.Shader):
-    """A binding that a call with keywords can't give."""
-
-    self: sl.Uniform[Tint]
-
-    def vertex(this, v: Corner) -> Bare:  # noqa: N805
-        return Bare(clip=v.position * this.self.color)
-
-
-def test_a_binding_cannot_be_called_what_no_keyword_can_be(recording: Device) -> None:
+@pytest.mark.parametrize("name", ["class", "self"])
+def test_a_binding_cannot_be_called_what_no_keyword_can_be(recording: Device, name: str) -> None:
+    bad, good = (Binding(each, BindingKind.UNIFORM, 0, False, Camera, 16) for each in (name, "mesh"))
     with refuses(rules.BINDING_NAME, recording):
-        recording.program(Self)
+        recording.program(hand_made_program("bad", bad))
+    recording.program(hand_made_program("good", good))

@@ -128,16 +128,6 @@ class Sun(Struct):
     power: float
 
 
-def test_storage_wants_the_struct_s_own_layout(recording: Device) -> None:
-    packed = np.zeros(2, np.dtype([("position", "f4", 3), ("color", "f4", 3), ("power", "f4")]))
-    with refuses(rules.LAYOUT_MISMATCH, recording) as refusal:
-        recording.storage(Light, packed)
-    text = str(refusal.error)
-    assert "color" in text
-    assert "offset" in text
-    recording.storage(Light, np.zeros(2, Light.dtype)).destroy()
-
-
 def test_storage_keeps_its_layout_when_written(recording: Device) -> None:
     with recording.storage(Light, 2) as lights:
         with refuses(rules.LAYOUT_MISMATCH, recording):

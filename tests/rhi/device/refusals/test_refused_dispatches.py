@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhi import Access, Device, Format
+from rhi import Access, Device, Format, Mesh, Texture
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored, Count
-from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import loose, refuses
 from rhi.errors import rules
 from rhi.shading import uint
@@ -26,13 +25,9 @@ def test_a_dispatch_needs_a_compute_stage(recording: Device) -> None:
         recording.dispatch(recording.program(Count), 1, total=total)
 
 
-def test_a_draw_needs_a_vertex_stage(recording: Device) -> None:
+def test_a_draw_needs_a_vertex_stage(recording: Device, image: Texture, mesh: Mesh) -> None:
     program = recording.program(Count)
-    with (
-        recording.texture(SIZE, Format.R8) as image,
-        recording.mesh(rectangle()) as mesh,
-        recording.storage(uint, 1) as total,
-    ):
+    with recording.storage(uint, 1) as total:
         with recording.render_pass(image), refuses(rules.PROGRAM_STAGE, recording):
             recording.draw(program, mesh, total=total)
 

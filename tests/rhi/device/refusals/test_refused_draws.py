@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from refused_shaders import Everything, Passing
 
-from rhi import DRAW, Access, CullMode, Device, Format, IndirectDraws, Primitive, ValidationError
+from rhi import DRAW, Access, CullMode, Device, Format, IndirectDraws, Mesh, Primitive, Texture, ValidationError
 from rhi.conformance.shaders import Colored, IntColored, UintColored
 from rhi.conformance.shapes import VertexRows, corners, rectangle
 from rhi.conformance.validation.refusal import loose, refuses
@@ -38,21 +38,20 @@ def test_a_mesh_feeds_the_vertex_stage(recording: Device, name: str) -> None:
     assert name != "missing" or "color" in str(refusal.error)
 
 
-def test_a_draw_needs_a_pass(recording: Device) -> None:
+def test_a_draw_needs_a_pass(recording: Device, image: Texture, mesh: Mesh) -> None:
     program = recording.program(Colored)
-    with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
-        with refuses(rules.DRAW_OUTSIDE_PASS, recording):
-            recording.draw(program, mesh)
-        with recording.render_pass(image):
-            recording.draw(program, mesh)
-        with refuses(rules.DRAW_OUTSIDE_PASS, recording):
-            recording.draw(program, mesh)
-        with refuses(rules.DRAW_OUTSIDE_PASS, recording):
-            program.draw(mesh)
-        with refuses(rules.DRAW_OUTSIDE_PASS, recording):
-            recording.draw_many(program, mesh, mesh.draws())
-        with recording.buffer(mesh.draws()) as arguments, refuses(rules.DRAW_OUTSIDE_PASS, recording):
-            recording.draw_indirect(program, mesh, IndirectDraws(arguments, 1))
+    with refuses(rules.DRAW_OUTSIDE_PASS, recording):
+        recording.draw(program, mesh)
+    with recording.render_pass(image):
+        recording.draw(program, mesh)
+    with refuses(rules.DRAW_OUTSIDE_PASS, recording):
+        recording.draw(program, mesh)
+    with refuses(rules.DRAW_OUTSIDE_PASS, recording):
+        program.draw(mesh)
+    with refuses(rules.DRAW_OUTSIDE_PASS, recording):
+        recording.draw_many(program, mesh, mesh.draws())
+    with recording.buffer(mesh.draws()) as arguments, refuses(rules.DRAW_OUTSIDE_PASS, recording):
+        recording.draw_indirect(program, mesh, IndirectDraws(arguments, 1))
 
 
 @pytest.mark.parametrize("name", ["missing", "narrow"])
@@ -76,28 +75,26 @@ def test_a_refused_draw_shows_the_user_s_frames(recording: Device, name: str) ->
 
 
 @pytest.mark.parametrize("instances", [-1, 1 << 31, 1.5, 1.0, True, "two", None])
-def test_instances_are_counted(recording: Device, instances: Any) -> None:
-    with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
-        with recording.render_pass(image):
-            with refuses(rules.DRAW_COUNT, recording):
-                recording.draw(recording.program(Colored), mesh, instances)
-            recording.draw(recording.program(Colored), mesh, 0)
+def test_instances_are_counted(recording: Device, instances: Any, image: Texture, mesh: Mesh) -> None:
+    with recording.render_pass(image):
+        with refuses(rules.DRAW_COUNT, recording):
+            recording.draw(recording.program(Colored), mesh, instances)
+        recording.draw(recording.program(Colored), mesh, 0)
 
 
-def test_a_draw_wants_a_program_and_a_mesh(recording: Device) -> None:
+def test_a_draw_wants_a_program_and_a_mesh(recording: Device, image: Texture, mesh: Mesh) -> None:
     program = recording.program(Colored)
-    with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
-        with recording.render_pass(image):
-            ways: list[Callable[[], None]] = [
-                lambda: recording.draw(Colored, mesh),  # type: ignore[arg-type]
-                lambda: recording.draw(program, rectangle()),  # type: ignore[arg-type]
-                lambda: recording.draw(mesh, program),  # type: ignore[arg-type]
-                lambda: recording.draw_many(program, None, mesh.draws()),  # type: ignore[arg-type]
-                lambda: recording.dispatch(None, 1),  # type: ignore[arg-type]
-            ]
-            for wrong in ways:
-                with refuses(rules.DEVICE_ARGUMENT, recording):
-                    wrong()
+    with recording.render_pass(image):
+        ways: list[Callable[[], None]] = [
+            lambda: recording.draw(Colored, mesh),  # type: ignore[arg-type]
+            lambda: recording.draw(program, rectangle()),  # type: ignore[arg-type]
+            lambda: recording.draw(mesh, program),  # type: ignore[arg-type]
+            lambda: recording.draw_many(program, None, mesh.draws()),  # type: ignore[arg-type]
+            lambda: recording.dispatch(None, 1),  # type: ignore[arg-type]
+        ]
+        for wrong in ways:
+            with refuses(rules.DEVICE_ARGUMENT, recording):
+                wrong()
 
 
 def test_a_destroyed_mesh_is_not_drawn(recording: Device) -> None:
@@ -164,15 +161,12 @@ def test_a_mesh_of_another_device_is_not_drawn(recording: Device, device: Device
 
 
 @pytest.mark.parametrize("way", ["draw", "draw_many", "draw_indirect", "immediate"])
-def test_programs_are_not_shared_between_devices(recording: Device, device: Device, way: str) -> None:
+def test_programs_are_not_shared_between_devices(
+    recording: Device, device: Device, way: str, image: Texture, mesh: Mesh
+) -> None:
     """Also not where the other device has a pass open, and the draw could go there."""
     theirs = device.program(Colored)
-    with (
-        recording.texture(SIZE, Format.R8) as image,
-        device.texture(SIZE, Format.R8) as other,
-        recording.mesh(rectangle()) as mesh,
-        recording.buffer(mesh.draws()) as buffer,
-    ):
+    with device.texture(SIZE, Format.R8) as other, recording.buffer(mesh.draws()) as buffer:
         draws = mesh.draws()
 
         def draw(program: Any) -> None:
@@ -194,15 +188,14 @@ def test_programs_are_not_shared_between_devices(recording: Device, device: Devi
             draw(recording.program(Colored))
 
 
-def test_a_destroyed_program_is_not_drawn_with(recording: Device) -> None:
+def test_a_destroyed_program_is_not_drawn_with(recording: Device, image: Texture, mesh: Mesh) -> None:
     program = recording.program(Passing)
-    with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
-        with recording.render_pass(image):
+    with recording.render_pass(image):
+        recording.draw(program, mesh)
+        program.destroy()
+        with refuses(rules.RESOURCE_DESTROYED, recording):
             recording.draw(program, mesh)
-            program.destroy()
-            with refuses(rules.RESOURCE_DESTROYED, recording):
-                recording.draw(program, mesh)
-            recording.draw(recording.program(Passing), mesh)
+        recording.draw(recording.program(Passing), mesh)
 
 
 @pytest.mark.parametrize(
@@ -224,14 +217,13 @@ def test_an_output_is_of_its_target_s_kind(recording: Device, format: Format, sh
 # -- many draws and indirect ones --------------------------------------------------------------------------
 
 
-def test_many_draws_come_as_an_array_of_their_dtype(recording: Device) -> None:
+def test_many_draws_come_as_an_array_of_their_dtype(recording: Device, image: Texture, mesh: Mesh) -> None:
     program = recording.program(Colored)
-    with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
-        with recording.render_pass(image):
-            for wrong in (np.zeros(3, DRAW), np.zeros((3, 5), "u4"), np.zeros((2, 2), mesh.draws().dtype)):
-                with refuses(rules.DRAW_ARRAY, recording):
-                    recording.draw_many(program, mesh, wrong)
-            recording.draw_many(program, mesh, mesh.draws())
+    with recording.render_pass(image):
+        for wrong in (np.zeros(3, DRAW), np.zeros((3, 5), "u4"), np.zeros((2, 2), mesh.draws().dtype)):
+            with refuses(rules.DRAW_ARRAY, recording):
+                recording.draw_many(program, mesh, wrong)
+        recording.draw_many(program, mesh, mesh.draws())
 
 
 WRONG_CLIPS = {
@@ -246,37 +238,34 @@ WRONG_CLIPS = {
 
 
 @pytest.mark.parametrize("name", WRONG_CLIPS)
-def test_clips_are_a_rectangle_for_each_draw(recording: Device, name: str) -> None:
+def test_clips_are_a_rectangle_for_each_draw(recording: Device, name: str, image: Texture, mesh: Mesh) -> None:
     program = recording.program(Colored)
-    with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
-        with recording.render_pass(image):
-            with refuses(rules.DEVICE_ARGUMENT, recording):
-                loose(recording).draw_clipped(program, mesh, mesh.draws([0, 3], 3), WRONG_CLIPS[name])
-            recording.draw_clipped(program, mesh, mesh.draws([0, 3], 3), [(0, 0, 0, 0), (-(1 << 30), 0, 1 << 30, 1)])
+    with recording.render_pass(image):
+        with refuses(rules.DEVICE_ARGUMENT, recording):
+            loose(recording).draw_clipped(program, mesh, mesh.draws([0, 3], 3), WRONG_CLIPS[name])
+        recording.draw_clipped(program, mesh, mesh.draws([0, 3], 3), [(0, 0, 0, 0), (-(1 << 30), 0, 1 << 30, 1)])
 
 
-def test_many_draws_stay_in_the_mesh(recording: Device) -> None:
+def test_many_draws_stay_in_the_mesh(recording: Device, image: Texture, mesh: Mesh) -> None:
     program = recording.program(Colored)
-    with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
-        draws = mesh.draws([0, 3], 3)
+    draws = mesh.draws([0, 3], 3)
+    with refuses(rules.MESH_RANGE, recording):
+        mesh.draws([0, 4], 3)
+    with recording.render_pass(image):
+        draws["first"][1] = 4
         with refuses(rules.MESH_RANGE, recording):
-            mesh.draws([0, 4], 3)
-        with recording.render_pass(image):
-            draws["first"][1] = 4
-            with refuses(rules.MESH_RANGE, recording):
-                recording.draw_many(program, mesh, draws)
-            draws["first"][1], draws["count"][1] = 0xFFFFFFFF, 2
-            with refuses(rules.MESH_RANGE, recording):
-                recording.draw_many(program, mesh, draws)
+            recording.draw_many(program, mesh, draws)
+        draws["first"][1], draws["count"][1] = 0xFFFFFFFF, 2
+        with refuses(rules.MESH_RANGE, recording):
+            recording.draw_many(program, mesh, draws)
 
 
-def test_many_draws_check_their_bindings(recording: Device) -> None:
-    with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
-        with recording.render_pass(image):
-            with refuses(rules.BINDING_UNKNOWN, recording):
-                loose(recording).draw_many(recording.program(Colored), mesh, mesh.draws(), nothing=3)
-            with refuses(rules.BINDING_MISSING, recording):
-                loose(recording).draw_many(recording.program(Everything), mesh, mesh.draws())
+def test_many_draws_check_their_bindings(recording: Device, image: Texture, mesh: Mesh) -> None:
+    with recording.render_pass(image):
+        with refuses(rules.BINDING_UNKNOWN, recording):
+            loose(recording).draw_many(recording.program(Colored), mesh, mesh.draws(), nothing=3)
+        with refuses(rules.BINDING_MISSING, recording):
+            loose(recording).draw_many(recording.program(Everything), mesh, mesh.draws())
 
 
 def test_quads_are_not_drawn_many_at_once(recording: Device) -> None:
@@ -305,13 +294,11 @@ def test_quads_are_not_drawn_many_at_once(recording: Device) -> None:
         (1, 0, 22),
     ],
 )
-def test_indirect_arguments_lie_in_their_buffer(recording: Device, draws: int, offset: int, stride: int) -> None:
+def test_indirect_arguments_lie_in_their_buffer(
+    recording: Device, draws: int, offset: int, stride: int, image: Texture, mesh: Mesh
+) -> None:
     program = recording.program(Colored)
-    with (
-        recording.texture(SIZE, Format.R8) as image,
-        recording.mesh(rectangle()) as mesh,
-        recording.buffer(np.zeros(10, "u4")) as buffer,
-    ):
+    with recording.buffer(np.zeros(10, "u4")) as buffer:
         with recording.render_pass(image):
             with refuses(rules.INDIRECT_RANGE, recording):
                 recording.draw_indirect(program, mesh, IndirectDraws(buffer, draws, offset, stride))
@@ -320,35 +307,31 @@ def test_indirect_arguments_lie_in_their_buffer(recording: Device, draws: int, o
 
 
 @pytest.mark.parametrize("offset", [-4, 2, 8])
-def test_an_indirect_count_lies_in_its_buffer(recording: Device, offset: int) -> None:
+def test_an_indirect_count_lies_in_its_buffer(recording: Device, offset: int, image: Texture, mesh: Mesh) -> None:
     program = recording.program(Colored)
-    with (
-        recording.texture(SIZE, Format.R8) as image,
-        recording.mesh(rectangle()) as mesh,
-        recording.buffer(np.zeros(10, "u4")) as buffer,
-        recording.buffer(np.zeros(2, "u4")) as count,
-    ):
+    with recording.buffer(np.zeros(10, "u4")) as buffer, recording.buffer(np.zeros(2, "u4")) as count:
         with recording.render_pass(image):
             with refuses(rules.INDIRECT_RANGE, recording):
                 recording.draw_indirect(program, mesh, IndirectDraws(buffer, 2, count=count, count_offset=offset))
             recording.draw_indirect(program, mesh, IndirectDraws(buffer, 2, count=count, count_offset=4))
 
 
-def test_an_indirect_draw_refuses_dead_and_foreign_buffers(recording: Device, device: Device) -> None:
+def test_an_indirect_draw_refuses_dead_and_foreign_buffers(
+    recording: Device, device: Device, image: Texture, mesh: Mesh
+) -> None:
     program = recording.program(Colored)
-    with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
-        dead, fine = recording.buffer(np.zeros(10, "u4")), recording.buffer(np.zeros(10, "u4"))
-        dead.destroy()
-        theirs = device.buffer(np.zeros(10, "u4"))
-        with recording.render_pass(image):
-            with refuses(rules.RESOURCE_DESTROYED, recording):
-                recording.draw_indirect(program, mesh, IndirectDraws(dead, 1))
-            with refuses(rules.RESOURCE_FOREIGN, recording):
-                recording.draw_indirect(program, mesh, IndirectDraws(theirs, 1))
-            with refuses(rules.RESOURCE_DESTROYED, recording):
-                recording.draw_indirect(program, mesh, IndirectDraws(fine, 1, count=dead))
-        fine.destroy()
-        theirs.destroy()
+    dead, fine = recording.buffer(np.zeros(10, "u4")), recording.buffer(np.zeros(10, "u4"))
+    dead.destroy()
+    theirs = device.buffer(np.zeros(10, "u4"))
+    with recording.render_pass(image):
+        with refuses(rules.RESOURCE_DESTROYED, recording):
+            recording.draw_indirect(program, mesh, IndirectDraws(dead, 1))
+        with refuses(rules.RESOURCE_FOREIGN, recording):
+            recording.draw_indirect(program, mesh, IndirectDraws(theirs, 1))
+        with refuses(rules.RESOURCE_DESTROYED, recording):
+            recording.draw_indirect(program, mesh, IndirectDraws(fine, 1, count=dead))
+    fine.destroy()
+    theirs.destroy()
 
 
 # -- immediate mode ----------------------------------------------------------------------------------------
@@ -404,8 +387,7 @@ def test_an_immediate_block_knows_its_bindings_from_the_start(recording: Device)
         loose(recording).immediate(recording.program(Colored), Primitive.TRIANGLES, tint=3)
 
 
-def test_states_are_not_bindings(recording: Device) -> None:
+def test_states_are_not_bindings(recording: Device, image: Texture, mesh: Mesh) -> None:
     """A mistake that reads well: states go into a scope."""
-    with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
-        with recording.render_pass(image), refuses(rules.BINDING_UNKNOWN, recording):
-            loose(recording).draw(recording.program(Colored), mesh, cull=CullMode.NONE)
+    with recording.render_pass(image), refuses(rules.BINDING_UNKNOWN, recording):
+        loose(recording).draw(recording.program(Colored), mesh, cull=CullMode.NONE)

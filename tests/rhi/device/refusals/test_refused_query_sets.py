@@ -9,26 +9,11 @@ import numpy as np
 import pytest
 
 import rhi
-from rhi import Device, Format, Mesh, QuerySet
+from rhi import Device, Mesh, QuerySet
 from rhi.conformance.shaders import Colored, Tint, Tinted
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import loose, refuses
 from rhi.errors import rules
-
-SIZE = (4, 4)
-
-
-@pytest.fixture
-def image(recording: Device) -> Iterator[Any]:
-    with recording.texture(SIZE, Format.R8) as image:
-        yield image
-
-
-@pytest.fixture
-def mesh(recording: Device) -> Iterator[Mesh]:
-    """Of 6 vertices."""
-    with recording.mesh(rectangle()) as mesh:
-        yield mesh
 
 
 @pytest.fixture

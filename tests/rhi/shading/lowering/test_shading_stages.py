@@ -161,19 +161,23 @@ class Values(sl.Struct):
     value: sl.vec2
 
 
+class PlaceValued(sl.Shader):
+    """Half a shader: hands fragments their place."""
+
+    def vertex(self, v: Corner) -> Values:
+        return Values(clip=sl.vec4(v.position, 0.0, 1.0), value=v.position)
+
+
 class Placed(sl.Struct):
     clip: sl.vec4
     value: float
 
 
-class Holes(sl.Shader):
+class Holes(PlaceValued):
     """Discards in a helper's loop, under conditions that vary and that don't."""
 
     limits: sl.Uniform[sl.vec2]
     hits: sl.StorageRW[int]
-
-    def vertex(self, v: Corner) -> Values:
-        return Values(clip=sl.vec4(v.position, 0.0, 1.0), value=v.position)
 
     def search(self, x: float) -> float:
         for i in range(8):
@@ -225,11 +229,8 @@ def test_a_discard_that_all_lanes_reach_ends_the_stage():
     assert re.search(r"^ *goto end_fragment", text, re.MULTILINE)  # and not with a mask's end
 
 
-class Endless(sl.Shader):
+class Endless(PlaceValued):
     """A loop that ends only by a discard in a called function."""
-
-    def vertex(self, v: Corner) -> Values:
-        return Values(clip=sl.vec4(v.position, 0.0, 1.0), value=v.position)
 
     def check(self, value: float, n: float) -> None:
         if n > value:
@@ -253,12 +254,9 @@ def test_a_loop_ends_when_its_last_lane_is_discarded(run):
     assert (out["color"][out["kept"]] == 10).all()
 
 
-class Slopes(sl.Shader):
+class Slopes(PlaceValued):
     table: sl.Storage[float]
     hits: sl.StorageRW[int]
-
-    def vertex(self, v: Corner) -> Values:
-        return Values(clip=sl.vec4(v.position, 0.0, 1.0), value=v.position)
 
     def fragment(self, v: Values) -> sl.vec4:
         squared = v.value.x * v.value.y
@@ -282,11 +280,8 @@ def test_differences_are_those_of_each_row_and_column_of_a_quad():
     np.testing.assert_array_equal(out["color"][..., 3], table[(even + 1) * 4] - table[even * 4])
 
 
-class CutSlopes(sl.Shader):
+class CutSlopes(PlaceValued):
     """A discard, followed by work that helpers of discarded fragments must not do."""
-
-    def vertex(self, v: Corner) -> Values:
-        return Values(clip=sl.vec4(v.position, 0.0, 1.0), value=v.position)
 
     def fragment(self, v: Values) -> sl.vec4:
         slope = sl.ddx(v.value.y)
@@ -480,11 +475,8 @@ def test_lines_of_a_stage_lead_back_to_python():
         assert "ddy(squared)" in text.read().splitlines()[number - 1]
 
 
-class OwnArray(sl.Shader):
+class OwnArray(PlaceValued):
     """A local array, read and written at an index from the inputs."""
-
-    def vertex(self, v: Corner) -> Values:
-        return Values(clip=sl.vec4(v.position, 0.0, 1.0), value=v.position)
 
     def fragment(self, v: Values) -> sl.vec4:
         table = sl.array(int, 4)
@@ -558,12 +550,9 @@ def test_a_checked_vertex_stage_reports_its_indices():
     assert __file__ in str(caught.value)
 
 
-class PassesTextures(sl.Shader):
+class PassesTextures(PlaceValued):
     first: sl.Texture2D
     second: sl.Texture2D
-
-    def vertex(self, v: Corner) -> Values:
-        return Values(clip=sl.vec4(v.position, 0.0, 1.0), value=v.position)
 
     def red(self, source: sl.Texture2D, at: sl.vec2) -> float:
         return source.load(sl.ivec2(at)).x

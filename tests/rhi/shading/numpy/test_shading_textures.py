@@ -910,11 +910,7 @@ def test_a_checked_shader_reports_texels_outside(which: tuple[int, int, int], gi
         "target": sl.HostTexture(np.zeros((3, 4, 4, 1), "f4"), Format.R32F, D3),
         "source": sl.HostTexture(random_levels(Format.R8, 8, 7, levels=2), Format.R8),
     }
-    ways = [
-        partial(run_opencl, Beyond, 1),
-        partial(run_opencl, Beyond, 16),
-        partial(sl.run_compute, Beyond),
-    ]
+    ways = [partial(run_opencl, Beyond, 1), partial(run_opencl, Beyond, 16), partial(sl.run_compute, Beyond)]
     for run in ways:
         run(1, which=np.int32([2, 1, 2]), **bound)
         with pytest.raises(ShaderError, match=given) as caught:

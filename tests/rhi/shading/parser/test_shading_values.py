@@ -202,13 +202,7 @@ class Swizzles(sl.Shader):
 
 def test_swizzles_are_read_and_written_by_component(run_everywhere):
     out = run_everywhere(Swizzles, out=5)["out"]
-    assert out.tolist() == [
-        [2, 1, 3, 4],
-        [4, 3, 1, 2],
-        [1, 13, 4, 2],
-        [2, 0, 4, 13],
-        [0.5, 0.5, 0.5, 0.5],
-    ]
+    assert out.tolist() == [[2, 1, 3, 4], [4, 3, 1, 2], [1, 13, 4, 2], [2, 0, 4, 13], [0.5, 0.5, 0.5, 0.5]]
 
 
 class ShortCircuit(sl.Shader):

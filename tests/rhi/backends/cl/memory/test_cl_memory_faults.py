@@ -315,9 +315,7 @@ def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.Monkey
         lambda device: device.texture((8192, 8192), Format.D32FS8, kind=TextureKind.D2_ARRAY, layers=1024, levels=None),
     ],
 )
-def test_what_is_too_large_is_refused_and_the_device_goes_on(
-    make: Callable[[Device], Any],
-) -> None:
+def test_what_is_too_large_is_refused_and_the_device_goes_on(make: Callable[[Device], Any]) -> None:
     with rhi.create_device("cl") as device:
         expected = work(device)
         with pytest.raises(DeviceError) as caught:

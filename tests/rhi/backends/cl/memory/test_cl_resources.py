@@ -14,13 +14,7 @@ from cl_kit import FILL, ClKit, describe_program
 from rhi.backends.cl.backend import ClBackend
 from rhi.backends.cl.memory import buffers, pools, textures
 from rhi.conformance.formats import random_texels
-from rhi.contract.descriptors import (
-    BufferDescriptor,
-    BufferUsage,
-    Region,
-    TextureDescriptor,
-    TextureKind,
-)
+from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Region, TextureDescriptor, TextureKind
 from rhi.contract.formats import Format
 from rhi.contract.texels import decode, encode, unpack
 from rhi.errors import DeviceError

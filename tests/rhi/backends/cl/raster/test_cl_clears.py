@@ -70,10 +70,7 @@ def test_draws_clear_what_they_draw_into(device: rhi.Device, scene: Scene, fills
 def test_what_no_draw_of_the_pass_draws_into_is_filled(
     device: rhi.Device, scene: Scene, fills: list[bytes], states: tuple[rhi.State, ...], filled: bytes
 ) -> None:
-    with (
-        device.render_pass(scene.image, scene.depth, clear=RED, clear_depth=0.25),
-        device.states(*states),
-    ):
+    with device.render_pass(scene.image, scene.depth, clear=RED, clear_depth=0.25), device.states(*states):
         device.draw(scene.program, scene.mesh)
     assert fills == [filled]
 

@@ -33,25 +33,9 @@ from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Bare, Colored, Corner, Tint, Tinted
 from rhi.conformance.shapes import corners, rectangle, window_to_clip
 from rhi.errors import DeviceError
-from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, instance_index, uint, vec2, vec4
+from rhi.shading import Shader, instance_index, vec2, vec4
 
 SIZE = (200, 150)
-
-
-class Start(Struct):
-    first: uint
-
-
-class Indices(Shader):
-    """Writes consecutive indices from a start value on."""
-
-    work_group = (1,)
-    start: Uniform[Start]
-    indices: StorageRW[uint]
-
-    def compute(self) -> None:
-        i = global_id().x
-        self.indices[i] = self.start.first + uint(i)
 
 
 @pytest.fixture
@@ -139,48 +123,14 @@ def test_a_draw_that_fails_leaves_its_batch_as_it_was(device: Device, wrong: Any
         assert image.read()[0].tolist() == [*colors, 0]
 
 
-def test_a_write_between_draws_is_seen_by_the_later_one_alone(device: Device) -> None:
-    with (
-        device.texture((2, 1), Format.RGBA8) as image,
-        device.mesh(rectangle()) as mesh,
-        device.uniform(Tint(color=(0, 0, 0, 1))) as tint,
-    ):
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(DepthWrite.OFF):
-            for i, red in enumerate((1.0, 0.2)):
-                tint.write(Tint(color=(red, 0, 0, 1)))
-                with device.states(Viewport(i, 0, 1, 1)):
-                    device.draw(device.program(Tinted), mesh, tint=tint)
-        assert image.read()[0, :, 0].tolist() == [255, 51]
-
-
 def test_indices_that_change_between_draws_name_other_vertices(device: Device) -> None:
     rows = np.concatenate([rectangle(-1, -1, 0, 1), rectangle(0, -1, 1, 1)])
-    with (
-        device.texture((2, 1), Format.RGBA8) as image,
-        device.mesh(rows, np.arange(6, dtype="u4")) as mesh,
-    ):
+    with device.texture((2, 1), Format.RGBA8) as image, device.mesh(rows, np.arange(6, dtype="u4")) as mesh:
         for first, expected in ((0, [255, 0]), (6, [0, 255])):
             mesh.data.index_buffer.write(np.arange(first, first + 6, dtype="u4"))
             with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(DepthWrite.OFF):
                 device.draw(device.program(Colored), mesh)
             assert image.read()[0, :, 0].tolist() == expected
-
-
-@pytest.mark.parametrize("first", [0, 6])
-def test_indices_that_the_device_wrote_are_drawn(device: Device, first: int) -> None:
-    """The host can't know these indices, so a vertex is transformed for each of them."""
-    rows = np.concatenate([rectangle(-1, -1, 0, 1), rectangle(0, -1, 1, 1)])
-    buffer = device.buffer(6, np.dtype("u4"))
-    with device.texture((2, 1), Format.RGBA8) as image, device.mesh(rows, buffer) as mesh:
-        device.dispatch(
-            device.program(Indices),
-            6,
-            indices=device.storage(uint, buffer),
-            start=device.uniform(Start(first=uint(first))),
-        )
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(DepthWrite.OFF):
-            device.draw(device.program(Colored), mesh)
-        assert image.read()[0, :, 0].tolist() == [255 * (first == 0), 255 * (first == 6)]
 
 
 # -- pieces, slices, lists -----------------------------------------------------------------------------------
@@ -387,13 +337,6 @@ def test_counters_are_used_again(device: Device) -> None:
                     device.draw(device.program(Colored), mesh)
             assert query.wait() == 16
     assert 1 <= len(queries._free) <= 2
-
-
-def test_a_query_around_no_draws_counts_nothing(device: Device) -> None:
-    query = device.occlusion_query()
-    with device.texture((4, 4), Format.R8) as image, device.render_pass(image), query:
-        pass
-    assert query.wait() == 0
 
 
 # -- lines and points ----------------------------------------------------------------------------------------
