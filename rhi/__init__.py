@@ -43,6 +43,7 @@ from rhi.contract.descriptors import VertexFormat as VertexFormat
 from rhi.contract.descriptors import Wrap as Wrap
 from rhi.contract.formats import Format as Format
 from rhi.contract.formats import IndexFormat as IndexFormat
+from rhi.contract.persistence import PersistentDict as PersistentDict
 from rhi.contract.states import AlphaFunction as AlphaFunction
 from rhi.contract.states import AlphaReference as AlphaReference
 from rhi.contract.states import AlphaTest as AlphaTest
@@ -76,7 +77,6 @@ from rhi.contract.states import StencilWriteMask as StencilWriteMask
 from rhi.contract.states import Viewport as Viewport
 from rhi.contract.texels import from_srgb as from_srgb
 from rhi.contract.texels import to_srgb as to_srgb
-from rhi.contract.trust import find_cache as find_cache
 from rhi.device.command_buffer import CommandBuffer as CommandBuffer
 from rhi.device.core.containers import FixedQueue as FixedQueue
 from rhi.device.core.containers import FixedStack as FixedStack
@@ -86,8 +86,8 @@ from rhi.device.core.state_cache import StateVector as StateVector
 from rhi.device.device import Device as Device
 from rhi.device.encoder import Encoder as Encoder
 from rhi.device.encoder import IndirectDraws as IndirectDraws
+from rhi.device.fallback import install_fallback as install_fallback
 from rhi.device.immediate import Immediate as Immediate
-from rhi.device.kept_texts import install_fallback as install_fallback
 from rhi.device.passes import RenderPass as RenderPass
 from rhi.device.preparation import DrawPlan as DrawPlan
 from rhi.device.preparation import Preparation as Preparation

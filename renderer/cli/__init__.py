@@ -13,7 +13,6 @@ from typing import Final, NoReturn
 from renderer import rules
 from renderer.cli import (
     accuracy,
-    assets,
     capture,
     compare_backends,
     compare_deferred_plus,
@@ -64,7 +63,6 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     exam.COMMAND,
     SubcommandGroup("debug", "picture what the renderer does", (debug_visibility.COMMAND,)),
     convert.COMMAND,
-    assets.COMMAND,
     scenes.COMMAND,
 )
 """All commands, in the order of the help."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -129,20 +130,13 @@ def open_viewer(
     backend = backend or os.environ.get("RHI_BACKEND") or "gl"
     screen = open_screen(backend, canvas=canvas, title=f"{scene.name} - $fps frames/s", size=size, **options)
     try:
-        reloader = Reloader(screen.device)
-        is_untried = reload and reloader.is_untried
-
-        def begin() -> Viewer:
-            viewer = Viewer(screen.device, scene, size=screen.size, look=look, camera=camera)
-            try:
-                if is_untried:
-                    viewer.stage.try_frame()
-            except BaseException:
-                viewer.close()
+        begin = partial(Viewer, screen.device, scene, size=screen.size, look=look, camera=camera)
+        try:
+            viewer = begin()
+        except Exception as error:  # maybe of a shader
+            if not reload or not Reloader(screen.device).put_back(error):
                 raise
-            return viewer
-
-        viewer = reloader.attempt(begin) if reload else begin()
+            viewer = begin()
         if settings is not None:
             viewer.saved.note_settings(Path(settings))
         if reload:

@@ -1,7 +1,7 @@
 """Whether a folder of the cache is the user's own, and checksums that nobody else can make up.
 
-Compiled kernels are machine code, and kept texts are Python: whoever can write them, or have others' taken for them,
-runs code as the user. So a folder that belongs to somebody else, or that others may write, isn't used; and the
+Compiled kernels are machine code, and texts of shaders are Python: whoever can write them, or have others' taken for
+them, runs code as the user. So a folder that belongs to somebody else, or that others may write, isn't used; and the
 checksums of its files are made with a key that only the user can read. It lies beside the default folder, in the user's
 cache, so that a folder from elsewhere doesn't bring its own. A program that ships its kernels says its key in
 `RHI_CACHE_KEY`, when they are made and when they are used.
@@ -10,14 +10,12 @@ cache, so that a folder from elsewhere doesn't bring its own. A program that shi
 from __future__ import annotations
 
 import hashlib
-import logging
 import os
 import shutil
 import stat
 import tempfile
 import time
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 from typing import IO, Final
 
@@ -41,25 +39,6 @@ def user_cache() -> Path:
 def find_folder(name: str) -> Path:
     """Return the folder of this name in the one that `RHI_CACHE` names, or in the user's cache. It may not exist."""
     return Path(os.environ.get(FOLDER, "") or user_cache()).absolute() / name
-
-
-def find_cache(name: str) -> Path | None:
-    """Return a folder of this name in the cache, which is made if there is none, for what a program keeps on disk. None
-    if it isn't the user's own, or there is no room."""
-    folder = find_folder(name)
-    return None if _find_fault_once(folder) else folder
-
-
-@cache
-def _find_fault_once(folder: Path) -> str:
-    try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        fault = find_fault(folder)
-    except OSError as error:
-        fault = str(error)
-    if fault:
-        logging.getLogger("rhi").info("nothing is kept in %s: %s", folder, fault)
-    return fault
 
 
 def write_whole(path: Path, content: bytes) -> None:

@@ -14,7 +14,8 @@
 - What compiles may still not draw: a new binding that the program doesn't know. `put_back` undoes the latest update.
 - Files whose edits only go together are exchanged together, if none can be alone.
 - Command buffers that have recorded an exchanged program can't be submitted again, as if it were destroyed.
-- `keep` keeps the texts that were drawn with; `attempt` goes back to them if a start fails (`rhi.device.kept_texts`).
+- `keep` keeps the texts that were drawn with in the cache. `put_back` also goes back to these, so that a start that
+  fails is tried again, and `rhi.device.fallback` imports them where a module can't be.
 """
 
 from __future__ import annotations
@@ -27,19 +28,18 @@ from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from types import ModuleType, TracebackType
-from typing import Any, Final, Self, TypeVar
+from typing import Any, Final, Self
 
 from rhi.contract.descriptors import Id, ProgramDescriptor
+from rhi.contract.persistence import PersistentDict
 from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.device import Device
-from rhi.device.kept_texts import keep_text, read_texts
 from rhi.device.resources.programs import Program, ProgramTable
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT, PASS_OPEN, RELOAD_WATCH
-from rhi.shading.compile import compile_shader, forget_compiled, is_same, restore_compiled
+from rhi.shading.compile import compile_shader, forget_compiled, is_made_of, is_same, restore_compiled
 from rhi.shading.language.edits import Edit, defines_shaders, file_of, text_of
 
-T = TypeVar("T")
 LOGGER: Final = logging.getLogger("rhi.reload")
 _SETTLE: Final = 20
 """Milliseconds without a further change after which changes are taken: editors write a file in several steps."""
@@ -75,10 +75,10 @@ class Reloader:
         self._on_error = on_error or (lambda error: LOGGER.error("%s", error))
         self._on_save = on_save or (lambda: None)
         self._reloads: dict[Path, Callable[[Path], object]] = {}
-        self._texts: dict[str, str] = {}
         self._modules: dict[Path, ModuleType] = {}
-        self._kept = (0, 0, 0)
-        self._latest: dict[Path, tuple[ModuleType, str]] = {}  # the texts before the latest update
+        self._latest: dict[ModuleType, str] = {}  # the texts before the latest update
+        self._is_untried = False
+        self._kept: tuple[int, set[type]] = (0, set())
         self._folders: frozenset[Path] = frozenset()
         self._known: set[str] | None = None  # the names of imported modules, if all of these are watched
         self._imported = 0
@@ -108,22 +108,24 @@ class Reloader:
                 watched.
         """
         call = "Reloader.watch"
-        reloads, texts, modules = dict(self._reloads), dict(self._texts), dict(self._modules)
+        reloads, modules = dict(self._reloads), dict(self._modules)
         for each in what:
             path = Path(file_of(each) if isinstance(each, ModuleType) else each).resolve()
             if not path.is_file() and not (missing_ok and not path.exists() and path.parent.is_dir()):
                 refuse(RELOAD_WATCH, call, f"{each!r}, which is no file")
             if isinstance(each, ModuleType):
-                texts.setdefault(each.__name__, _find_text(each, path))
                 reloads[path], modules[path] = partial(self._reload_saved, each), each
             elif reload is None:
                 refuse(DEVICE_ARGUMENT, call, f"{each!r} without reload=…", "a module, or a file and a function")
             else:
                 reloads[path] = reload
         self._start(call, frozenset(path.parent for path in reloads))  # editors replace files: folders are watched
-        fresh = modules.keys() - self._modules
-        self._reloads, self._texts, self._modules = reloads, texts, modules
-        self._note_others(fresh)
+        fresh = modules.items() - self._modules.items()
+        self._reloads, self._modules = reloads, modules
+        if fresh:
+            with self._lock:
+                self._changed |= {path: None for path, module in fresh if _read(path) != text_of(module)}
+            self._is_untried = bool(_list_untried())
 
     def watch_shaders(self) -> None:
         """Watch all modules that define shaders, structs or functions of them, also those that are imported later.
@@ -140,18 +142,27 @@ class Reloader:
         self._imported = len(sys.modules)
         fresh = {name: module for name, module in list(sys.modules.items()) if name not in known}
         known.update(fresh)
-        self.watch(*_choose_modules(fresh))
+        modules = [
+            module
+            for name, module in fresh.items()
+            if name.partition(".")[0] not in ("__main__", "rhi") and _is_of_shaders(module)
+        ]
+        self.watch(*(module for module in modules if Path(file_of(module)).is_file()))
 
     def update(self) -> bool:
-        """Exchange what was saved since the last call; return whether anything was. Call it between two frames.
+        """Exchange what was saved since the last call; return whether anything is new. Call it between two frames.
+
+        That is what was exchanged, and after `watch` a module that isn't as it was drawn with last (`keep`), maybe by
+        an earlier process.
 
         Raises:
             ValidationError: `pass-open` inside a render pass of a device.
         """
         if self._known is not None and len(sys.modules) != self._imported:
             self._watch_imported(self._known)
+        is_untried, self._is_untried = self._is_untried, False
         if not self._changed:  # a file that is noted just now is exchanged next time
-            return False
+            return is_untried
         with self._lock:
             changed, self._changed = self._changed, {}
         before = self.reloaded
@@ -166,69 +177,39 @@ class Reloader:
                 if path.suffix != ".py":
                     self.reloaded += 1
         self._reload_together()
-        return self.reloaded != before
-
-    def attempt(self, start: Callable[[], T]) -> T:
-        """Return what `start` returns, which makes programs and draws a first frame with them. If it fails, modules of
-        shaders that have changed since get the texts with which was drawn last (`keep`), and it is called once more.
-
-        A warning then says so. What watches these modules takes their files, or reports what is wrong with them, in the
-        next `update`.
-
-        Raises:
-            Exception: what `start` raises, if no texts are kept or it fails with them, too.
-        """
-        try:
-            return start()
-        except Exception as error:
-            modules = _choose_modules(dict(sys.modules))
-            before = {module: text_of(module) for module in modules}
-            kept = {module: texts for module in modules if (texts := _list_texts(module))}
-            for number in range(max(map(len, kept.values()), default=0)):
-                with suppress(Exception):
-                    self._exchange_others({module: texts[: number + 1][-1] for module, texts in kept.items()})
-                    made = start()
-                    names = ", ".join(module.__name__ for module in modules if text_of(module) != before[module])
-                    LOGGER.warning("%s: as drawn with last, since a start has failed: %s", names, error)
-                    self._note_others(self._modules)
-                    return made
-            with suppress(Exception):
-                self._exchange_others(before)
-            raise
-
-    @property
-    def is_untried(self) -> bool:
-        """Whether a module of shaders has changed since it was drawn with last: then a start should try a frame."""
-        kept = {module: _list_texts(module) for module in _choose_modules(dict(sys.modules))}
-        return any(texts and texts[0] != text_of(module) for module, texts in kept.items())
+        return is_untried or self.reloaded != before
 
     def keep(self) -> None:
-        """Keep the texts of the modules that the devices' programs are made of, after a frame was drawn with them. It
-        costs nothing where nothing has changed.
-
-        They lie in the folder `texts` of the cache, which `RHI_CACHE` names.
-        """
-        shaders = [shader for shader in _of(device._programs for device in self.devices) if isinstance(shader, type)]
-        state = (self.reloaded, len(self._modules), len(shaders))
-        if state != self._kept:
-            self._kept = state
-            for path, module in self._modules.items():
-                keep_text(module, path, shaders)
+        """Keep the texts of the watched modules that the devices' programs are made of, after a frame was drawn with
+        them. It costs nothing where nothing has changed."""
+        shaders = {shader for shader in _of(device._programs for device in self.devices) if isinstance(shader, type)}
+        if (self.reloaded, shaders) != self._kept:
+            self._kept = self.reloaded, shaders
+            kept = read_texts()
+            for module in self._modules.values():
+                is_kept = kept.get(file_of(module)) == text_of(module)
+                if not is_kept and any(is_made_of(shader, module) for shader in shaders):
+                    kept[file_of(module)] = text_of(module)
+            kept.save()
 
     def put_back(self, error: Exception) -> bool:
-        """Give the modules that the latest `update` has exchanged their texts before; return whether there are any.
+        """Give modules their texts before; return whether there are any with which they compile.
 
-        For a program that compiles, but with which the next frame can't be drawn: `error`, which is reported as theirs.
+        These are the modules that the latest `update` has exchanged, and all modules of shaders that have changed since
+        they were drawn with last (`keep`), whether they are watched or not. It is for a program that compiles, but with
+        which the next frame can't be drawn, and for one that can't be begun: `error`, which is reported as theirs.
 
         Raises:
             ValidationError: `pass-open` inside a render pass of a device.
         """
-        latest, self._latest = self._latest, {}
-        if latest:
-            self._exchange(dict(reversed(latest.values())))
-        for path in reversed(latest):
-            self._report(path, error)
-        return bool(latest)
+        self._tables()
+        texts, self._latest = _list_untried() | self._latest, {}
+        with suppress(Exception):  # `error` counts
+            self._exchange(texts)
+            for module in texts:
+                self._report(Path(file_of(module)).resolve(), error)
+            return bool(texts)
+        return False
 
     def reload(self, module: ModuleType, text: str) -> int:
         """Give a module of shaders a new text; return how many programs were exchanged.
@@ -240,16 +221,15 @@ class Reloader:
         return self._exchange({module: text})
 
     def _exchange(self, texts: Mapping[ModuleType, str]) -> int:
-        """Give modules new texts, all or none; those that others import come first."""
+        """Give modules new texts, all or none; return how many programs were exchanged."""
         tables = self._tables()
         numbers = {name: number for number, name in enumerate(sys.modules)}  # a module comes after those it imports
-        texts = dict(sorted(texts.items(), key=lambda each: numbers.get(each[0].__name__, 0)))
         edits: list[Edit] = []
         known: dict[Any, Any] = {}
         built: list[tuple[ProgramTable, object, Program[...], Id, ProgramDescriptor]] = []
         try:
-            for module, text in texts.items():
-                edits.append(Edit(module, text))
+            for module in sorted(texts, key=lambda each: numbers.get(each.__name__, 0)):
+                edits.append(Edit(module, texts[module]))
                 known |= forget_compiled(edits[-1])
             with ExitStack() as creations:
                 for device in self.devices:
@@ -273,7 +253,6 @@ class Reloader:
             for table, shader, program, number, descriptor in built:
                 program.exchange(number, descriptor)
                 table.add(shader, program)
-        self._texts |= {module.__name__: text for module, text in texts.items()}
         self.reloaded += len(texts)
         self.exchanged += len(built)
         return len(built)
@@ -299,29 +278,20 @@ class Reloader:
         return [device._programs for device in self.devices]
 
     def _reload_saved(self, module: ModuleType, path: Path) -> None:
-        text, before = _read(path), self._texts[module.__name__]
+        text, before = _read(path), text_of(module)
         if text != before:
             self.reload(module, text)
-            self._latest[path] = module, before
-
-    def _exchange_others(self, texts: Mapping[ModuleType, str]) -> None:
-        self._exchange({module: text for module, text in texts.items() if text != text_of(module)})
-
-    def _note_others(self, paths: Iterable[Path]) -> None:
-        """Let `update` look at modules whose files have another text than the one in effect."""
-        with self._lock:
-            changed = (path for path in paths if self._texts[self._modules[path].__name__] != _read(path))
-            self._changed |= dict.fromkeys(changed)
+            self._latest[module] = before
 
     def _reload_together(self) -> None:
         """Exchange all modules that are at fault, if they go together."""
-        modules = {path: module for path, module in self._modules.items() if path in self.errors}
-        if len(modules) > 1:
-            before = {path: (module, self._texts[module.__name__]) for path, module in modules.items()}
+        faulty = {path: module for path, module in self._modules.items() if path in self.errors}
+        if len(faulty) > 1:
+            before = {module: text_of(module) for module in faulty.values()}
             with suppress(Exception):  # which each has reported
-                self._exchange({module: _read(path) for path, module in modules.items()})
+                self._exchange({module: _read(path) for path, module in faulty.items()})
                 self._latest |= before
-                self.errors = {path: error for path, error in self.errors.items() if path not in modules}
+                self.errors = {path: error for path, error in self.errors.items() if path not in faulty}
 
     def _report(self, path: Path, error: Exception) -> None:
         self.errors.pop(path, None)
@@ -370,26 +340,27 @@ def _of(tables: Iterable[ProgramTable]) -> set[object]:
     return {shader for table in tables for shader, _ in table.items()}
 
 
-def _choose_modules(modules: Mapping[str, object]) -> list[ModuleType]:
-    """Return the modules that define shaders, and have files: not the program itself, nor `rhi`."""
-    return [
-        module
-        for name, module in modules.items()
-        if name.partition(".")[0] not in ("__main__", "rhi") and isinstance(module, ModuleType)
-        if defines_shaders(module) and Path(file_of(module)).is_file()
-    ]
-
-
-def _find_text(module: ModuleType, path: Path) -> str:
-    """Return the text of a module that is in effect: that of its file, unless this has changed or was at fault."""
-    text, used = _read(path), text_of(module)
-    return text if text.splitlines() == used.splitlines() else used
-
-
-def _list_texts(module: ModuleType) -> list[str]:
-    """Return the texts that were kept of a module, the latest first, but before them the present one if it was."""
-    return sorted(read_texts(Path(file_of(module)).resolve()), key=lambda text: text != text_of(module))
+def _is_of_shaders(module: object) -> bool:
+    return isinstance(module, ModuleType) and defines_shaders(module)
 
 
 def _read(path: Path) -> str:
-    return path.read_text(encoding="utf-8-sig")
+    """Return a file's text as `text_of` does: it ends with the end of a line."""
+    text = path.read_text(encoding="utf-8-sig")
+    return text if text.endswith("\n") else f"{text}\n"
+
+
+def read_texts() -> PersistentDict:
+    """Return the texts that modules of shaders were drawn with last, by the names of their files."""
+    return PersistentDict("texts", 500)
+
+
+def _list_untried() -> dict[ModuleType, str]:
+    """Return the modules of shaders that aren't as they were drawn with last, and their texts then."""
+    kept = read_texts()
+    return {
+        module: kept[file_of(module)]
+        for name, module in list(sys.modules.items())
+        if name != "__main__" and isinstance(module, ModuleType)
+        if file_of(module) in kept and defines_shaders(module) and text_of(module) != kept[file_of(module)]
+    }

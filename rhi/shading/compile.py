@@ -96,9 +96,7 @@ def forget_compiled(edit: Edit) -> Compiled:
     it changed, and those of modules that have imported it.
     """
     found = {
-        shader: known
-        for shader, known in _compiled.items()
-        if _is_concerned(shader, known[1], edit.module, edit.structs)
+        each: known for each, known in _compiled.items() if _is_concerned(each, known[1], edit.module, edit.structs)
     }
     for shader in found:
         del _compiled[shader]

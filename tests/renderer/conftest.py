@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import rhi
-from renderer.content import file_index, load_scene
+from renderer.content import load_scene
 from renderer.scene import Scene
 
 
@@ -34,14 +34,6 @@ def run_with_quick_kernels(cache: Path, *arguments: str) -> subprocess.Completed
     environment |= {"RHI_CACHE": str(cache), "RHI_KERNELS": "quick"}
     command = [sys.executable, "-m", "renderer", "compare", *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
-
-
-@pytest.fixture(scope="session", autouse=True)
-def forget_files() -> Iterator[None]:
-    """Files of tests aren't remembered among those of the user."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(file_index, "find_cache", lambda name: None)
-        yield
 
 
 @pytest.fixture

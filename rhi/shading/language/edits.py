@@ -236,7 +236,7 @@ class Edit:
 def file_of(module: ModuleType) -> str:
     """Return the name of a module's file, or of the module."""
     spec = module.__spec__
-    return (spec.origin if spec is not None else None) or module.__file__ or module.__name__
+    return (spec.origin if spec is not None else None) or getattr(module, "__file__", None) or module.__name__
 
 
 def text_of(module: ModuleType) -> str:
