@@ -34,6 +34,13 @@ class Plain(FullScreen):
     def fragment(self) -> vec4:
         return paint(1.0)
 """
+STRUCT = """
+from rhi.shading import Struct, vec4
+
+class Paint(Struct):
+    color: vec4
+"""
+TEXT_OF_STRUCT = TEXT.replace("import paint", "import Paint").replace("paint(1.0)", "Paint(color=vec4(1.0)).color")
 FAULTS = {
     "syntax": TEXT.replace("paint(1.0)", "paint(1.0"),
     "shader": TEXT.replace("paint(1.0)", "paint(one)"),
@@ -107,6 +114,7 @@ def test_a_faulty_module_is_drawn_with_as_it_was_last(begin: Any, backend: str) 
 def test_a_fault_is_reported_until_the_file_is_right(begin: Any, tmp_path: Path, fault: str) -> None:
     begin()
     reloader, _ = begin(FAULTS[fault])
+    assert reloader.reloaded == (fault != "syntax"), "which the import has replaced"
     path = tmp_path / "kept_shaders.py"
     if fault == "binding":  # which only a frame finds
         assert reloader.update()
@@ -134,8 +142,9 @@ def test_if_the_kept_texts_fail_too_the_first_error_counts(begin: Any, monkeypat
         begin(FAULTS["syntax"])
 
 
-def test_only_what_a_program_is_made_of_is_kept(begin: Any) -> None:
-    begin(keeps=False)
+@pytest.mark.parametrize(("text", "colors"), [(TEXT, COLORS), (TEXT_OF_STRUCT, STRUCT)], ids=["function", "struct"])
+def test_only_what_a_program_is_made_of_is_kept(begin: Any, text: str, colors: str) -> None:
+    begin(text, colors, keeps=False)
     with rhi.create_device("null") as device, Reloader(device) as reloader:
         reloader.watch(*(sys.modules[name] for name in NAMES))
         for shader, count in ((Unconcerned, 0), (sys.modules[NAMES[1]].Plain, 2)):
@@ -161,6 +170,7 @@ def test_modules_that_only_go_together_do(begin: Any, tmp_path: Path) -> None:
     assert set(reloader.errors) == paths
     assert save(reloader, tmp_path / "kept_shaders.py", text)
     assert reloader.errors == {}
+    (tmp_path / "cache/kept/texts.json").unlink()
     assert reloader.put_back(ValueError("drawn with neither"))
     assert set(reloader.errors) == paths
 
