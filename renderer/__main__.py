@@ -12,6 +12,8 @@ def run() -> int:
         return 2
     from rhi.errors.readers import run_for_reader
 
+    if sys.argv[1:2] == ["view"]:  # before the renderer's shaders are imported
+        rhi.install_fallback()
     try:
         from renderer.cli import main
     except ModuleNotFoundError as missing:

@@ -43,6 +43,7 @@ from rhi.contract.descriptors import VertexFormat as VertexFormat
 from rhi.contract.descriptors import Wrap as Wrap
 from rhi.contract.formats import Format as Format
 from rhi.contract.formats import IndexFormat as IndexFormat
+from rhi.contract.persistence import PersistentDict as PersistentDict
 from rhi.contract.states import AlphaFunction as AlphaFunction
 from rhi.contract.states import AlphaReference as AlphaReference
 from rhi.contract.states import AlphaTest as AlphaTest
@@ -85,6 +86,7 @@ from rhi.device.core.state_cache import StateVector as StateVector
 from rhi.device.device import Device as Device
 from rhi.device.encoder import Encoder as Encoder
 from rhi.device.encoder import IndirectDraws as IndirectDraws
+from rhi.device.fallback import install_fallback as install_fallback
 from rhi.device.immediate import Immediate as Immediate
 from rhi.device.passes import RenderPass as RenderPass
 from rhi.device.preparation import DrawPlan as DrawPlan

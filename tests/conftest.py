@@ -20,6 +20,7 @@ from hypothesis import HealthCheck, settings
 from screens_kit import Display, open_display
 
 from rhi.backends.cl.pocl.cache import choose_folder
+from rhi.contract import trust
 
 settings.register_profile(
     "repeatable",
@@ -86,6 +87,15 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.freeze()
         gc.set_threshold(*COLLECTED_AFTER)
         gc.enable()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def kept_aside(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What tests keep isn't among what the user's programs have kept."""
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trust, "find_folder", lambda name: Path(os.environ.get(trust.FOLDER) or folder) / name)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -13,6 +13,7 @@ from typing import Final, NoReturn
 from renderer import rules
 from renderer.cli import (
     accuracy,
+    assets,
     capture,
     compare_backends,
     compare_deferred_plus,
@@ -63,6 +64,7 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     exam.COMMAND,
     SubcommandGroup("debug", "picture what the renderer does", (debug_visibility.COMMAND,)),
     convert.COMMAND,
+    assets.COMMAND,
     scenes.COMMAND,
 )
 """All commands, in the order of the help."""

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from renderer import rules
+from renderer.content.file_index import FileIndex
 from renderer.scene.files import read_file
 from rhi.errors import refuse
 
@@ -58,6 +59,7 @@ class Budget:
     limits: ModelLimits = field(default_factory=ModelLimits)
     begun: float = field(default_factory=time.monotonic)
     spent: dict[str, int] = field(default_factory=dict)
+    index: FileIndex = field(default_factory=FileIndex)
 
     def spend(self, kind: str, amount: int, most: float | None = None) -> None:
         """Count `amount` of a kind: a field of the limits, or what has at most `most`.
@@ -99,7 +101,12 @@ class Budget:
         left = min(self.limits.bytes, 1 << 62) - self.spent.get("bytes", 0)
         content = read_file(file, int(max(left, 0)))
         self.spend("bytes", len(content))
+        self.index.note(file, content, self.path)
         return content
+
+    def find(self, file: Path) -> Path:
+        """Return a file that this one names, or where it was moved to, if that may be read."""
+        return self.index.find(file, Path(self.path).parent, self.allows)
 
     def allows(self, file: Path) -> bool:
         """Return whether a file may be read: if it isn't in the folder of this one, only if that was asked for."""

@@ -19,6 +19,7 @@ import numpy as np
 
 from renderer import rules
 from renderer.content.assets import share_geometry, share_image
+from renderer.content.file_index import FileIndex
 from renderer.content.limits import Budget, ModelLimits
 from renderer.scene.arrays import Floats
 from renderer.scene.materials import ImagePixels
@@ -58,7 +59,7 @@ def load_model(path: str | Path, limits: ModelLimits | None = None) -> Scene:
     `Scene.omissions` lists what the file has and the scene hasn't. `limits`: what the file may ask for. Refused as by
     `add_model`.
     """
-    path = str(path)
+    path = _find_file(path)
     builder = SceneBuilder(path)
     builder.background = (0.30, 0.36, 0.44)
     surroundings = _add(builder, path, limits)
@@ -86,7 +87,7 @@ def add_model(builder: SceneBuilder, path: str | Path, limits: ModelLimits | Non
     Refused, naming the file: `scene-missing-file`, `scene-unknown-format`, `scene-unreadable-model`,
     `scene-empty-model`, `scene-bad-vertices`, `scene-bad-transform`, `scene-model-limit`.
     """
-    _add(builder, str(path), limits)
+    _add(builder, _find_file(path), limits)
 
 
 def save_scene(scene: Scene, path: str | Path) -> tuple[Omission, ...]:
@@ -114,7 +115,13 @@ def _add(builder: SceneBuilder, path: str, limits: ModelLimits | None) -> Surrou
         surroundings = add_gltf(builder, path, budget)
     else:
         _add_by_trimesh(builder, path, budget)
+    budget.index.save()
     return surroundings
+
+
+def _find_file(path: str | Path) -> str:
+    """Return the path of a model file, or of where it was moved to."""
+    return str(path) if Path(path).exists() else str(FileIndex().find(Path(path), Path(path).parent))
 
 
 def _add_by_trimesh(builder: SceneBuilder, path: str, budget: Budget) -> None:
@@ -190,7 +197,7 @@ def _make_resolver(file: Path, budget: Budget) -> Any:
 
         def get(self, name: str) -> Any:
             beside = [Path(self.parent) / one for one in (name.strip().lstrip("/"), Path(name).name)]
-            chosen = ([path for path in beside if path.is_file()] or beside)[0]
+            chosen = budget.find(([path for path in beside if path.is_file()] or beside)[0])
             self.files.append(chosen)
             if not budget.allows(chosen):
                 raise FileNotFoundError(f"{name} isn't in the folder of {file}")
@@ -208,7 +215,8 @@ def _make_resolver(file: Path, budget: Budget) -> Any:
 def _check_file(path: str) -> None:
     file, call = Path(path), f"load_model({path!r})"
     if not file.exists():
-        refuse(rules.MISSING_FILE, call, path, tip=f"relative paths are resolved in {Path.cwd()}")
+        moved = "if it was moved after it was loaded, `python -m renderer assets FOLDER` finds it in that folder"
+        refuse(rules.MISSING_FILE, call, path, tip=f"relative paths are resolved in {Path.cwd()}; {moved}")
     if file.suffix.lower() not in FORMATS:
         refuse(rules.UNKNOWN_FORMAT, call, file.suffix or file.name, ", ".join(FORMATS))
     if not file.is_file():

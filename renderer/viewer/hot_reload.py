@@ -1,7 +1,8 @@
 """Hot reload in a viewer: what is saved while it runs takes effect between two of its frames.
 
 - **Modules of shaders**, the renderer's and the program's, are exchanged by `rhi.Reloader`. A frame is tried after it,
-  which isn't shown: if it can't be drawn, the texts before come back.
+  which isn't shown: if it can't be drawn, the texts before come back. At a start these are from the cache, and if no
+  viewer can be made, they come back as well (`open_viewer`).
 - **The scene's files**, if it is a model file with its buffers, materials and textures: the scene is read and uploaded
   beside the old one, and takes its place once a frame of it could be drawn. A texture that is missing is waited for.
 - **The settings** that were read last.
@@ -123,6 +124,11 @@ class SavedFiles:
                 return
         if reloader.exchanged > before:
             self._say(f"exchanged {reloader.exchanged - before} programs", False)
+
+    def keep(self) -> None:
+        """Keep the texts of shaders that a frame was just drawn with, for a start at which they are at fault."""
+        if self._reloader is not None:
+            self._reloader.keep()
 
     def close(self) -> None:
         """Stop watching."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +18,7 @@ from renderer.scene import Camera, Scene
 from renderer.settings import RenderSettings
 from renderer.viewer.look import Look
 from renderer.viewer.viewer import Viewer
-from rhi import RhiError
+from rhi import Reloader, RhiError
 from rhi_screen import Screen, open_screen
 from rhi_screen.canvases import find_loop
 from rhi_screen.gestures import Event
@@ -114,7 +115,8 @@ def open_viewer(
         canvas: one of `rhi_screen.CANVASES`; by default a widget in a notebook, and else a window.
         size: in logical pixels. look, camera: what the viewer begins with.
         settings: a file of settings instead of those of the look (`RenderSettings.load`).
-        reload: whether shaders, a scene that was loaded from files, and settings are exchanged when these are saved.
+        reload: whether shaders, a scene that was loaded from files, and settings are exchanged when these are saved,
+            and shaders that can't be drawn with at the beginning are as they were when a viewer has drawn last.
         options: those of `rhi_screen.open_screen`.
 
     Raises:
@@ -128,7 +130,13 @@ def open_viewer(
     backend = backend or os.environ.get("RHI_BACKEND") or "gl"
     screen = open_screen(backend, canvas=canvas, title=f"{scene.name} - $fps frames/s", size=size, **options)
     try:
-        viewer = Viewer(screen.device, scene, size=screen.size, look=look, camera=camera)
+        begin = partial(Viewer, screen.device, scene, size=screen.size, look=look, camera=camera)
+        try:
+            viewer = begin()
+        except Exception as error:  # maybe of a shader
+            if not reload or not Reloader(screen.device).put_back(error):
+                raise
+            viewer = begin()
         if settings is not None:
             viewer.saved.note_settings(Path(settings))
         if reload:

@@ -286,7 +286,9 @@ class Viewer:
         while self._notes and self._notes[0][0] < now:
             self._notes.popleft()
         self._interface.shown = self._describe()
-        return self.stage.draw(now).image
+        image = self.stage.draw(now).image
+        self.saved.keep()
+        return image
 
     def close(self) -> None:
         """Destroy all resources on the device, and end connections. A recording that runs is written."""

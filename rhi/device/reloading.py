@@ -12,7 +12,10 @@
   one is exchanged. A `Program` stays the same object: its id changes, and what meshes keep for it is dropped.
 - Anything that fails puts back everything, and the error is reported. The last good program goes on.
 - What compiles may still not draw: a new binding that the program doesn't know. `put_back` undoes the latest update.
+- Files whose edits only go together are exchanged together, if none can be alone.
 - Command buffers that have recorded an exchanged program can't be submitted again, as if it were destroyed.
+- `keep` keeps the texts that were drawn with in the cache. `put_back` also goes back to these, so that a start that
+  fails is tried again, and `rhi.device.fallback` imports them where a module can't be.
 """
 
 from __future__ import annotations
@@ -20,21 +23,22 @@ from __future__ import annotations
 import logging
 import sys
 import threading
-from collections.abc import Callable, Iterable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Any, Final, Self
 
 from rhi.contract.descriptors import Id, ProgramDescriptor
+from rhi.contract.persistence import PersistentDict
 from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.device import Device
 from rhi.device.resources.programs import Program, ProgramTable
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT, PASS_OPEN, RELOAD_WATCH
-from rhi.shading.compile import compile_shader, forget_compiled, is_same, restore_compiled
-from rhi.shading.language.edits import Edit, defines_shaders
+from rhi.shading.compile import compile_shader, forget_compiled, is_made_of, is_same, restore_compiled
+from rhi.shading.language.edits import Edit, defines_shaders, file_of, text_of
 
 LOGGER: Final = logging.getLogger("rhi.reload")
 _SETTLE: Final = 20
@@ -71,8 +75,10 @@ class Reloader:
         self._on_error = on_error or (lambda error: LOGGER.error("%s", error))
         self._on_save = on_save or (lambda: None)
         self._reloads: dict[Path, Callable[[Path], object]] = {}
-        self._texts: dict[str, str] = {}
-        self._latest: dict[Path, tuple[ModuleType, str]] = {}  # the texts before the latest update
+        self._modules: dict[Path, ModuleType] = {}
+        self._latest: dict[ModuleType, str] = {}  # the texts before the latest update
+        self._is_untried = False
+        self._kept: tuple[int, set[type]] = (0, set())
         self._folders: frozenset[Path] = frozenset()
         self._known: set[str] | None = None  # the names of imported modules, if all of these are watched
         self._imported = 0
@@ -102,20 +108,24 @@ class Reloader:
                 watched.
         """
         call = "Reloader.watch"
-        reloads, texts = dict(self._reloads), dict(self._texts)
+        reloads, modules = dict(self._reloads), dict(self._modules)
         for each in what:
-            path = Path(_file_of(each)).resolve()
+            path = Path(file_of(each) if isinstance(each, ModuleType) else each).resolve()
             if not path.is_file() and not (missing_ok and not path.exists() and path.parent.is_dir()):
                 refuse(RELOAD_WATCH, call, f"{each!r}, which is no file")
             if isinstance(each, ModuleType):
-                texts.setdefault(each.__name__, path.read_text(encoding="utf-8"))
-                reloads[path] = partial(self._reload_saved, each)
+                reloads[path], modules[path] = partial(self._reload_saved, each), each
             elif reload is None:
                 refuse(DEVICE_ARGUMENT, call, f"{each!r} without reload=…", "a module, or a file and a function")
             else:
                 reloads[path] = reload
         self._start(call, frozenset(path.parent for path in reloads))  # editors replace files: folders are watched
-        self._reloads, self._texts = reloads, texts
+        fresh = modules.items() - self._modules.items()
+        self._reloads, self._modules = reloads, modules
+        if fresh:
+            with self._lock:
+                self._changed |= {path: None for path, module in fresh if _read(path) != text_of(module)}
+            self._is_untried = bool(_list_untried())
 
     def watch_shaders(self) -> None:
         """Watch all modules that define shaders, structs or functions of them, also those that are imported later.
@@ -137,18 +147,22 @@ class Reloader:
             for name, module in fresh.items()
             if name.partition(".")[0] not in ("__main__", "rhi") and _is_of_shaders(module)
         ]
-        self.watch(*(module for module in modules if Path(_file_of(module)).is_file()))
+        self.watch(*(module for module in modules if Path(file_of(module)).is_file()))
 
     def update(self) -> bool:
-        """Exchange what was saved since the last call; return whether anything was. Call it between two frames.
+        """Exchange what was saved since the last call; return whether anything is new. Call it between two frames.
+
+        That is what was exchanged, and after `watch` a module that isn't as it was drawn with last (`keep`), maybe by
+        an earlier process.
 
         Raises:
             ValidationError: `pass-open` inside a render pass of a device.
         """
         if self._known is not None and len(sys.modules) != self._imported:
             self._watch_imported(self._known)
+        is_untried, self._is_untried = self._is_untried, False
         if not self._changed:  # a file that is noted just now is exchanged next time
-            return False
+            return is_untried
         with self._lock:
             changed, self._changed = self._changed, {}
         before = self.reloaded
@@ -162,21 +176,40 @@ class Reloader:
                 self.errors.pop(path, None)
                 if path.suffix != ".py":
                     self.reloaded += 1
-        return self.reloaded != before
+        self._reload_together()
+        return is_untried or self.reloaded != before
+
+    def keep(self) -> None:
+        """Keep the texts of the watched modules that the devices' programs are made of, after a frame was drawn with
+        them. It costs nothing where nothing has changed."""
+        shaders = {shader for shader in _of(device._programs for device in self.devices) if isinstance(shader, type)}
+        if (self.reloaded, shaders) != self._kept:
+            self._kept = self.reloaded, shaders
+            kept = read_texts()
+            for module in self._modules.values():
+                is_kept = kept.get(file_of(module)) == text_of(module)
+                if not is_kept and any(is_made_of(shader, module) for shader in shaders):
+                    kept[file_of(module)] = text_of(module)
+            kept.save()
 
     def put_back(self, error: Exception) -> bool:
-        """Give the modules that the latest `update` has exchanged their texts before; return whether there are any.
+        """Give modules their texts before; return whether there are any with which they compile.
 
-        For a program that compiles, but with which the next frame can't be drawn: `error`, which is reported as theirs.
+        These are the modules that the latest `update` has exchanged, and all modules of shaders that have changed since
+        they were drawn with last (`keep`), whether they are watched or not. It is for a program that compiles, but with
+        which the next frame can't be drawn, and for one that can't be begun: `error`, which is reported as theirs.
 
         Raises:
             ValidationError: `pass-open` inside a render pass of a device.
         """
-        latest, self._latest = self._latest, {}
-        for path, (module, text) in reversed(latest.items()):
-            self.reload(module, text)
-            self._report(path, error)
-        return bool(latest)
+        self._tables()
+        texts, self._latest = _list_untried() | self._latest, {}
+        with suppress(Exception):  # `error` counts
+            self._exchange(texts)
+            for module in texts:
+                self._report(Path(file_of(module)).resolve(), error)
+            return bool(texts)
+        return False
 
     def reload(self, module: ModuleType, text: str) -> int:
         """Give a module of shaders a new text; return how many programs were exchanged.
@@ -185,11 +218,19 @@ class Reloader:
             ShaderError: what is wrong with the text. Then nothing has changed.
             ValidationError: `pass-open` inside a render pass of a device.
         """
+        return self._exchange({module: text})
+
+    def _exchange(self, texts: Mapping[ModuleType, str]) -> int:
+        """Give modules new texts, all or none; return how many programs were exchanged."""
         tables = self._tables()
-        edit = Edit(module, text)
-        known = forget_compiled(edit)
+        numbers = {name: number for number, name in enumerate(sys.modules)}  # a module comes after those it imports
+        edits: list[Edit] = []
+        known: dict[Any, Any] = {}
         built: list[tuple[ProgramTable, object, Program[...], Id, ProgramDescriptor]] = []
         try:
+            for module in sorted(texts, key=lambda each: numbers.get(each.__name__, 0)):
+                edits.append(Edit(module, texts[module]))
+                known |= forget_compiled(edits[-1])
             with ExitStack() as creations:
                 for device in self.devices:
                     creations.enter_context(device._core.creation())
@@ -201,8 +242,9 @@ class Reloader:
                             descriptor = table.compile(shader)
                             built.append((table, shader, program, program.build(descriptor), descriptor))
         except BaseException:
-            forget_compiled(edit)
-            edit.undo()
+            for edit in reversed(edits):
+                forget_compiled(edit)
+                edit.undo()
             restore_compiled(known)
             raise
         changed = {shader for _, shader, *_ in built}
@@ -211,8 +253,7 @@ class Reloader:
             for table, shader, program, number, descriptor in built:
                 program.exchange(number, descriptor)
                 table.add(shader, program)
-        self._texts[module.__name__] = text
-        self.reloaded += 1
+        self.reloaded += len(texts)
         self.exchanged += len(built)
         return len(built)
 
@@ -237,10 +278,20 @@ class Reloader:
         return [device._programs for device in self.devices]
 
     def _reload_saved(self, module: ModuleType, path: Path) -> None:
-        text, before = path.read_text(encoding="utf-8"), self._texts[module.__name__]
+        text, before = _read(path), text_of(module)
         if text != before:
             self.reload(module, text)
-            self._latest[path] = module, before
+            self._latest[module] = before
+
+    def _reload_together(self) -> None:
+        """Exchange all modules that are at fault, if they go together."""
+        faulty = {path: module for path, module in self._modules.items() if path in self.errors}
+        if len(faulty) > 1:
+            before = {module: text_of(module) for module in faulty.values()}
+            with suppress(Exception):  # which each has reported
+                self._exchange({module: _read(path) for path, module in faulty.items()})
+                self._latest |= before
+                self.errors = {path: error for path, error in self.errors.items() if path not in faulty}
 
     def _report(self, path: Path, error: Exception) -> None:
         self.errors.pop(path, None)
@@ -293,7 +344,23 @@ def _is_of_shaders(module: object) -> bool:
     return isinstance(module, ModuleType) and defines_shaders(module)
 
 
-def _file_of(what: ModuleType | str | Path) -> str | Path:
-    if isinstance(what, ModuleType):
-        return (what.__spec__.origin if what.__spec__ is not None else None) or what.__file__ or ""
-    return what
+def _read(path: Path) -> str:
+    """Return a file's text as `text_of` does: it ends with the end of a line."""
+    text = path.read_text(encoding="utf-8-sig")
+    return text if text.endswith("\n") else f"{text}\n"
+
+
+def read_texts() -> PersistentDict:
+    """Return the texts that modules of shaders were drawn with last, by the names of their files."""
+    return PersistentDict("texts", 500)
+
+
+def _list_untried() -> dict[ModuleType, str]:
+    """Return the modules of shaders that aren't as they were drawn with last, and their texts then."""
+    kept = read_texts()
+    return {
+        module: kept[file_of(module)]
+        for name, module in list(sys.modules.items())
+        if name != "__main__" and isinstance(module, ModuleType)
+        if file_of(module) in kept and defines_shaders(module) and text_of(module) != kept[file_of(module)]
+    }

@@ -11,17 +11,19 @@ import sys
 import weakref
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
+from types import ModuleType
 
 from rhi.contract.descriptors import Binding, BindingKind, ProgramDescriptor, Stage, StageText
-from rhi.contract.layout import Layout, place, stride_of
+from rhi.contract.layout import Layout, StructType, place, stride_of
 from rhi.errors import ShaderError, ShaderErrors, find_call_site
 from rhi.shading.emitters import WIDTHS, ShaderCode, make_depth_error
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Precision
-from rhi.shading.language.edits import Edit
+from rhi.shading.language.edits import Edit, file_of
 from rhi.shading.language.shader import Declaration, Shader, StorageClass, find_work_group
+from rhi.shading.language.structs import Struct
 from rhi.shading.language.types import VOID, ImageType, StorageType
 from rhi.shading.parser.interface import (
     attributes_read,
@@ -93,7 +95,9 @@ def forget_compiled(edit: Edit) -> Compiled:
     These are the classes of the module and those derived from them, those that call its functions or use structs that
     it changed, and those of modules that have imported it.
     """
-    found = {shader: known for shader, known in _compiled.items() if _is_concerned(shader, known[1], edit)}
+    found = {
+        each: known for each, known in _compiled.items() if _is_concerned(each, known[1], edit.module, edit.structs)
+    }
     for shader in found:
         del _compiled[shader]
     return found
@@ -104,14 +108,21 @@ def restore_compiled(known: Compiled) -> None:
     _compiled.update(known)
 
 
-def _is_concerned(shader: type[Shader], code: ShaderCode, edit: Edit) -> bool:
+def is_made_of(shader: type[Shader], module: ModuleType) -> bool:
+    """Return whether a compiled shader has classes, functions or structs of a module, or a base has imported it."""
+    own = [value for value in vars(module).values() if getattr(value, "__module__", "") == module.__name__]
+    structs = {value.shading_type for value in own if isinstance(value, type) and issubclass(value, Struct)}
+    return shader in _compiled and _is_concerned(shader, _compiled[shader][1], module, structs)
+
+
+def _is_concerned(shader: type[Shader], code: ShaderCode, module: ModuleType, structs: set[StructType]) -> bool:
     for base in shader.__mro__:
-        names = vars(sys.modules.get(base.__module__, edit.module))
-        if base.__module__ == edit.module.__name__ or any(value is edit.module for value in names.values()):
+        names = vars(sys.modules.get(base.__module__, module))
+        if base.__module__ == module.__name__ or any(value is module for value in names.values()):
             return True
     return any(
-        not edit.structs.isdisjoint(stage.structs)
-        or any(function.file == edit.file for function in (stage.entry, *stage.functions))
+        not structs.isdisjoint(stage.structs)
+        or any(function.file == file_of(module) for function in (stage.entry, *stage.functions))
         for stage in code.stages.values()
     )
 

@@ -117,6 +117,7 @@ class GltfFile:
         file = self.locate(uri)
         if file is None:
             fields.refuse("uri", uri, "a file's name, or data:…;base64,…")
+        file = self.budget.find(file)
         self.files.append(file)  # also if it is missing: it may be saved later
         if not self.budget.allows(file):
             allowed = f"a file in {self._folder.resolve()}, unless ModelLimits(outside=True) or {self.path}:outside"

@@ -25,7 +25,7 @@ from rhi.shading.language import rules
 from rhi.shading.language.function import ShadingFunction
 from rhi.shading.language.modules import execute, is_own
 from rhi.shading.language.shader import Shader, SharedMemory, collect_bindings
-from rhi.shading.language.source import SourceFile, exchange_source, forget_signatures, take_source
+from rhi.shading.language.source import SourceFile, exchange_source, forget_signatures, read_file, take_source
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.types import StorageType
 
@@ -56,7 +56,7 @@ class Edit:
                 the language refuse; `shading-reload`: the text changes what can't change. Nothing has changed then.
         """
         self.module = module
-        self.file = _file_of(module)
+        self.file = file_of(module)
         self.classes: list[type[Shader]] = []
         self.structs: set[StructType] = set()
         self._undo: list[Undo] = [self._collect_all]  # last of all
@@ -233,9 +233,15 @@ class Edit:
         raise ShaderError(rules.RELOAD, call, given, site=site)
 
 
-def _file_of(module: ModuleType) -> str:
+def file_of(module: ModuleType) -> str:
+    """Return the name of a module's file, or of the module."""
     spec = module.__spec__
-    return (spec.origin if spec is not None else None) or module.__file__ or module.__name__
+    return (spec.origin if spec is not None else None) or getattr(module, "__file__", None) or module.__name__
+
+
+def text_of(module: ModuleType) -> str:
+    """Return a module's text that is in effect: as it was imported, or put in its place since."""
+    return "".join(read_file(file_of(module), vars(module)).lines)
 
 
 def defines_shaders(module: ModuleType) -> bool:

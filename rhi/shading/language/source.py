@@ -65,7 +65,7 @@ _files: dict[str, SourceFile] = {}
 """The file of each name, as it was read last."""
 
 
-def _read_file(name: str, names: Mapping[str, Any]) -> SourceFile:
+def read_file(name: str, names: Mapping[str, Any]) -> SourceFile:
     """Return a file with its lines: as read before, unless its module is another or was imported again since.
 
     A class that a function of an imported module makes later thus has the text that was imported. What isn't a
@@ -249,7 +249,7 @@ def source_of(function: FunctionType) -> Source:
     """Return a function's source. It is kept on the function, so it lives as long."""
     source: Source | None = getattr(function, _SOURCE, None)
     if source is None:
-        file = _read_file(function.__code__.co_filename, function.__globals__)
+        file = read_file(function.__code__.co_filename, function.__globals__)
         source = Source(function, file)
         setattr(function, _SOURCE, source)
     return source

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import rhi
+from renderer.__main__ import run
 from renderer.cli import main
 from renderer.cli.compare_light_culling import plot_tests
 
@@ -366,6 +368,16 @@ def test_a_missing_package_is_one_line_that_says_what_to_install_by_name_and_fro
     assert done.returncode == 2
     by_name, in_a_checkout = "pip install 'rhi[renderer]'", "pip install --editable '.[renderer]'"
     assert done.stderr == f"error: {module} is missing; install it with: {by_name}, or in a checkout: {in_a_checkout}\n"
+
+
+@pytest.mark.parametrize(("command", "is_view"), [("view", True), ("scenes", False)])
+def test_only_the_viewer_falls_back(command: str, is_view: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    install = Mock()
+    monkeypatch.setattr(rhi, "install_fallback", install)
+    monkeypatch.setattr(sys, "argv", ["renderer", command, "--help"])
+    with pytest.raises(SystemExit):
+        run()
+    assert install.called is is_view
 
 
 def test_plan_says_why_each_pass_is_there_and_what_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:

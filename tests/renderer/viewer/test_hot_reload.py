@@ -23,8 +23,9 @@ from refusals import find_fault
 
 import rhi
 from renderer.content import load_scene, save_scene
+from renderer.content.shapes import box
 from renderer.frame import Blending, Frame
-from renderer.scene import Depth
+from renderer.scene import Depth, SceneBuilder
 from renderer.settings import RenderSettings
 from renderer.viewer import Look, Viewer
 from renderer.viewer.showing import open_viewer
@@ -202,6 +203,46 @@ def test_whoever_shows_the_viewer_is_woken_by_a_save(viewer: Viewer, shaders: An
     while not woken and time.monotonic() < until:
         time.sleep(0.01)
     assert woken
+
+
+MATERIAL = """
+from renderer.shaders.materials import MaterialShader
+from renderer.shaders.structs import SurfaceInput, SurfaceParameters
+from rhi.shading import vec4
+
+class Painted(MaterialShader):
+    def describe(self, at: SurfaceInput) -> SurfaceParameters:
+        found = super().describe(at)
+        found.color = vec4(1.0, 0.5, 0.0, 1.0)
+        return found
+"""
+
+
+def test_a_viewer_that_begins_with_a_faulty_shader_shows_the_last_good_one_and_the_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    monkeypatch.setenv("RHI_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # the file is changed within a second
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def begin(text: str) -> Viewer:
+        """Open a viewer as a new process does."""
+        (tmp_path / "painted.py").write_text(text)
+        monkeypatch.delitem(sys.modules, "painted", raising=False)
+        builder = SceneBuilder("painted")
+        material = builder.add_material(shader=importlib.import_module("painted").Painted)
+        builder.add_objects(builder.add_node(np.eye(4)), builder.add_mesh(box()), material)
+        made = open_viewer(builder.build(), "gl", canvas="offscreen", size=SIZE)
+        request.addfinalizer(made.close)
+        made.viewer.draw()
+        return made.viewer
+
+    with pytest.raises(rhi.ShaderError):
+        begin(MATERIAL.replace("0.5", "green"))
+    good = begin(MATERIAL).stage.picture()
+    viewer = begin(MATERIAL.replace("0.5", "green"))
+    assert any(f"{tmp_path / 'painted.py'}:9:" in line for line in shown(viewer))
+    assert np.array_equal(viewer.stage.picture(), good)
 
 
 def test_without_watchfiles_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -486,7 +486,7 @@ def test_a_refused_watch_watches_nothing_of_it(device: rhi.Device, shaders: Any,
             with pytest.raises(ValidationError) as error:
                 reloader.watch(path, shaders, bad, reload=lambda path: seen.append("first"))
             assert error.value.rule.id == "reload-watch"
-            assert (reloader._thread, reloader._reloads, reloader._texts) == (None, {}, {})
+            assert (reloader._thread, reloader._reloads, reloader._modules) == (None, {}, {})
         reloader.watch(path, reload=lambda path: seen.append("second"))
         with pytest.raises(ValidationError):
             reloader.watch(path, tmp_path / "missing.glb", reload=lambda path: seen.append("first"))

@@ -5,7 +5,7 @@
 - PoCL trusts what it finds: a program that another process is just writing, or a damaged file, ends the process. So
   only one process at a time builds a program for the first time, and a record with the checksums of its files says that
   they are complete. Before a program is taken from the folder, its files are checked; damaged ones are removed. The
-  checksums are keyed, and the folder must be the user's own (`rhi.backends.cl.pocl.trust`).
+  checksums are keyed, and the folder must be the user's own (`rhi.contract.trust`).
 - Where the folder isn't, or is full, a temporary one serves this process, and a warning says why.
 - PoCL reads the variable once in a process. Where another library was first, it uses a folder of its own: its mark of
   use is missing in ours (`KernelCache.watch_use`). Then nothing is taken from ours, which PoCL doesn't see.
@@ -42,10 +42,10 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final, NamedTuple
 
-from rhi.backends.cl.pocl import binaries, trust
+from rhi.backends.cl.pocl import binaries
 from rhi.backends.cl.pocl.declarations import GUARD, declare
+from rhi.contract import trust
 
-ENVIRONMENT: Final = "RHI_CACHE"
 LIMIT: Final = 512 << 20
 """Bytes of compiled kernels that are kept."""
 _DRIVER_ENVIRONMENT: Final = "POCL_CACHE_DIR"
@@ -80,9 +80,9 @@ def choose_folder() -> Path | None:
     Return the folder, or None if it can't be written: the driver's own is used then. One that isn't the user's own, or
     is full, is left alone: a warning says so, and a temporary one takes its place.
     """
-    wanted, given = os.environ.get(ENVIRONMENT, ""), os.environ.get(_DRIVER_ENVIRONMENT, "")
+    wanted, given = os.environ.get(trust.FOLDER, ""), os.environ.get(_DRIVER_ENVIRONMENT, "")
     if wanted or not given:
-        given = str(Path(wanted or trust.user_cache()).absolute() / "pocl")
+        given = str(trust.find_folder("pocl"))
     folder = _replaced.get(given, Path(given))
     try:
         for made in (folder.parent, folder, folder / _RECORDS):
@@ -257,7 +257,7 @@ class KernelCache:
         try:
             code = (place / _PROGRAM).read_bytes()
             if self.read_code(key) is None:  # no other process was first
-                self._write(self._code_path(key), self.seal(key, code))
+                trust.write_whole(self._code_path(key), self.seal(key, code))
             shutil.rmtree(place)
         except OSError:
             return None
@@ -268,7 +268,7 @@ class KernelCache:
         if self._folder is not None and self._read_header() is None:
             header = binaries.find_header(binary)
             with suppress(OSError):
-                self._write(self._header_path(), self.seal("", header, _HEADER))
+                trust.write_whole(self._header_path(), self.seal("", header, _HEADER))
 
     def _read_header(self) -> bytes | None:
         try:
@@ -332,16 +332,6 @@ class KernelCache:
         assert self._folder is not None
         return self._folder / _RECORDS / f"{key}{_CODE}"
 
-    def _write(self, path: Path, content: bytes) -> None:
-        """Write a file that others never see in part.
-
-        Raises:
-            OSError: it can't be written.
-        """
-        fresh = path.with_suffix(f".{os.getpid()}.{time.monotonic_ns()}")
-        fresh.write_bytes(content)
-        fresh.replace(path)
-
     def _remove(self, key: str, place: Path | None) -> None:
         """Remove a program's record and files."""
         assert self._folder is not None
@@ -389,7 +379,7 @@ class KernelCache:
         if code is not None:
             described["code"] = self._sign(key, _CODE, code)
         with suppress(OSError):
-            self._write(record, json.dumps(described).encode())
+            trust.write_whole(record, json.dumps(described).encode())
         self._written.add(key)
 
     def _search(self, name: bytes, code: bytes | None = None) -> Path | None:

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from rhi.backends.cl.pocl import binaries, cache, trust
+from rhi.backends.cl.pocl import binaries, cache
 from rhi.backends.cl.pocl.cache import KernelCache
+from rhi.contract import trust
 
 DRAW = """
 import hashlib, os, sys, threading, warnings

@@ -1,10 +1,10 @@
-"""Whether the folder of compiled kernels is the user's own, and checksums that nobody else can make up.
+"""Whether a folder of the cache is the user's own, and checksums that nobody else can make up.
 
-Kernels are machine code: whoever can write them, or have others' taken for them, runs code as the user. So a folder
-that belongs to somebody else, or that others may write, isn't used; and the checksums of its files are made with a key
-that only the user can read. It lies beside the default folder, in the user's cache, so that a folder from elsewhere
-doesn't bring its own. A program that ships its kernels says its key in `RHI_CACHE_KEY`, when they are made and when
-they are used.
+Compiled kernels are machine code, and texts of shaders are Python: whoever can write them, or have others' taken for
+them, runs code as the user. So a folder that belongs to somebody else, or that others may write, isn't used; and the
+checksums of its files are made with a key that only the user can read. It lies beside the default folder, in the user's
+cache, so that a folder from elsewhere doesn't bring its own. A program that ships its kernels says its key in
+`RHI_CACHE_KEY`, when they are made and when they are used.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ except ImportError:  # not on Windows, where PoCL's users are few
     fcntl = None  # type: ignore[assignment]
 
 ENVIRONMENT: Final = "RHI_CACHE_KEY"
+FOLDER: Final = "RHI_CACHE"
 LEAST: Final = 32 << 20
 """Bytes that must be free: PoCL fails to build where its folder is full."""
 _KEY_BYTES: Final = 32
@@ -33,6 +34,22 @@ _KEY_BYTES: Final = 32
 def user_cache() -> Path:
     """Return the folder of all that this package caches for the user."""
     return Path(os.environ.get("XDG_CACHE_HOME", "") or os.path.expanduser("~/.cache")) / "rhi"
+
+
+def find_folder(name: str) -> Path:
+    """Return the folder of this name in the one that `RHI_CACHE` names, or in the user's cache. It may not exist."""
+    return Path(os.environ.get(FOLDER, "") or user_cache()).absolute() / name
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file that others never see in part.
+
+    Raises:
+        OSError: it can't be written.
+    """
+    fresh = path.with_suffix(f".{os.getpid()}.{time.monotonic_ns()}")
+    fresh.write_bytes(content)
+    fresh.replace(path)
 
 
 def find_fault(folder: Path) -> str:
