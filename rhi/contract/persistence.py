@@ -6,7 +6,6 @@ JSON. It is read and written whole, so processes may share it; of those that wri
 
 from __future__ import annotations
 
-import json
 from contextlib import suppress
 from itertools import islice
 from typing import Any
@@ -22,6 +21,8 @@ class PersistentDict(dict[str, Any]):
 
     def __init__(self, name: str, most: int) -> None:
         """Read what was kept under a name. `most`: how many entries `save` keeps."""
+        import json  # seldom: most programs keep nothing
+
         super().__init__()
         folder = trust.find_folder("kept")
         self._file, self._most, self._key = folder / f"{name}.json", most, b""
@@ -38,6 +39,8 @@ class PersistentDict(dict[str, Any]):
 
     def save(self) -> None:
         """Write the entries that were set last, if the cache can be written to."""
+        import json
+
         content = json.dumps(dict(islice(self.items(), max(0, len(self) - self._most), None))).encode()
         if self._key:
             with suppress(OSError):

@@ -9,11 +9,8 @@ cache, so that a folder from elsewhere doesn't bring its own. A program that shi
 
 from __future__ import annotations
 
-import hashlib
 import os
-import shutil
 import stat
-import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -60,7 +57,9 @@ def find_fault(folder: Path) -> str:
             return "it belongs to another user"
         if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
             return "other users may write to it"
-    free = shutil.disk_usage(folder).free
+    from shutil import disk_usage  # seldom, as below: most programs keep nothing
+
+    free = disk_usage(folder).free
     if free < LEAST:
         return f"only {free / 1e6:.1f} MB are free there"
     return "" if read_key() else f"no key can be kept in {user_cache()}"
@@ -70,12 +69,16 @@ def read_key() -> bytes:
     """Return the user's key, which is made if there is none; empty if it can't be kept."""
     given = os.environ.get(ENVIRONMENT, "")
     if given:
-        return hashlib.blake2b(given.encode(), digest_size=_KEY_BYTES).digest()
+        from hashlib import blake2b
+
+        return blake2b(given.encode(), digest_size=_KEY_BYTES).digest()
     path = user_cache() / "key"
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not path.exists():
-            handle, fresh = tempfile.mkstemp(dir=path.parent)  # which only the user can read
+            from tempfile import mkstemp
+
+            handle, fresh = mkstemp(dir=path.parent)  # which only the user can read
             with os.fdopen(handle, "wb") as file:
                 file.write(os.urandom(_KEY_BYTES))
             with suppress(FileExistsError):  # another process was first
@@ -90,7 +93,9 @@ def read_key() -> bytes:
 
 def sign(secret: bytes, content: bytes, *names: str) -> str:
     """Return a content's checksum under the names that it is for."""
-    digest = hashlib.blake2b(digest_size=16, key=secret)
+    from hashlib import blake2b
+
+    digest = blake2b(digest_size=16, key=secret)
     for part in (*(name.encode() for name in names), content):
         digest.update(len(part).to_bytes(8, "little"))
         digest.update(part)

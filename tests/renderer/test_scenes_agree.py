@@ -77,7 +77,7 @@ def read_levels(device: Device, scene: Scene) -> list[NDArray[Any]]:
 def draw_depth(device: Device, scene: Scene, path: str, frame: int, size: tuple[int, int], wider: int) -> NDArray[Any]:
     """Draw the depth pass in a viewport several times as wide as the target."""
     passes = BackendPasses(device, scene, find_path(path, scene).camera(frame), size)
-    lens, eye = passes.camera.relative_view_projection, passes.camera.position
+    lens, eye = passes.camera.relative_view_projection.copy(), passes.camera.position
     lens[:2] /= wider
     high = eye.astype(np.float32)
     passes.view.buffer.write(
