@@ -5,16 +5,14 @@ from __future__ import annotations
 import argparse
 from typing import Final
 
-from renderer import rules
 from renderer.cli import options
 from renderer.cli.arguments import load_settings, open_scene
 from renderer.cli.options import option
-from renderer.cli.output import note
+from renderer.cli.output import OutputError, note
 from renderer.cli.subcommand import Subcommand
 from renderer.content import parse_camera
 from renderer.viewer.budget import FrameBudget, load_steps
 from renderer.viewer.look import PLAIN, SHADOWS, Look
-from rhi.errors import refuse
 
 _NOTES: Final = """\
   python -m renderer view city
@@ -60,7 +58,7 @@ def _run(given: argparse.Namespace) -> None:
     from renderer.viewer.showing import open_viewer
 
     if (given.live is None) != (given.budget_ms is None):
-        refuse(rules.BAD_ARGUMENT, "view", "one of --live and --budget-ms", "both, or neither")
+        raise OutputError("--live: the folder of a front, and --budget-ms what a frame may take: both, or neither")
     steps = None if given.live is None else load_steps(given.live / "front.json")
     scene = open_scene(given.scene)
     camera = None if given.camera is None else parse_camera(given.camera, scene, given.frame)

@@ -121,6 +121,6 @@ class FrameBudget:
         """Return the budget, the settings' place and error, and the share of frames that took more."""
         share = self.over / max(self.frames, 1)
         return (
-            f"budget {self.milliseconds:g} ms: settings {self.place + 1} of {len(self.steps)}, "
-            f"{self.steps[self.place].error:.2g} levels off, {share:.0%} of frames over"
+            f"budget {self.milliseconds:g} ms: {self.place + 1} of {len(self.steps)}, "
+            f"{self.steps[self.place].error:.2g} levels off, {share:.0%} over"
         )

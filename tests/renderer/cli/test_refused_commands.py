@@ -78,6 +78,8 @@ REFUSED = {
     f"{DEBUG} --camera nowhere": "camera-unknown-name",
     f"{DEBUG} --frame 1800": "camera-frame-range",
     f"{DEBUG} --output culled.nothing": "has no known image extension",
+    **{f"view city {one}": "both, or neither" for one in ("--live swept", "--budget-ms 30")},
+    "view city --live swept --budget-ms 30": "swept/front.json",
     "compare backends city --passes dept": "'dept' is not a pass",
     "compare backends grid --backends gl --passes textured": "measure-no-images",
     "compare backends city:blocks=6 --backends null": "measure-no-pictures",

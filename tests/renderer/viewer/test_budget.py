@@ -63,7 +63,7 @@ def test_single_slow_frames_change_nothing_but_are_counted() -> None:
     for number in range(90):
         kept.note(200.0 if number % 3 == 0 else 20.0)
     assert (kept.place, kept.frames, kept.over) == (1, 90, 30)
-    assert kept.describe() == "budget 25 ms: settings 2 of 3, 2 levels off, 33% of frames over"
+    assert kept.describe() == "budget 25 ms: 2 of 3, 2 levels off, 33% over"
 
 
 def test_a_front_is_what_was_saved(tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_a_viewer_draws_with_the_settings_that_keep_the_budget(
     for _ in range(20):
         viewer.draw()
     assert (stage.look.samples, stage.look.settings) == (1, coarse.settings)
-    assert "settings 1 of 3" in viewer.run("status")[0]
+    assert "budget 25 ms: 1 of 3" in viewer.run("status")[0]
     viewer.run("samples 4")
     viewer.draw()
     assert (stage.budget, stage.look.samples) == (None, 4), "settings of the user's own end it"
