@@ -87,12 +87,14 @@ def plot_tests(figure: Any, rows: Sequence[Record]) -> None:
         axes = figure.add_subplot(1, len(_CHARTED), place)
         for test in tests:
             own = [row for row in rows if tuple(row[name] for name in _WAYS) == test]
-            words = [
-                test[0],
-                *(name.replace("_", " ") for name, value in zip(_WAYS, test, strict=True) if value is True),
-            ]
-            words += [] if test[1] == "sphere" else [f"{test[1]} cones"]
-            axes.plot([row["lights"] for row in own], [row[key] for row in own], marker=".", label=", ".join(words))
+            words = [name.replace("_", " ") for name in ("depth_mask", "pre_filter") if own[0][name]]
+            words += [] if own[0]["cones"] == "sphere" else [f"{own[0]['cones']} cones"]
+            axes.plot(
+                [row["lights"] for row in own],
+                [row[key] for row in own],
+                marker=".",
+                label=", ".join((test[0], *words)),
+            )
         axes.set_xlabel("lights")
         axes.set_title(title)
         axes.set_ylim(bottom=0.0)

@@ -150,10 +150,8 @@ class Lamps:
         else:
             for eye in moved:
                 for kind, some in zip(self._kinds, kinds, strict=True):
-                    if not len(some):
-                        kind.seen[eye].destroy()
-                        continue
-                    kind.packed["position"] = subtract_places(some["position"], eyes[eye])
+                    if len(some):
+                        kind.packed["position"] = subtract_places(some["position"], eyes[eye])
                     kind.seen[eye].write(kind.packed)
 
     def _stop_kernels(self) -> None:

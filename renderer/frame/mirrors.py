@@ -54,7 +54,7 @@ class MirroredArray(Generic[T]):
         if not len(array):
             self.destroy()
             return
-        if chosen is not None and not len(chosen) and len(array) == len(self._rows) and self.buffer is not None:
+        if chosen is not None and not len(chosen) and len(array) == len(self):
             return
         rows = np.ascontiguousarray(array).view(np.uint8).reshape(len(array), -1)
         if self.buffer is None or rows.shape != self._rows.shape:

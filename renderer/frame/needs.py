@@ -61,6 +61,7 @@ class Effect(Enum):
 
 
 _EFFECTS: Final = {effect.value: effect for effect in Effect}
+"""Effects by their values, for each frame: asking the class takes longer."""
 SHADOW_EFFECTS: Final = (Effect.SUN_SHADOWS, Effect.POINT_SHADOWS, Effect.SPOT_SHADOWS)
 """The shadows of each kind of light."""
 

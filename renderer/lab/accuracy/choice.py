@@ -233,19 +233,15 @@ class CombinationBench(Bench):
             errors.append(float(np.nanmean(np.abs(shown - self._pictures[frame.number]).max(axis=2))))
         return errors
 
-    def measure(self, settings: RenderSettings, frames: Sequence[Shot]) -> tuple[float, float]:
-        """Return the greatest mean error of a frame, and the milliseconds of one: of each the least of two."""
-        error = max(self.compare(settings, frames))
-        times = np.minimum(self.walk(settings, frames), self.walk(settings, frames))
-        return error, float(times.mean())
-
-    def walk(self, settings: RenderSettings, frames: Sequence[Shot]) -> Floats:
-        """Return the milliseconds of frames that are drawn one after the other, for the second time."""
+    def walk(self, settings: RenderSettings, frames: Sequence[Shot], turns: int = 1) -> Floats:
+        """Return the milliseconds of frames that are drawn one after the other, as often as there are `turns` and once
+        before: the least of each."""
         renderer, ends = self.exchange(settings), [0.0]
-        for frame in (*frames, *frames):
+        for frame in (*frames,) * (1 + turns):
             self.draw(renderer, settings, frame)
             ends.append(perf_counter())
-        return 1e3 * np.diff(ends)[len(frames) :]
+        times: Floats = 1e3 * np.diff(ends).reshape(1 + turns, len(frames))[1:].min(axis=0)
+        return times
 
     def time(
         self, combinations: Mapping[str, RenderSettings], frames: Sequence[Shot],
@@ -293,15 +289,18 @@ def find_front(
         CombinationBench(device, scene, situation, list(found)) as bench,
     ):
         tried = iter(progress(range(MOST_TRIED)))
+        lost: dict[tuple[str, ...], list[float]] = {}
 
         def measure(values: dict[str, str]) -> tuple[float, float]:
             next(tried, None)
-            return bench.measure(combine(base, values), frames)
+            settings = combine(base, values)
+            errors = lost[tuple(values.values())] = bench.compare(settings, frames)
+            return max(errors), float(bench.walk(settings, frames, 2).mean())
 
         best = search(ladders, list_steps(found), measure)
         places = np.unique(np.linspace(0, len(best) - 1, min(len(best), MOST_POINTS)).round().astype(int)).tolist()
         settings = {str(place): combine(base, best[place]) for place in places}
-        errors = {name: bench.compare(one, frames) for name, one in settings.items()}
+        errors = {str(place): lost[tuple(best[place].values())] for place in places}
         times = bench.time(settings, frames, progress)
     points = [
         FrontPoint(

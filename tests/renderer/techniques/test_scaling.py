@@ -9,6 +9,7 @@ from frames import list_owned
 import rhi
 from renderer.content import load_scene
 from renderer.frame import Frame, SceneLayer
+from renderer.lab.accuracy.float64 import decode_levels, encode_levels
 from renderer.layers.particles import Particles
 from renderer.renderer import Renderer
 from renderer.scene import Scene, StereoRig
@@ -31,25 +32,15 @@ def open_scaled(device: rhi.Device, scene: Scene, scale: float) -> Renderer:
     return renderer
 
 
-def to_light(values: np.ndarray) -> np.ndarray:
-    """Return the light of sRGB levels, by IEC 61966-2-1."""
-    share = values / 255.0
-    return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-
-
-def to_levels(light: np.ndarray) -> np.ndarray:
-    return 255.0 * np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1.0 / 2.4) - 0.055)
-
-
 def stretch(texels: np.ndarray, width: int, height: int) -> np.ndarray:
     """Return texels at another size, interpolated between their middles in light, in float64."""
-    light = to_light(texels[..., :3].astype(np.float64))
+    light = decode_levels(texels[..., :3].astype(np.float64))
     for axis, size in ((0, height), (1, width)):
         place = np.clip((np.arange(size) + 0.5) * light.shape[axis] / size - 0.5, 0, light.shape[axis] - 1)
         first = np.minimum(place.astype(int), light.shape[axis] - 2)
         part = (place - first).reshape(-1, *[1] * (2 - axis))
         light = light.take(first, axis) * (1.0 - part) + light.take(first + 1, axis) * part
-    return to_levels(light)
+    return encode_levels(light)
 
 
 @pytest.mark.parametrize(("scale", "drawn"), [(0.5, (31, 21)), (0.7, (44, 30)), (2.0, (124, 84))])
@@ -70,8 +61,8 @@ def test_an_image_of_twice_the_size_is_shown_as_means_of_four_pixels(drawing_dev
     with open_scaled(drawing_device, scene, 2.0) as renderer:
         result = renderer.render(scene.views["overview"])
         shown, texels = result.image.read()[..., :3], result.targets["image"].read()[..., :3]
-    light = to_light(texels.astype(np.float64)).reshape(SIZE[1], 2, SIZE[0], 2, 3).mean(axis=(1, 3))
-    assert np.abs(shown - to_levels(light)).max() <= 1.0
+    light = decode_levels(texels.astype(np.float64)).reshape(SIZE[1], 2, SIZE[0], 2, 3).mean(axis=(1, 3))
+    assert np.abs(shown - encode_levels(light)).max() <= 1.0
 
 
 def test_scaling_is_one_draw_and_none_at_the_size_that_is_shown(null: rhi.Device, scene: Scene) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from time import process_time
 
@@ -38,11 +39,11 @@ def test_a_choice_is_as_accurate_as_any_combination_that_is_as_fast(backend: str
     )
     with open_device(backend):
         pass
-    reports = []
-    for knob, values in VALUES.items():
-        report = sweep_knob(situation, knob)
-        object.__setattr__(report, "rows", tuple(row for row in report.rows if row.value in values))
-        reports.append(report)
+    sweeps = {knob: sweep_knob(situation, knob) for knob in VALUES}
+    reports = [
+        replace(sweep, rows=tuple(row for row in sweep.rows if row.value in VALUES[knob]))
+        for knob, sweep in sweeps.items()
+    ]
     front = [point for point in find_front(situation, reports) if point.is_best]
     base, scene = make_plain(situation.settings), load_scene(situation.scene)
     everything = {each: combine(base, dict(zip(VALUES, each, strict=True))) for each in product(*VALUES.values())}
