@@ -19,7 +19,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from screens_kit import Display, open_display
 
-from rhi.backends.cl.pocl.cache import choose_folder
+from rhi.backends.cl.pocl.cache import settle_folder
 from rhi.contract import trust
 
 settings.register_profile(
@@ -33,7 +33,7 @@ settings.register_profile("exploring", settings.get_profile("repeatable"), deran
 settings.register_profile("nightly", settings.get_profile("exploring"))
 settings.load_profile("repeatable")
 
-choose_folder()  # PoCL asks once for its folder, and some tests begin it without rhi
+settle_folder()  # PoCL asks once for its folder, and some tests begin it without rhi
 os.environ.setdefault("RHI_SLOW_ANISOTROPY", "1")  # no pixel of the tests takes long
 
 NIGHTLY_FACTOR = 20

@@ -27,10 +27,10 @@ def create_backend(*, validation: bool = False) -> ClBackend:
         import pyopencl
     except ImportError as error:
         raise DeviceError(DEVICE_DRIVER, "rhi.create_device('cl')", str(error), tip="pip install pyopencl") from error
-    from rhi.backends.cl.pocl.cache import choose_folder
+    from rhi.backends.cl.pocl.cache import settle_folder
     from rhi.backends.cl.pocl.drivers import Loading
 
-    choose_folder()
+    settle_folder()
     loading = Loading(pyopencl._cl.__file__)
     import rhi.shading.opencl.stages  # noqa: F401  # what the first shader needs
     from rhi.backends.cl.backend import ClBackend

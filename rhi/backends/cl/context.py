@@ -23,7 +23,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from rhi.backends.cl.errors import shorten
-from rhi.backends.cl.pocl.cache import CachedProgram, KernelCache, Request, choose_folder, make_mark
+from rhi.backends.cl.pocl.cache import CachedProgram, KernelCache, Request, make_mark, settle_folder
 from rhi.backends.cl.pocl.drivers import Loading
 from rhi.backends.cl.pocl.held_programs import HeldProgram, HeldPrograms
 from rhi.backends.cl.pocl.workers import list_threads, spread_threads
@@ -114,7 +114,7 @@ def open_context(loading: Loading | None = None) -> ClContext:
         DeviceError: `device-driver`, with the reason why each device was passed over, and what to install.
     """
     threads = list_threads() if loading is None else loading.finish()
-    folder = choose_folder()
+    folder = settle_folder()
     devices = find_devices()
     wanted = os.environ.get(ENVIRONMENT, "")
     if wanted:

@@ -39,6 +39,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Final, NamedTuple
 
@@ -102,6 +103,12 @@ def choose_folder() -> Path | None:
         warnings.warn(text, RuntimeWarning, stacklevel=2)
     os.environ[_DRIVER_ENVIRONMENT] = str(folder)
     return folder
+
+
+@cache
+def settle_folder() -> Path | None:
+    """Choose the folder of this process, once: PoCL wouldn't follow a variable that is set later."""
+    return choose_folder()
 
 
 def strip_comments(source: str) -> str:

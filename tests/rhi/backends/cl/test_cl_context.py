@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -164,3 +165,12 @@ def test_a_device_that_was_asked_for_is_the_only_one_tried(monkeypatch: pytest.M
     monkeypatch.setenv("RHI_CL_DEVICE", "0")
     with pytest.raises(DeviceError, match="undeclared"):
         open_context()
+
+
+def test_a_folder_named_later_leaves_that_of_the_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PoCL, which has read its variable, would not be found in another."""
+    told = os.environ["POCL_CACHE_DIR"]
+    assert open_context().cache.works
+    monkeypatch.setenv("RHI_CACHE", str(tmp_path))
+    assert open_context().cache.works
+    assert os.environ["POCL_CACHE_DIR"] == told
