@@ -34,6 +34,7 @@ PROGRAMS = {
     "wgpu": [["-c", DRAW.format("wgpu")]],
     "images": [["-c", "import PIL, rhi"]],
     "video": [["-c", "import av, rhi"]],
+    "flip": [["-c", "import flip_evaluator, rhi"]],
     "imgui": [["-c", "import imgui_bundle, rhi"]],
     "dask": [["-c", "import distributed, rhi"]],
     "test": [["-m", "pytest", "-q", "--pyargs", "rhi.conformance", "--rhi-backend", "null", "-k", "blending"]],

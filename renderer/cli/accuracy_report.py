@@ -50,12 +50,12 @@ def group_of(knob: Knob) -> str:
     return "culling" if knob.path.startswith("visibility.") else "pictures"
 
 
-ERRORS: Final = ("mean error", "p99", "max error", "flicker")
+ERRORS: Final = ("mean error", "p99", "max error", "flicker", "FLIP")
 
 
 def show_errors(row: ValueRow) -> list[str]:
     """Format the errors of a value: those of `ERRORS`."""
-    shown = (row.mean_error, row.p99, row.max_error, row.flicker)
+    shown = (row.mean_error, row.p99, row.max_error, row.flicker, row.flip)
     return ["" if number is None else f"{number:.4g}" for number in shown]
 
 

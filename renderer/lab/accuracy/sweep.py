@@ -22,7 +22,7 @@ from contextlib import ExitStack
 from dataclasses import astuple, dataclass, field
 from functools import partial
 from operator import truediv
-from statistics import median
+from statistics import fmean, median
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -119,7 +119,7 @@ class ValueSample:
         max_error, worst: the greatest error, -1 if nothing was compared, and its frame, x and y. picture: its place, as
             in `KnobReport`.
         seconds, processor_seconds: of each round.
-        p99, flicker: as in `ValueRow`.
+        p99, flicker: as in `ValueRow`. flips: of each view that is a picture, the FLIP error.
     """
 
     sums: tuple[tuple[float, int], ...]
@@ -130,6 +130,7 @@ class ValueSample:
     processor_seconds: tuple[float, ...]
     p99: float = 0.0
     flicker: float | None = None
+    flips: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +164,7 @@ class ValueRow:
         p99: the error that 1 % of a view's pixels exceed, in the view where it is the greatest.
         flicker: the mean change of a pixel's difference to the truth from one frame of a path to the next, in levels;
             None for what isn't judged by pictures, and where the camera stands.
+        flip: the mean FLIP error (`find_flip`); None for what isn't judged by pictures.
     """
 
     knob: str
@@ -182,6 +184,7 @@ class ValueRow:
     processor_high: float
     p99: float = 0.0
     flicker: float | None = None
+    flip: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,6 +265,7 @@ def _join_samples(samples: Sequence[ValueSample]) -> ValueSample:
         tuple(time for sample in samples for time in sample.processor_seconds),
         max(sample.p99 for sample in samples),
         next((sample.flicker for sample in samples if sample.flicker is not None), None),
+        tuple(flip for sample in samples for flip in sample.flips),
     )
 
 
@@ -319,18 +323,21 @@ class ValueErrors:
         self._sums: list[tuple[float, int]] = []
         self._greatest = -1.0
         self._p99 = 0.0
+        self._flips: list[float] = []
         self.flicker: float | None = None
         self.worst: tuple[int, int, int] | None = None
         self.picture = ""
 
     def add(self, view: Shot, errors: Floats, pictures: tuple[Floats, Floats] | None) -> None:
-        """Add the errors of a view: (h, w), NaN where nothing counts, with the value's picture and the true one; or a
+        """Add the errors of a view: (h, w), NaN where nothing counts, with the true picture and the value's; or a
         single number."""
         counted = errors[np.isfinite(errors)]
         if not counted.size:
             return
         self._sums.append((float(counted.sum()), counted.size))
         self._p99 = max(self._p99, float(np.percentile(counted, 99.0)))
+        if pictures is not None and (flip := find_flip(*pictures)) is not None:
+            self._flips.append(flip)
         greatest = float(counted.max())
         if greatest <= self._greatest:
             return
@@ -349,7 +356,7 @@ class ValueErrors:
         """Return the errors, with times."""
         return ValueSample(
             tuple(self._sums), self._greatest, self.worst, self.picture, time.seconds, time.processor_seconds,
-            self._p99, self.flicker,
+            self._p99, self.flicker, tuple(self._flips),
         )  # fmt: skip
 
 
@@ -371,6 +378,7 @@ def _make_row(knob: Knob, value: str, sample: ValueSample, time: Measurement, ba
         sample.worst, float(f"{scale * time.median:.4g}"), ratio, low, high,
         float(f"{scale * time.processor_median:.4g}"), processor_ratio, processor_low, processor_high,
         float(f"{sample.p99:.5g}"), None if sample.flicker is None else float(f"{sample.flicker:.5g}"),
+        float(f"{fmean(sample.flips):.4g}") if sample.flips else None,
     )  # fmt: skip
 
 
@@ -603,6 +611,18 @@ def count_reached(scene: Scene, camera: Camera, positions: Floats) -> int:
                 reached &= away @ light["direction"] >= np.cos(float(light["outer"])) * np.sqrt(squares)
             total += int(np.count_nonzero(reached))
     return total
+
+
+def find_flip(true: Floats, shown: Floats) -> float | None:
+    """Return the mean FLIP error of a picture, 0 to 1: how much somebody sees who switches between it and the truth, 67
+    pixels a degree (Andersson and others, FLIP: A Difference Evaluator for Alternating Images, 2020). None without
+    `flip-evaluator`. Pictures: (h, w, 3), levels of 255."""
+    try:
+        import flip_evaluator
+    except ImportError:
+        return None
+    pictures = [np.clip(picture / 255.0, 0.0, 1.0).astype(np.float32) for picture in (true, shown)]
+    return float(flip_evaluator.evaluate(*pictures, "LDR", applyMagma=False)[1])
 
 
 def crop_worst(true: Floats, shown: Floats, x: int, y: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -58,7 +59,19 @@ def test_textures_without_mip_levels_flicker_though_single_pictures_are_no_worse
 
 def test_a_camera_that_stands_and_what_is_not_a_picture_have_no_flicker() -> None:
     assert {row.flicker for row in sweep_knob(replace(TINY, camera="street"), "fxaa").rows} == {None}
-    assert {row.flicker for row in sweep_knob(TINY, "depth").rows} == {None}
+    assert {(row.flicker, row.flip) for row in sweep_knob(TINY, "depth").rows} == {(None, None)}
+
+
+def test_flip_falls_with_the_error_and_is_between_nothing_and_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("flip_evaluator", reason="no FLIP: pip install rhi[flip]")
+    rows = sweep_knob(TINY, "scale").rows
+    assert 1.0 > rows[0].flip > 1.5 * rows[-1].flip > 0.0  # type: ignore[operator]
+    black, white = np.zeros((54, 96, 3)), np.full((54, 96, 3), 255.0)
+    assert sweep.find_flip(black, black) == 0.0
+    assert sweep.find_flip(black, white) == pytest.approx(0.967, abs=0.001)
+    assert 0.0 < (sweep.find_flip(white, white - 30.0) or 0.0) < 0.3
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+    assert sweep.find_flip(black, white) is None
 
 
 @pytest.mark.parametrize("change", [0.0, 6.0])
