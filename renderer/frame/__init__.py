@@ -8,6 +8,7 @@ from renderer.frame.layer import SceneLayer as SceneLayer
 from renderer.frame.mirrors import MirroredArray as MirroredArray
 from renderer.frame.needs import EXACT_GLOW as EXACT_GLOW
 from renderer.frame.needs import LAMPS as LAMPS
+from renderer.frame.needs import LIGHT_FORMATS as LIGHT_FORMATS
 from renderer.frame.needs import SHADOW_EFFECTS as SHADOW_EFFECTS
 from renderer.frame.needs import Blending as Blending
 from renderer.frame.needs import Effect as Effect

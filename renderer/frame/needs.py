@@ -89,6 +89,10 @@ class Blending(Enum):
     """Surfaces are averaged, near ones with more weight, in any order (McGuire and Bavoil 2013)."""
 
 
+LIGHT_FORMATS: Final = {11: Format.R11G11B10F, 16: Format.RGBA16F, 32: Format.RGBA32F}
+"""Formats of linear light by the bits of a channel."""
+
+
 @dataclass(frozen=True, slots=True)
 class GlowSettings:
     """Settings of the accuracy of glow.
@@ -97,15 +101,19 @@ class GlowSettings:
         levels: how often the light is halved in size; each level spreads it twice as far.
         tames_sparks: whether single bright pixels count less (Karis 2013), which may flicker as things move. Otherwise
             all light counts the same, and glow has exactly as much as is scattered.
+        bits: those of a channel of the image and of its levels while they hold light: 11 (10 of blue), 16 or 32.
     """
 
     levels: int = 6
     tames_sparks: bool = False
+    bits: int = 16
 
     def __post_init__(self) -> None:
         rules.check_kinds(self, rules.BAD_GLOW)
         if not 1 <= self.levels <= _MOST_LEVELS:
             refuse(rules.BAD_GLOW, "GlowSettings(levels=...)", self.levels, f"a whole number from 1 to {_MOST_LEVELS}")
+        if self.bits not in LIGHT_FORMATS:
+            refuse(rules.BAD_GLOW, "GlowSettings(bits=...)", self.bits, f"one of {', '.join(map(str, LIGHT_FORMATS))}")
 
 
 _MOST_LEVELS: Final = 12
@@ -113,7 +121,7 @@ EXACT_GLOW: Final = GlowSettings()
 """Glow that has all of the light that is scattered."""
 
 _PLAIN_IMAGE: Final = Target("image", IMAGE_FORMAT)
-_BRIGHT_IMAGE: Final = Target("bright image", Format.RGBA16F)
+_BRIGHT_IMAGES: Final = {bits: Target("bright image", format) for bits, format in LIGHT_FORMATS.items()}
 
 _NOUNS: Final = {
     Effect.DIRECTIONAL_LIGHTS: ("directional light", "directional lights"),
@@ -172,7 +180,7 @@ class Needs:
     @property
     def image(self) -> Target:
         """The target of a technique: the image itself, or where there is glow, linear light of any strength."""
-        return _BRIGHT_IMAGE if Effect.GLOW in self.effects else _PLAIN_IMAGE
+        return _BRIGHT_IMAGES[self.glow.bits] if Effect.GLOW in self.effects else _PLAIN_IMAGE
 
     @property
     def lamps_in_view(self) -> int:

@@ -362,6 +362,15 @@ KNOBS: Final[dict[str, Knob]] = {
             demand=Demand.GLOW,
         ),
         _picture(
+            "glow_bits",
+            "bits of a channel of light, where some of it glows",
+            "glow.bits",
+            _same(11, 16, 32),
+            "half floats are a level off in one pixel of thirty",
+            truth=Truth("light of 32 bits", {"glow.bits": 32}),
+            demand=Demand.GLOW,
+        ),
+        _picture(
             "depth",
             "direction of depth in 32-bit floats",
             "depth",

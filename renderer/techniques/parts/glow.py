@@ -22,7 +22,7 @@ from functools import partial
 from typing import Any, Final
 
 import rhi.shading as sl
-from renderer.frame import IMAGE_FORMAT, Effect, Frame, GlowSettings, Needs, Pass, Target
+from renderer.frame import IMAGE_FORMAT, LIGHT_FORMATS, Effect, Frame, GlowSettings, Needs, Pass, Target
 from renderer.shaders.lighting import tone_map
 from renderer.shaders.pixels import BackgroundScreen
 from renderer.techniques.parts.variants import draw_full_screen
@@ -30,7 +30,6 @@ from rhi import (
     BlendColor,
     BlendFactor,
     BlendFunction,
-    Format,
     SamplerDescriptor,
     Wrap,
 )
@@ -163,7 +162,8 @@ def glow_passes(needs: Needs, light: str) -> tuple[Pass[Frame], ...]:
     """Return the passes that make `image` of the contents `light`: none without glow."""
     if Effect.GLOW not in needs.effects:
         return ()
-    levels = tuple(Target(f"glow {i}", Format.RGBA16F, 0.5**i) for i in range(1, needs.glow.levels + 1))
+    format = LIGHT_FORMATS[needs.glow.bits]
+    levels = tuple(Target(f"glow {i}", format, 0.5**i) for i in range(1, needs.glow.levels + 1))
     return (
         Pass(
             "glow",

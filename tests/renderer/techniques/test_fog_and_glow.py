@@ -35,7 +35,7 @@ from renderer.scene import (
 )
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES, Forward, Smoothed, Technique
-from rhi import Op
+from rhi import Format, Op
 
 EYE = Camera.look_at((0, 3, 9), (0, 2, 0), projection=Perspective(aspect=SIZE[0] / SIZE[1]))
 FOG = Fog(0.08, (0.3, 0.5, 0.4), 0.15, base=1.0)
@@ -176,6 +176,21 @@ def test_glow_of_a_scene_is_that_of_its_light_in_float64(gl: rhi.Device) -> None
     assert light.max() == 12.0
     assert light[0, 0] == pytest.approx(find_light(scene.background), rel=1e-3)
     assert np.abs(image - encode(tone_map(add_glow(light, 0.3, 6)))).max() <= 1.0
+
+
+def test_light_with_fewer_bits_is_off_by_what_they_round(gl: rhi.Device) -> None:
+    builder = stage(emission=12.0)
+    builder.glow = Glow(0.3)
+    with open_renderer(gl, builder.build()) as renderer:
+        pictures = {}
+        for bits, format in ((11, Format.R11G11B10F), (16, Format.RGBA16F), (32, Format.RGBA32F)):
+            renderer.glow = GlowSettings(bits=bits)
+            result = renderer.render(EYE)
+            assert {result.targets[name].format for name in ("bright image", "glow 1", "glow 6")} == {format}
+            pictures[bits] = read_colors(result)
+    errors = {bits: np.abs(pictures[bits] - pictures[32]).max() for bits in (11, 16)}
+    assert 1.0 < errors[11] <= 8.0  # blue has 5 bits after the point, and levels add up
+    assert errors[16] <= 1.0
 
 
 def test_without_a_share_light_is_shown_as_it_is_without_glow(gl: rhi.Device) -> None:
