@@ -1,4 +1,13 @@
-"""`capture`: write the times of frames and of their passes to a file."""
+"""`capture`: write the times of frames and of their passes to a file.
+
+  python -m renderer capture city --camera ground --frames 1000 --output city.csv
+  python -m renderer capture hall --technique forward_multipass --visibility frustum --output hall.csv --plot hall.svg
+
+Each row is a frame: its milliseconds from the scene's update until the GPU is finished, and for each pass of its plan
+those between its timestamps on the GPU, and those that the CPU took to issue its commands. The first frame isn't
+counted, nor are those in which `auto` looks for what is the fastest before it. A device that works in batches has the
+work of a pass between its timestamps only in part: the sum of a frame is exact, its division among passes is not.
+"""
 
 from __future__ import annotations
 
@@ -17,16 +26,6 @@ from renderer.lab.measure.capture import CapturedFrame, capture_frames, list_pas
 from renderer.lab.measure.table import format_table
 from renderer.renderer import Renderer
 from renderer.visibility import check_algorithm, make_visibility
-
-_NOTES: Final = """\
-  python -m renderer capture city --camera ground --frames 1000 --output city.csv
-  python -m renderer capture hall --technique forward_multipass --visibility frustum --output hall.csv --plot hall.svg
-
-Each row is a frame: its milliseconds from the scene's update until the GPU is finished, and for each pass of its plan
-those between its timestamps on the GPU, and those that the CPU took to issue its commands. The first frame isn't
-counted, nor are those in which `auto` looks for what is the fastest before it. A device that works in batches has the
-work of a pass between its timestamps only in part: the sum of a frame is exact, its division among passes is not."""
-
 
 _OPTIONS: Final = (
     options.SCENE,
@@ -118,5 +117,5 @@ def plot_frames(frames: list[CapturedFrame], path: Path, title: str) -> None:
 
 
 COMMAND: Final = Subcommand(
-    "capture", "write the times of frames and of their passes to a file", _OPTIONS, _run, _NOTES
+    "capture", "write the times of frames and of their passes to a file", _OPTIONS, _run, __doc__
 )
