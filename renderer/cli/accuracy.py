@@ -38,8 +38,7 @@ from renderer.cli.accuracy_report import (
     ERRORS,
     plot_all,
     show_choice,
-    show_errors,
-    show_ratio,
+    show_row,
     write_images,
     write_page,
 )
@@ -205,17 +204,9 @@ def _describe_point(point: FrontPoint) -> dict[str, Any]:
 def show_reports(reports: list[KnobReport], *, markdown: bool = False) -> str:
     """Format the rows of all knobs as a table."""
     header = ["knob", "value", *ERRORS, "unit", "ms", "ratio", "processor", "default"]
-    rows: list[list[object]] = []
-    for report in reports:
-        for row in report.rows:
-            rows.append(
-                [
-                    row.knob, row.value, *show_errors(row), row.unit,
-                    f"{row.milliseconds:.3g}", show_ratio(row.ratio, row.low, row.high),
-                    show_ratio(row.processor_ratio, row.processor_low, row.processor_high),
-                    "default" if row.is_default else "",
-                ]
-            )  # fmt: skip
+    rows = [
+        [row.knob, *show_row(row), "default" if row.is_default else ""] for report in reports for row in report.rows
+    ]
     return format_table(header, rows, markdown=markdown)
 
 

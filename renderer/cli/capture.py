@@ -79,14 +79,15 @@ def find_medians(frames: list[CapturedFrame]) -> dict[str, dict[str, float]]:
     """Return the median, the least and the most milliseconds of the frame and of each pass, on the GPU where it has
     timestamps and otherwise on the CPU."""
     columns = {"frame": [one.milliseconds for one in frames]} | {
-        name: [
-            time.cpu if time.gpu is None else time.gpu
-            for time in (one.passes.get(name) for one in frames)
-            if time is not None
-        ]
-        for name in list_passes(frames)
+        name: [time for time in _list_times(frames, name) if time is not None] for name in list_passes(frames)
     }
     return {name: {"median": median(times), "least": min(times), "most": max(times)} for name, times in columns.items()}
+
+
+def _list_times(frames: list[CapturedFrame], name: str) -> list[float | None]:
+    """Return the milliseconds of a pass in each frame, None where a frame lacks it."""
+    times = (one.passes.get(name) for one in frames)
+    return [None if time is None else time.cpu if time.gpu is None else time.gpu for time in times]
 
 
 def plot_frames(frames: list[CapturedFrame], path: Path, title: str) -> None:
@@ -94,13 +95,7 @@ def plot_frames(frames: list[CapturedFrame], path: Path, title: str) -> None:
     numbers = [one.frame for one in frames]
     with draw_chart(path, title) as figure:
         axes = figure.add_subplot()
-        stacked = [
-            [
-                (time.cpu if time.gpu is None else time.gpu) if time else 0.0
-                for time in (one.passes.get(name) for one in frames)
-            ]
-            for name in list_passes(frames)
-        ]
+        stacked = [[time or 0.0 for time in _list_times(frames, name)] for name in list_passes(frames)]
         axes.stackplot(numbers, *stacked, labels=list_passes(frames), alpha=0.8, step="mid")
         axes.plot(
             numbers,

@@ -61,15 +61,12 @@ def _run(given: argparse.Namespace) -> None:
                 for row in show_progress(examine(device, cases), device.backend_name, len(cases))
             ]
             has_failed = any(row.passed is False for row in rows)
-            print(_format(rows, as_json=given.json, markdown=given.markdown))
+            if given.json:
+                print(json.dumps([row.as_record() for row in rows]))
+            else:
+                print(show_rows(rows, markdown=given.markdown))
     if has_failed:
         sys.exit(1)
-
-
-def _format(rows: Sequence[ExamRow], *, as_json: bool, markdown: bool) -> str:
-    if as_json:
-        return json.dumps([row.as_record() for row in rows])
-    return show_rows(rows, markdown=markdown)
 
 
 def show_rows(rows: Sequence[ExamRow], *, markdown: bool = False) -> str:
