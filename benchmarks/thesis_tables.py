@@ -38,46 +38,13 @@ MARKS: Final = ("", " (emulated)")
 
 PLATFORMS: Final = ("PC", "Xbox 360", "PlayStation 3", "Wii")
 
-TIMES: Final[dict[str, dict[str, tuple[float | None, ...]]]] = {
-    "ground": {
-        "none": (8.25, 14.25, 43.00, 113.55),
-        "frustum": (4.90, 10.90, 30.80, 81.60),
-        "stop_and_wait": (18.40, 16.25, 38.40, 32.25),
-        "chc": (4.75, 4.85, 14.60, 28.85),
-        "chc_plus_plus": (2.30, 3.15, 7.85, 14.80),
-        "optimized_chc_plus_plus": (None, 3.00, 7.75, 14.45),
-    },
-    "sky": {
-        "none": (8.20, 14.25, 41.00, 113.55),
-        "frustum": (4.95, 11.40, 28.50, 84.60),
-        "stop_and_wait": (32.20, 29.95, 110.00, 82.60),
-        "chc": (10.90, 13.20, 35.00, 87.00),
-        "chc_plus_plus": (5.10, 11.40, 28.50, 75.80),
-        "optimized_chc_plus_plus": (None, 11.25, 27.70, 73.90),
-    },
-}
+_THESIS: Final = json.loads(Path(__file__).with_name("thesis.json").read_text())
+TIMES: Final[dict[str, dict[str, list[float | None]]]] = _THESIS["milliseconds"]
 """The thesis's milliseconds on its platforms (Tables 7.1 to 7.4); None where it gives none."""
 
 COUNTED: Final = ("triangles", "draws", "queries", "software_state_changes", "hardware_state_changes")
 
-COUNTS: Final[dict[str, dict[str, tuple[int, ...]]]] = {
-    "ground": {
-        "none": (1_059_654, 1_898),
-        "frustum": (747_936, 1_235),
-        "stop_and_wait": (81_083, 1_294, 1_227, 7_362, 361),
-        "chc": (260_000, 510, 300, 600, 180),
-        "chc_plus_plus": (103_600, 195, 45, 40, 10),
-        "optimized_chc_plus_plus": (99_000, 190, 50, 40, 16),
-    },
-    "sky": {
-        "none": (1_059_654, 1_898),
-        "frustum": (775_077, 1_295),
-        "stop_and_wait": (563_496, 2_125, 1_295, 7_770, 4_985),
-        "chc": (736_000, 1_434, 500, 400, 300),
-        "chc_plus_plus": (670_000, 1_180, 60, 200, 14),
-        "optimized_chc_plus_plus": (665_000, 1_200, 90, 120, 24),
-    },
-}
+COUNTS: Final[dict[str, dict[str, list[int]]]] = _THESIS["counts"]
 """The thesis's counts on its PC (Table 7.1), and of optimized CHC++ on its Xbox 360 (Table 7.2): on the PC there are
 none."""
 
@@ -143,7 +110,7 @@ def show_times(path: str, reports: list[dict[str, Any]]) -> str:
     header += PLATFORMS
     base = TIMES[path]["none"]
     for name, line in zip(names, cells, strict=True):
-        known = TIMES[path].get(name, (None,) * len(PLATFORMS))
+        known = TIMES[path].get(name, [None] * len(PLATFORMS))
         line += ["" if one is None else f"{one / of:.2f}" for one, of in zip(known, base, strict=True) if of]
     return format_table(header, cells, markdown=True)
 
@@ -157,7 +124,7 @@ def show_counts(path: str, report: dict[str, Any]) -> str:
     cells: list[list[object]] = []
     for name, row in find_rows(report).items():
         line: list[object] = [name, row["milliseconds"]]
-        known = COUNTS[path].get(name.partition(" ")[0], ())
+        known = COUNTS[path].get(name.partition(" ")[0], [])
         for place, counted in enumerate(COUNTED):
             line += [row[counted], known[place] if place < len(known) else ""]
         cells.append(

@@ -1,4 +1,25 @@
-"""`accuracy`: what accuracy costs in time, knob by knob."""
+"""`accuracy`: what accuracy costs in time, knob by knob.
+
+  python -m renderer accuracy city
+  python -m renderer accuracy city --knob precision --knob samples --backend cl
+  python -m renderer accuracy hall:shadows=1 --knob shadow_size --json
+  python -m renderer accuracy city:shadows=1 --output swept --executor processes:2
+  python -m renderer accuracy city:shadows=1 --output swept --error-at-most 2
+  python -m renderer render city:shadows=1 --settings swept/settings.json
+
+A knob is a choice between accuracy and time. Each of its values draws the same frames, and is compared with the truth
+of the knob: float64, super-sampling, brute force, or the exact algorithm. Then all values are timed in turn in one
+process. `ratio` is a value's time in that of the most accurate one, the median of the rounds' ratios, by the clock and
+by the processor, with the ends of its 95 % confidence interval. A knob that needs what the scene or the device lacks is
+left out, and why is said on stderr. Shadows are switched on for the knobs of shadows.
+
+With --output, DIR gets one page with charts and pictures, the same as JSON, and each result as soon as it is there: a
+sweep that was interrupted goes on where it stopped. With --budget-ms or --error-at-most, the knobs that change pictures
+of this scene are combined greedily, drawn and timed. The choice is checked by ten more views, where the mean of their
+errors and four standard deviations must be within the bound, and tried in twenty others. It is written to
+DIR/settings.json, which `render`, `compare techniques`, `compare visibility` and `accuracy` read with --settings; an
+older one is removed before anything is measured, so none is left where the choice is refused.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +38,7 @@ from renderer.cli.accuracy_report import (
     ERRORS,
     plot_all,
     show_choice,
-    show_errors,
-    show_ratio,
+    show_row,
     write_images,
     write_page,
 )
@@ -45,28 +65,6 @@ from renderer.lab.measure import format_table
 from renderer.settings import to_plain
 from renderer.viewer.budget import BudgetStep, save_steps
 from rhi import RhiError, refuse
-
-_NOTES: Final = """\
-  python -m renderer accuracy city
-  python -m renderer accuracy city --knob precision --knob samples --backend cl
-  python -m renderer accuracy hall:shadows=1 --knob shadow_size --json
-  python -m renderer accuracy city:shadows=1 --output swept --executor processes:2
-  python -m renderer accuracy city:shadows=1 --output swept --error-at-most 2
-  python -m renderer render city:shadows=1 --settings swept/settings.json
-
-A knob is a choice between accuracy and time. Each of its values draws the same frames, and is compared with the truth
-of the knob: float64, super-sampling, brute force, or the exact algorithm. Then all values are timed in turn in one
-process. `ratio` is a value's time in that of the most accurate one, the median of the rounds' ratios, by the clock and
-by the processor, with the ends of its 95 % confidence interval. A knob that needs what the scene or the device lacks is
-left out, and why is said on stderr. Shadows are switched on for the knobs of shadows.
-
-With --output, DIR gets one page with charts and pictures, the same as JSON, and each result as soon as it is there: a
-sweep that was interrupted goes on where it stopped. With --budget-ms or --error-at-most, the knobs that change pictures
-of this scene are combined greedily, drawn and timed. The choice is checked by ten more views, where the mean of their
-errors and four standard deviations must be within the bound, and tried in twenty others. It is written to
-DIR/settings.json, which `render`, `compare techniques`, `compare visibility` and `accuracy` read with --settings; an
-older one is removed before anything is measured, so none is left where the choice is refused."""
-
 
 _OPTIONS: Final = (
     options.SCENE,
@@ -206,20 +204,12 @@ def _describe_point(point: FrontPoint) -> dict[str, Any]:
 def show_reports(reports: list[KnobReport], *, markdown: bool = False) -> str:
     """Format the rows of all knobs as a table."""
     header = ["knob", "value", *ERRORS, "unit", "ms", "ratio", "processor", "default"]
-    rows: list[list[object]] = []
-    for report in reports:
-        for row in report.rows:
-            rows.append(
-                [
-                    row.knob, row.value, *show_errors(row), row.unit,
-                    f"{row.milliseconds:.3g}", show_ratio(row.ratio, row.low, row.high),
-                    show_ratio(row.processor_ratio, row.processor_low, row.processor_high),
-                    "default" if row.is_default else "",
-                ]
-            )  # fmt: skip
+    rows = [
+        [row.knob, *show_row(row), "default" if row.is_default else ""] for report in reports for row in report.rows
+    ]
     return format_table(header, rows, markdown=markdown)
 
 
 COMMAND: Final = Subcommand(
-    "accuracy", "show what accuracy costs in time: error and time of each choice", _OPTIONS, _run, _NOTES
+    "accuracy", "show what accuracy costs in time: error and time of each choice", _OPTIONS, _run, __doc__
 )

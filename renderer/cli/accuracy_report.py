@@ -76,6 +76,12 @@ def show_ratio(ratio: float, low: float, high: float) -> str:
     return f"{ratio:.2f} ({low:.2f} to {high:.2f})" if (low, high) != (ratio, ratio) else f"{ratio:.2f}"
 
 
+def show_row(row: ValueRow) -> list[str]:
+    """Format a value: its name, its errors and their unit, its time, and the ratios of time and processor time."""
+    ratios = (row.ratio, row.low, row.high), (row.processor_ratio, row.processor_low, row.processor_high)
+    return [row.value, *show_errors(row), row.unit, f"{row.milliseconds:.3g}", *(show_ratio(*one) for one in ratios)]
+
+
 GROUPS: Final = {
     "pictures": "error of pictures",
     "shadows": "error of shadows",
@@ -232,9 +238,8 @@ def _show_table(reports: Sequence[KnobReport]) -> str:
         for number, row in enumerate(report.rows):
             kind = " ".join(["knob"] * (number == 0) + ["default"] * row.is_default)
             cells = (
-                row.knob if number == 0 else "", row.value, *show_errors(row), row.unit,
-                f"{row.milliseconds:.3g}", show_ratio(row.ratio, row.low, row.high),
-                show_ratio(row.processor_ratio, row.processor_low, row.processor_high),
+                row.knob if number == 0 else "",
+                *show_row(row),
                 knob.truth.name if number == 0 else "",
                 "; ".join(filter(None, (knob.because, knob.exception))) if number == 0 else "",
             )  # fmt: skip

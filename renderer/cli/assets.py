@@ -1,4 +1,12 @@
-"""`assets`: list models and what they use by their content."""
+"""`assets`: list models and what they use by their content.
+
+  python -m renderer assets
+  python -m renderer assets models
+  python -m renderer convert models/old.obj models/new.glb
+
+Files are remembered when they are loaded, or when a folder is listed. One that a scene names and that was moved is then
+found by its content: in its folder and below, or where it was seen. `convert` writes a model in another format.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +23,6 @@ from renderer.content.models import FORMATS
 from renderer.scene.files import read_file
 
 _SUFFIXES: Final = (*FORMATS, ".bin", ".mtl", ".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga")
-_NOTES: Final = """\
-  python -m renderer assets
-  python -m renderer assets models
-  python -m renderer convert models/old.obj models/new.glb
-
-Files are remembered when they are loaded, or when a folder is listed. One that a scene names and that was moved is then
-found by its content: in its folder and below, or where it was seen. `convert` writes a model in another format."""
 
 _OPTIONS: Final = (
     options.file("folder", "folder whose files are listed, and remembered from now on (default: those that are)",
@@ -52,4 +53,4 @@ def _run(given: argparse.Namespace) -> None:
         print(f"{row['id'][:12]}  {row['bytes']:>13,} bytes  {len(row['users'])} users  {where}")
 
 
-COMMAND: Final = Subcommand("assets", "list models and what they use by their content", _OPTIONS, _run, _NOTES)
+COMMAND: Final = Subcommand("assets", "list models and what they use by their content", _OPTIONS, _run, __doc__)

@@ -1,4 +1,13 @@
-"""`capture`: write the times of frames and of their passes to a file."""
+"""`capture`: write the times of frames and of their passes to a file.
+
+  python -m renderer capture city --camera ground --frames 1000 --output city.csv
+  python -m renderer capture hall --technique forward_multipass --visibility frustum --output hall.csv --plot hall.svg
+
+Each row is a frame: its milliseconds from the scene's update until the GPU is finished, and for each pass of its plan
+those between its timestamps on the GPU, and those that the CPU took to issue its commands. The first frame isn't
+counted, nor are those in which `auto` looks for what is the fastest before it. A device that works in batches has the
+work of a pass between its timestamps only in part: the sum of a frame is exact, its division among passes is not.
+"""
 
 from __future__ import annotations
 
@@ -17,16 +26,6 @@ from renderer.lab.measure.capture import CapturedFrame, capture_frames, list_pas
 from renderer.lab.measure.table import format_table
 from renderer.renderer import Renderer
 from renderer.visibility import check_algorithm, make_visibility
-
-_NOTES: Final = """\
-  python -m renderer capture city --camera ground --frames 1000 --output city.csv
-  python -m renderer capture hall --technique forward_multipass --visibility frustum --output hall.csv --plot hall.svg
-
-Each row is a frame: its milliseconds from the scene's update until the GPU is finished, and for each pass of its plan
-those between its timestamps on the GPU, and those that the CPU took to issue its commands. The first frame isn't
-counted, nor are those in which `auto` looks for what is the fastest before it. A device that works in batches has the
-work of a pass between its timestamps only in part: the sum of a frame is exact, its division among passes is not."""
-
 
 _OPTIONS: Final = (
     options.SCENE,
@@ -80,14 +79,15 @@ def find_medians(frames: list[CapturedFrame]) -> dict[str, dict[str, float]]:
     """Return the median, the least and the most milliseconds of the frame and of each pass, on the GPU where it has
     timestamps and otherwise on the CPU."""
     columns = {"frame": [one.milliseconds for one in frames]} | {
-        name: [
-            time.cpu if time.gpu is None else time.gpu
-            for time in (one.passes.get(name) for one in frames)
-            if time is not None
-        ]
-        for name in list_passes(frames)
+        name: [time for time in _list_times(frames, name) if time is not None] for name in list_passes(frames)
     }
     return {name: {"median": median(times), "least": min(times), "most": max(times)} for name, times in columns.items()}
+
+
+def _list_times(frames: list[CapturedFrame], name: str) -> list[float | None]:
+    """Return the milliseconds of a pass in each frame, None where a frame lacks it."""
+    times = (one.passes.get(name) for one in frames)
+    return [None if time is None else time.cpu if time.gpu is None else time.gpu for time in times]
 
 
 def plot_frames(frames: list[CapturedFrame], path: Path, title: str) -> None:
@@ -95,13 +95,7 @@ def plot_frames(frames: list[CapturedFrame], path: Path, title: str) -> None:
     numbers = [one.frame for one in frames]
     with draw_chart(path, title) as figure:
         axes = figure.add_subplot()
-        stacked = [
-            [
-                (time.cpu if time.gpu is None else time.gpu) if time else 0.0
-                for time in (one.passes.get(name) for one in frames)
-            ]
-            for name in list_passes(frames)
-        ]
+        stacked = [[time or 0.0 for time in _list_times(frames, name)] for name in list_passes(frames)]
         axes.stackplot(numbers, *stacked, labels=list_passes(frames), alpha=0.8, step="mid")
         axes.plot(
             numbers,
@@ -118,5 +112,5 @@ def plot_frames(frames: list[CapturedFrame], path: Path, title: str) -> None:
 
 
 COMMAND: Final = Subcommand(
-    "capture", "write the times of frames and of their passes to a file", _OPTIONS, _run, _NOTES
+    "capture", "write the times of frames and of their passes to a file", _OPTIONS, _run, __doc__
 )

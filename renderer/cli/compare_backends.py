@@ -1,4 +1,16 @@
-"""`compare backends`: measure what the same passes of a scene cost on each backend."""
+"""`compare backends`: measure what the same passes of a scene cost on each backend.
+
+  python -m renderer compare backends city --passes depth,lit,textured,queries --size 1280x720
+  python -m renderer compare backends city --camera-path sky --passes depth --json
+  python -m renderer compare backends hall --passes depth,lit --plot hall.png
+
+All objects are drawn without culling, front to back, with one camera. A round runs a pass once on each backend;
+each round starts with another backend. Times are medians over the rounds, from the first command until the device is
+finished. `ratio to gl` says how many times as fast as gl a backend is: the median of the rounds' ratios. `queries`
+queries up to 1,000 boxes and then reads all results; `waited` reads each result before it issues the next query.
+`kernels` says which kernels cl ran in the rounds: a long run has `optimised` ones, so figures of `quick` ones hold for
+a first run only; RHI_KERNELS=optimised measures a long run.
+"""
 
 from __future__ import annotations
 
@@ -17,17 +29,6 @@ from renderer.lab.backends import compare_backends
 from renderer.lab.comparison import Record
 from renderer.lab.measure.backends import PASSES
 
-_NOTES: Final = """\
-  python -m renderer compare backends city --passes depth,lit,textured,queries --size 1280x720
-  python -m renderer compare backends city --camera-path sky --passes depth --json
-  python -m renderer compare backends hall --passes depth,lit --plot hall.png
-
-All objects are drawn without culling, front to back, with one camera. A round runs a pass once on each backend;
-each round starts with another backend. Times are medians over the rounds, from the first command until the device is
-finished. `ratio to gl` says how many times as fast as gl a backend is: the median of the rounds' ratios. `queries`
-queries up to 1,000 boxes and then reads all results; `waited` reads each result before it issues the next query.
-`kernels` says which kernels cl ran in the rounds: a long run has `optimised` ones, so figures of `quick` ones hold for
-a first run only; RHI_KERNELS=optimised measures a long run."""
 _BASE = "gl"
 
 
@@ -84,6 +85,6 @@ def plot_backends(figure: Any, rows: Sequence[Record]) -> None:
 
 
 COMMAND: Final = ComparisonProgram(
-    "backends", "compare what a scene's passes cost on each backend", _NOTES, _OPTIONS, _measure,
+    "backends", "compare what a scene's passes cost on each backend", __doc__, _OPTIONS, _measure,
     plot=plot_backends,
 ).command  # fmt: skip

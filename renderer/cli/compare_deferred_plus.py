@@ -1,4 +1,17 @@
-"""`compare deferred-plus`: Deferred+ and clustered forward shading, with and without culling."""
+"""`compare deferred-plus`: Deferred+ and clustered forward shading, with and without culling.
+
+  python -m renderer compare deferred-plus city --camera-path ground --frames 30
+  python -m renderer compare deferred-plus city --size 1280x720 --backend cl --markdown
+  python -m renderer compare deferred-plus hall --frames 2 --output buffers.png
+
+The frames of a walk are drawn in turn by Deferred+ in one pass over the screen, by Deferred+ with each material in
+rectangles of its own, and by clustered forward shading, with two-pass culling and with frustum culling only. Times of
+frames are from the scene's update until the device is finished, medians of all frames; those of steps lie between
+timestamps of the device, and include what it has been given before. `processor ms` is the time of all threads. Then
+follows what culling has drawn: what its first pass held to be visible, and what only the second one has found. `wrong
+pixels` are those that aren't the same without culling. Under OpenCL set RHI_KERNELS=optimised; `kernels` says which
+ones cl ran in the frames whose times were taken.
+"""
 
 from __future__ import annotations
 
@@ -17,20 +30,6 @@ from renderer.lab.comparison import Record
 from renderer.lab.deferred_plus import STEPS, compare_deferred_plus
 from renderer.lab.measure import format_table
 from renderer.lab.measure.buffers import picture_buffers
-
-_NOTES: Final = """\
-  python -m renderer compare deferred-plus city --camera-path ground --frames 30
-  python -m renderer compare deferred-plus city --size 1280x720 --backend cl --markdown
-  python -m renderer compare deferred-plus hall --frames 2 --output buffers.png
-
-The frames of a walk are drawn in turn by Deferred+ in one pass over the screen, by Deferred+ with each material in
-rectangles of its own, and by clustered forward shading, with two-pass culling and with frustum culling only. Times of
-frames are from the scene's update until the device is finished, medians of all frames; those of steps lie between
-timestamps of the device, and include what it has been given before. `processor ms` is the time of all threads. Then
-follows what culling has drawn: what its first pass held to be visible, and what only the second one has found. `wrong
-pixels` are those that aren't the same without culling. Under OpenCL set RHI_KERNELS=optimised; `kernels` says which
-ones cl ran in the frames whose times were taken."""
-
 
 _OPTIONS: Final = (
     options.SCENE,
@@ -89,6 +88,6 @@ def show_culling(about: Mapping[str, Any], markdown: bool) -> Sequence[str]:
 
 
 COMMAND: Final = ComparisonProgram(
-    "deferred-plus", "compare Deferred+ and clustered forward shading, with and without culling", _NOTES,
+    "deferred-plus", "compare Deferred+ and clustered forward shading, with and without culling", __doc__,
     _OPTIONS, _measure, show=show_steps, more=show_culling,
 ).command  # fmt: skip

@@ -1,4 +1,14 @@
-"""`compare encodings`: what the encodings of a geometry buffer lose, and what they cost."""
+"""`compare encodings`: what the encodings of a geometry buffer lose, and what they cost.
+
+  python -m renderer compare encodings
+  python -m renderer compare encodings --backend cl --json
+  python -m renderer compare encodings --plot encodings.png
+
+Each device stores and reads random values. Errors are those against the values in float64: for directions the angle,
+for derivatives the difference of the vectors in percent of their length, for texture coordinates millionths of a
+repetition, for positions millionths of the distance along the view, or pixels beside their place in the image. Times
+are for encoding and decoding one value, on all cores together; they are medians.
+"""
 
 from __future__ import annotations
 
@@ -15,17 +25,6 @@ from renderer.cli.output import open_working, show_progress
 from renderer.lab.comparison import Record
 from renderer.lab.encodings import compare_encodings
 from renderer.lab.measure.encodings import ENCODINGS
-
-_NOTES: Final = """\
-  python -m renderer compare encodings
-  python -m renderer compare encodings --backend cl --json
-  python -m renderer compare encodings --plot encodings.png
-
-Each device stores and reads random values. Errors are those against the values in float64: for directions the angle,
-for derivatives the difference of the vectors in percent of their length, for texture coordinates millionths of a
-repetition, for positions millionths of the distance along the view, or pixels beside their place in the image. Times
-are for encoding and decoding one value, on all cores together; they are medians."""
-
 
 _OPTIONS: Final = (
     option("--backend", "gl or cl", None, "all devices here that run shaders", metavar="NAME"),
@@ -85,6 +84,6 @@ def plot_rows(figure: Any, rows: Sequence[Record]) -> None:
 
 
 COMMAND: Final = ComparisonProgram(
-    "encodings", "compare the encodings of a geometry buffer", _NOTES, _OPTIONS, _measure,
+    "encodings", "compare the encodings of a geometry buffer", __doc__, _OPTIONS, _measure,
     titles={"name": "encoding", "unit": ""}, show=show_rows, plot=plot_rows,
 ).command  # fmt: skip

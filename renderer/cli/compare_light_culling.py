@@ -1,4 +1,20 @@
-"""`compare light-culling`: what each test of lights against tiles or clusters keeps, and what it costs."""
+"""`compare light-culling`: what each test of lights against tiles or clusters keeps, and what it costs.
+
+  python -m renderer compare light-culling hall --lights 4,8,14 --tile 8 --size 1280x720
+  python -m renderer compare light-culling hall --lights 14 --tests exact,hybrid,planes --pre-filter both
+  python -m renderer compare light-culling hall:lights=1024 --tests planes,exact --plot pairs.png
+  python -m renderer compare light-culling night --lights 1024 --tests exact --cones sphere,tight --depth-mask both
+  python -m renderer compare light-culling city --lights 13 --slices 24 --tile 64 --backend cl --json
+
+The scene is drawn once, so that cells end at their tile's nearest and farthest surface; then every test lists the
+lights of the same frame. `pairs` counts the lights on all lists, `over exact` is their number divided by that of the
+pairs that overlap, found in float64, and `missed` counts those that overlap and aren't listed. The lights are chosen
+from all point and spot lights of the scene; of a spot light the sphere around its cone is tested. `tests made` includes
+those of blocks of 8 x 8 tiles. With a test of cones or the depth mask, which drop pairs of which only the spheres
+overlap, `missed` counts lights that aren't listed for a cell with a pixel that they light. Times are medians:
+`collect ms` from the upload of the lights until the lists are finished, `draw ms` of drawing the scene by the lists.
+`kernels` says which kernels cl drew with: RHI_KERNELS=optimised measures a long run.
+"""
 
 from __future__ import annotations
 
@@ -19,21 +35,6 @@ from renderer.lights.culling import CONE_TESTS, SPHERE_TESTS
 from renderer.renderer import Renderer
 from renderer.visibility import make_visibility
 
-_NOTES: Final = """\
-  python -m renderer compare light-culling hall --lights 4,8,14 --tile 8 --size 1280x720
-  python -m renderer compare light-culling hall --lights 14 --tests exact,hybrid,planes --pre-filter both
-  python -m renderer compare light-culling hall:lights=1024 --tests planes,exact --plot pairs.png
-  python -m renderer compare light-culling night --lights 1024 --tests exact --cones sphere,tight --depth-mask both
-  python -m renderer compare light-culling city --lights 13 --slices 24 --tile 64 --backend cl --json
-
-The scene is drawn once, so that cells end at their tile's nearest and farthest surface; then every test lists the
-lights of the same frame. `pairs` counts the lights on all lists, `over exact` is their number divided by that of the
-pairs that overlap, found in float64, and `missed` counts those that overlap and aren't listed. The lights are chosen
-from all point and spot lights of the scene; of a spot light the sphere around its cone is tested. `tests made` includes
-those of blocks of 8 x 8 tiles. With a test of cones or the depth mask, which drop pairs of which only the spheres
-overlap, `missed` counts lights that aren't listed for a cell with a pixel that they light. Times are medians:
-`collect ms` from the upload of the lights until the lists are finished, `draw ms` of drawing the scene by the lists.
-`kernels` says which kernels cl drew with: RHI_KERNELS=optimised measures a long run."""
 _SWITCHES: Final = {"on": (True,), "off": (False,), "both": (True, False)}
 
 
@@ -104,6 +105,6 @@ def plot_tests(figure: Any, rows: Sequence[Record]) -> None:
 _WAYS: Final = ("test", "cones", "depth_mask", "pre_filter")
 _CHARTED: Final = {"pairs": "pairs of a cell and a light", "collect_ms": "ms to list", "draw_ms": "ms to draw"}
 COMMAND: Final = ComparisonProgram(
-    "light-culling", "compare the tests that assign lights to tiles or clusters", _NOTES,
+    "light-culling", "compare the tests that assign lights to tiles or clusters", __doc__,
     (*_OPTIONS, options.chart("pairs and times")), _measure, plot=plot_tests,
 ).command  # fmt: skip

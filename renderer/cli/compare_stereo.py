@@ -1,4 +1,15 @@
-"""`compare stereo`: what a frame costs with one eye and with two, with and without shadows."""
+"""`compare stereo`: what a frame costs with one eye and with two, with and without shadows.
+
+  python -m renderer compare stereo city --sizes 640x360,960x540 --shadows off,on
+  python -m renderer compare stereo hall --technique deferred --stereo dubois,side_by_side --json
+  python -m renderer compare stereo night:lights=256 --sizes 960x540 --backend cl --markdown
+
+One eye and all ways to show two take turns, frame by frame along a path, culled by the frustum. Times are medians, from
+the scene's update until the GPU is finished; `processor ms` is the time of the processor in all threads. Ratios are to
+one eye in the same frame. An output that ends in _reprojected makes the right eye's picture of the left one's. With
+`--shadows on`, all lights cast shadows that can. Under OpenCL set RHI_KERNELS=optimised, or the first frames are drawn
+by kernels that were built in a hurry; `kernels` says which ones cl ran in the frames.
+"""
 
 from __future__ import annotations
 
@@ -19,16 +30,6 @@ from renderer.scene import Scene
 from renderer.stereo import find_rig
 from renderer.techniques import TECHNIQUES
 
-_NOTES: Final = """\
-  python -m renderer compare stereo city --sizes 640x360,960x540 --shadows off,on
-  python -m renderer compare stereo hall --technique deferred --stereo dubois,side_by_side --json
-  python -m renderer compare stereo night:lights=256 --sizes 960x540 --backend cl --markdown
-
-One eye and all ways to show two take turns, frame by frame along a path, culled by the frustum. Times are medians, from
-the scene's update until the GPU is finished; `processor ms` is the time of the processor in all threads. Ratios are to
-one eye in the same frame. An output that ends in _reprojected makes the right eye's picture of the left one's. With
-`--shadows on`, all lights cast shadows that can. Under OpenCL set RHI_KERNELS=optimised, or the first frames are drawn
-by kernels that were built in a hurry; `kernels` says which ones cl ran in the frames."""
 _SWITCH: Final = {"off": False, "on": True}
 _DEFAULT: Final = ("dubois", "color", "side_by_side", "color_reprojected")
 
@@ -95,5 +96,5 @@ _OPTIONS: Final = (
     *options.form(),
 )  # fmt: skip
 COMMAND: Final = ComparisonProgram(
-    "stereo", "compare what a frame costs with one eye and with two", _NOTES, _OPTIONS, _measure, show=show_sizes
+    "stereo", "compare what a frame costs with one eye and with two", __doc__, _OPTIONS, _measure, show=show_sizes
 ).command

@@ -1,4 +1,21 @@
-"""`compare techniques`: what a frame costs with each technique, for several numbers of objects and lights."""
+"""`compare techniques`: what a frame costs with each technique, for several numbers of objects and lights.
+
+  python -m renderer compare techniques grid --objects 1,4,16,64,256 --lights 1,8,32,128 --backend gl
+  python -m renderer compare techniques night --lights 64,1024,4096 --techniques forward,clustered --json
+  python -m renderer compare techniques city --camera ground --frame 600
+  python -m renderer compare techniques grid --objects 1,256 --lights 1,2,4,8,16,32,64,128 --plot wilks.png
+
+--objects and --lights set the options of the scene's generator that say how many there are: `count` and `lights`
+(`grid` has both, `hall` and `night` have lights). Without them the scene is compared as it is; a scene without such an
+option, as the city or a model file, can only be compared so.
+
+All techniques draw the same frame in turn in one process, without occlusion culling. Times are medians, from the
+scene's update until the GPU is finished; `processor ms` is the time of the processor in all threads. `light
+evaluations` counts how often a light is looked at for a surface: the entries of the lists that fragments walk, or the
+fragments of lights' volumes; on the null device nothing is counted. `bytes per pixel` are those of all textures of the
+plan. `draws` are draw commands; one may draw many objects or lights. Under OpenCL set RHI_KERNELS=optimised, or the
+first frames are drawn by kernels that were built in a hurry; `kernels` says which ones cl ran in the rounds.
+"""
 
 from __future__ import annotations
 
@@ -19,24 +36,6 @@ from renderer.content import load_scene
 from renderer.lab.comparison import Record
 from renderer.lab.techniques import compare_techniques, vary_scene
 from renderer.techniques import TECHNIQUES
-
-_NOTES: Final = """\
-  python -m renderer compare techniques grid --objects 1,4,16,64,256 --lights 1,8,32,128 --backend gl
-  python -m renderer compare techniques night --lights 64,1024,4096 --techniques forward,clustered --json
-  python -m renderer compare techniques city --camera ground --frame 600
-  python -m renderer compare techniques grid --objects 1,256 --lights 1,2,4,8,16,32,64,128 --plot wilks.png
-
---objects and --lights set the options of the scene's generator that say how many there are: `count` and `lights`
-(`grid` has both, `hall` and `night` have lights). Without them the scene is compared as it is; a scene without such an
-option, as the city or a model file, can only be compared so.
-
-All techniques draw the same frame in turn in one process, without occlusion culling. Times are medians, from the
-scene's update until the GPU is finished; `processor ms` is the time of the processor in all threads. `light
-evaluations` counts how often a light is looked at for a surface: the entries of the lists that fragments walk, or the
-fragments of lights' volumes; on the null device nothing is counted. `bytes per pixel` are those of all textures of the
-plan. `draws` are draw commands; one may draw many objects or lights. Under OpenCL set RHI_KERNELS=optimised, or the
-first frames are drawn by kernels that were built in a hurry; `kernels` says which ones cl ran in the rounds."""
-
 
 SUBJECTS: Final[dict[str, tuple[str, dict[str, Any]]]] = {name: (name, {}) for name in TECHNIQUES} | {
     f"{name}_{way}": (name, {way: True})
@@ -111,6 +110,6 @@ def plot_techniques(figure: Any, rows: Sequence[Record]) -> None:
 
 
 COMMAND: Final = ComparisonProgram(
-    "techniques", "compare what a frame costs with each technique", _NOTES, _OPTIONS, _measure,
+    "techniques", "compare what a frame costs with each technique", __doc__, _OPTIONS, _measure,
     plot=plot_techniques,
 ).command  # fmt: skip

@@ -1,24 +1,5 @@
-"""`compare visibility`: print the thesis's tables (chapter 7) for a scene, a camera path and a backend."""
+"""`compare visibility`: print the thesis's tables (chapter 7) for a scene, a camera path and a backend.
 
-from __future__ import annotations
-
-import argparse
-from collections.abc import Sequence
-from dataclasses import asdict, replace
-from typing import Any, Final
-
-import rhi
-from renderer.cli import options
-from renderer.cli.arguments import open_scene
-from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
-from renderer.cli.output import OutputError, show_progress
-from renderer.content import find_path
-from renderer.lab.comparison import Record
-from renderer.lab.visibility import compare_algorithms, list_contenders, list_frames
-from renderer.renderer import Renderer
-from renderer.visibility import ALGORITHMS, VisibilitySettings, check_algorithm, list_algorithms
-
-_NOTES: Final = """\
   python -m renderer compare visibility city --camera-path ground --frames 60
   python -m renderer compare visibility city --camera-path sky --frames 60 --json
   python -m renderer compare visibility hall --algorithms none,frustum,chc_plus_plus --plot hall.png
@@ -38,7 +19,26 @@ queries, as in the thesis. `wrong pixels` is the largest number, in any frame, o
 surfaces the one drawn first stays. `stalled` is how long the CPU waited. Where a scene simulates something,
 `simulation steps` counts the steps of what was drawn, and `skipped simulations` what wasn't drawn.
 `kernels` says which kernels cl ran in the counted frames: RHI_KERNELS=optimised measures a long run.
-The null device answers no queries. On it `auto` is frustum culling, and algorithms that use queries don't run."""
+The null device answers no queries. On it `auto` is frustum culling, and algorithms that use queries don't run.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from typing import Any, Final
+
+import rhi
+from renderer.cli import options
+from renderer.cli.arguments import open_scene
+from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
+from renderer.cli.output import OutputError, show_progress
+from renderer.content import find_path
+from renderer.lab.comparison import Record
+from renderer.lab.visibility import compare_algorithms, list_contenders, list_frames
+from renderer.renderer import Renderer
+from renderer.visibility import ALGORITHMS, VisibilitySettings, check_algorithm, list_algorithms
 
 
 def measure_visibility(given: argparse.Namespace) -> Report:
@@ -117,6 +117,6 @@ _OPTIONS: Final = (
     options.chart("times and triangles"),
 )  # fmt: skip
 COMMAND: Final = ComparisonProgram(
-    "visibility", "compare visibility algorithms along a camera path", _NOTES, _OPTIONS, measure_visibility,
+    "visibility", "compare visibility algorithms along a camera path", __doc__, _OPTIONS, measure_visibility,
     show=show_rows, plot=plot_algorithms,
 ).command  # fmt: skip

@@ -46,7 +46,7 @@ class ComparisonProgram:
     """A comparison that can be asked for: a subject of `compare`, or a program of `benchmarks`.
 
     Attributes:
-        notes: examples, and what the columns mean.
+        notes: the docstring of the module: after its first line examples, and what the columns mean.
         options: all its options: those of `options.form`, too, and that of `options.chart` if there is a chart.
         measure: makes the report.
         titles: the titles of columns whose names don't say enough.
@@ -58,7 +58,7 @@ class ComparisonProgram:
 
     name: str
     summary: str
-    notes: str
+    notes: str | None
     options: Sequence[CommandOption]
     measure: Callable[[argparse.Namespace], Report]
     titles: Mapping[str, str] = field(default_factory=dict)

@@ -1,4 +1,11 @@
-"""`convert`: write a scene as a glTF file."""
+"""`convert`: write a scene as a glTF file.
+
+  python -m renderer convert city:blocks=12 city.glb
+  python -m renderer convert model.obj model.gltf
+  python -m renderer render city.glb --camera ground
+
+A scene that was written is read back the same. What the file can't hold is listed on stderr.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +19,6 @@ from renderer.cli.arguments import open_scene
 from renderer.cli.output import note
 from renderer.cli.subcommand import Subcommand
 from renderer.content import save_scene
-
-_NOTES: Final = """\
-  python -m renderer convert city:blocks=12 city.glb
-  python -m renderer convert model.obj model.gltf
-  python -m renderer render city.glb --camera ground
-
-A scene that was written is read back the same. What the file can't hold is listed on stderr."""
-
 
 _OPTIONS: Final = (
     options.SCENE,
@@ -45,4 +44,4 @@ def _run(given: argparse.Namespace) -> None:
     print(json.dumps(report) if given.json else summary)
 
 
-COMMAND: Final = Subcommand("convert", "write a scene as a glTF file", _OPTIONS, _run, _NOTES)
+COMMAND: Final = Subcommand("convert", "write a scene as a glTF file", _OPTIONS, _run, __doc__)

@@ -1,4 +1,13 @@
-"""`debug visibility`: picture what was culled and why, from the camera and from above (thesis, Figures 6.1, 6.3)."""
+"""`debug visibility`: picture what was culled and why, from the camera and from above (thesis, Figures 6.1, 6.3).
+
+  python -m renderer debug visibility city --frame 900 --output culled.png
+  python -m renderer debug visibility city --algorithm frustum --camera sky --frame 700
+  python -m renderer debug visibility hall --algorithm stop_and_wait --camera aisle --json
+
+The left picture is the camera's image with the edges of bounding boxes; those of hidden objects are drawn over what
+hides them. The right picture shows the boxes from above, except those that cover more than a twentieth of it. The
+frames before are drawn first, for algorithms that use the results of earlier frames (see --warm-up).
+"""
 
 from __future__ import annotations
 
@@ -25,15 +34,6 @@ from renderer.lab.measure.pictures import (
 )
 from renderer.renderer import Renderer
 from renderer.visibility import make_visibility
-
-_NOTES: Final = """\
-  python -m renderer debug visibility city --frame 900 --output culled.png
-  python -m renderer debug visibility city --algorithm frustum --camera sky --frame 700
-  python -m renderer debug visibility hall --algorithm stop_and_wait --camera aisle --json
-
-The left picture is the camera's image with the edges of bounding boxes; those of hidden objects are drawn over what
-hides them. The right picture shows the boxes from above, except those that cover more than a twentieth of it. The
-frames before are drawn first, for algorithms that use the results of earlier frames (see --warm-up)."""
 
 _LEGEND = 22
 """Height in pixels of the line of text below the pictures."""
@@ -98,4 +98,4 @@ def compose(pictures: tuple[NDArray[np.uint8], NDArray[np.uint8]], counts: dict[
     return image
 
 
-COMMAND: Final = Subcommand("visibility", "picture what was culled and why", _OPTIONS, _run, _NOTES)
+COMMAND: Final = Subcommand("visibility", "picture what was culled and why", _OPTIONS, _run, __doc__)

@@ -1,4 +1,15 @@
-"""`demo`: measure several variants to render a scene along its paths, and write pictures made by the fastest device."""
+"""`demo`: measure several variants to render a scene along its paths, and write pictures made by the fastest device.
+
+  python -m renderer demo
+  python -m renderer demo hall --output pictures
+  python -m renderer demo city:blocks=12 --frames 20
+
+All backends that work here are compared, or only the one that RHI_BACKEND names; the fastest writes the pictures.
+The frames are spread evenly along each path, and each is rendered in all ways in turn. Times are medians, until the
+GPU is finished. `vs none` is the median of the frames' ratios to no culling. Counters are means per frame. The null
+device records the same commands and draws nothing: its time is that of the CPU. `kernels` says which kernels cl ran:
+those of a first run are `quick` ones, unless RHI_KERNELS=optimised.
+"""
 
 from __future__ import annotations
 
@@ -20,17 +31,6 @@ from renderer.lab.measure import format_rows
 from renderer.renderer import FrameStatistics, Renderer
 from renderer.scene import FRAME_COUNT
 from renderer.visibility import make_visibility
-
-_NOTES: Final = """\
-  python -m renderer demo
-  python -m renderer demo hall --output pictures
-  python -m renderer demo city:blocks=12 --frames 20
-
-All backends that work here are compared, or only the one that RHI_BACKEND names; the fastest writes the pictures.
-The frames are spread evenly along each path, and each is rendered in all ways in turn. Times are medians, until the
-GPU is finished. `vs none` is the median of the frames' ratios to no culling. Counters are means per frame. The null
-device records the same commands and draws nothing: its time is that of the CPU. `kernels` says which kernels cl ran:
-those of a first run are `quick` ones, unless RHI_KERNELS=optimised."""
 
 _PICTURED = {"ground": 900, "sky": 700}
 """The frame of each path that is written as a picture."""
@@ -108,5 +108,5 @@ def write_picture(renderer: Renderer, name: str, folder: Path) -> None:
 
 
 COMMAND: Final = Subcommand(
-    "demo", "render a scene along its paths in several ways and print what each costs", _OPTIONS, _run, _NOTES
+    "demo", "render a scene along its paths in several ways and print what each costs", _OPTIONS, _run, __doc__
 )

@@ -1,4 +1,14 @@
-"""`exam`: the hard cases, measured on each backend."""
+"""`exam`: the hard cases, measured on each backend.
+
+  python -m renderer exam
+  python -m renderer exam --backend numpy --json
+  python -m renderer exam --case 13 --case 21
+  python -m renderer exam --show 21 --backend cl --output case21.png
+
+Each case has a reference, and a tolerance with its reason, which --show prints. What a device lacks is declared in
+its capabilities; a case that needs it doesn't apply, and isn't passed. A case that raises an error has failed. The exit
+code is 1 if a case has failed on some backend.
+"""
 
 from __future__ import annotations
 
@@ -19,17 +29,6 @@ from renderer.lab.exam import CASES, Case, ExamRow, examine, find_cases
 from renderer.lab.exam.case import NOTHING
 from renderer.lab.exam.pictures import join_pictures
 from renderer.lab.measure import format_table
-
-_NOTES: Final = """\
-  python -m renderer exam
-  python -m renderer exam --backend numpy --json
-  python -m renderer exam --case 13 --case 21
-  python -m renderer exam --show 21 --backend cl --output case21.png
-
-Each case has a reference, and a tolerance with its reason, which --show prints. What a device lacks is declared in
-its capabilities; a case that needs it doesn't apply, and isn't passed. A case that raises an error has failed. The exit
-code is 1 if a case has failed on some backend."""
-
 
 _OPTIONS: Final = (
     option("--backend", "a registered backend; may be repeated", None, "gl, cl and null, as far as they work here",
@@ -62,15 +61,12 @@ def _run(given: argparse.Namespace) -> None:
                 for row in show_progress(examine(device, cases), device.backend_name, len(cases))
             ]
             has_failed = any(row.passed is False for row in rows)
-            print(_format(rows, as_json=given.json, markdown=given.markdown))
+            if given.json:
+                print(json.dumps([row.as_record() for row in rows]))
+            else:
+                print(show_rows(rows, markdown=given.markdown))
     if has_failed:
         sys.exit(1)
-
-
-def _format(rows: Sequence[ExamRow], *, as_json: bool, markdown: bool) -> str:
-    if as_json:
-        return json.dumps([row.as_record() for row in rows])
-    return show_rows(rows, markdown=markdown)
 
 
 def show_rows(rows: Sequence[ExamRow], *, markdown: bool = False) -> str:
@@ -150,4 +146,4 @@ def _list_report(report: dict[str, object]) -> str:
     return "\n".join(lines)
 
 
-COMMAND: Final = Subcommand("exam", f"examine backends in {len(CASES)} hard cases", _OPTIONS, _run, _NOTES)
+COMMAND: Final = Subcommand("exam", f"examine backends in {len(CASES)} hard cases", _OPTIONS, _run, __doc__)

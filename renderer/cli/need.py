@@ -1,4 +1,15 @@
-"""`need`: what each effect adds to a frame, and that removing it takes exactly this away."""
+"""`need`: what each effect adds to a frame, and that removing it takes exactly this away.
+
+  python -m renderer need
+  python -m renderer need --rung shadow --rung glass --backend gl --rounds 100
+  python -m renderer need --backend gl --backend cl --output docs
+
+A ladder of scenes, each of which has one effect more than the one before. Counts are those of a null device, so no
+GPU is needed, and are the same everywhere. With --backend, times of the processor are measured in alternation, too,
+with 95 % intervals: what an effect adds, and the time of a frame from which it was removed as a multiple of that of
+one that never had it. The exit code is 1 if an effect costs something where it isn't, or leaves something behind.
+With --output DIR, the page need.md and the picture images/need.png are written to DIR.
+"""
 
 from __future__ import annotations
 
@@ -29,17 +40,6 @@ from renderer.lab.need import (
     time_asking,
     time_need,
 )
-
-_NOTES: Final = """\
-  python -m renderer need
-  python -m renderer need --rung shadow --rung glass --backend gl --rounds 100
-  python -m renderer need --backend gl --backend cl --output docs
-
-A ladder of scenes, each of which has one effect more than the one before. Counts are those of a null device, so no
-GPU is needed, and are the same everywhere. With --backend, times of the processor are measured in alternation, too,
-with 95 % intervals: what an effect adds, and the time of a frame from which it was removed as a multiple of that of
-one that never had it. The exit code is 1 if an effect costs something where it isn't, or leaves something behind.
-With --output DIR, the page need.md and the picture images/need.png are written to DIR."""
 
 _PAGE: Final = Path(__file__).with_name("need_page.md")
 """The text of `docs/need.md`, around the tables that are measured."""
@@ -145,4 +145,4 @@ def _render(numbers: Iterable[int]) -> list[NDArray[Any]]:
     raise OutputError("--output: no backend here draws pictures")
 
 
-COMMAND: Final = Subcommand("need", "what each effect adds to a frame, and takes away", _OPTIONS, _run, _NOTES)
+COMMAND: Final = Subcommand("need", "what each effect adds to a frame, and takes away", _OPTIONS, _run, __doc__)

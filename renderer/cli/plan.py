@@ -1,4 +1,15 @@
-"""`plan`: show the passes of a frame, and why each of them is there."""
+"""`plan`: show the passes of a frame, and why each of them is there.
+
+  python -m renderer plan city
+  python -m renderer plan hall --technique forward --camera ground --frame 600 --json
+  python -m renderer plan city --plot plan.svg
+  python -m renderer plan night --backend gl
+
+A pass is in the plan because an effect of the scene calls for it, or because another pass reads what it writes. The
+commands are counted on the null device, so no GPU is needed. With --technique auto, the device that --backend names
+says which technique is the fastest; the null device doesn't know. In the plot a column is a pass and a row a texture,
+with the contents that it holds in turn: dark where they are written, light where they are read.
+"""
 
 from __future__ import annotations
 
@@ -22,18 +33,6 @@ from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.techniques import AutoTechnique, Technique
 from renderer.visibility import FrustumCulling
-
-_NOTES: Final = """\
-  python -m renderer plan city
-  python -m renderer plan hall --technique forward --camera ground --frame 600 --json
-  python -m renderer plan city --plot plan.svg
-  python -m renderer plan night --backend gl
-
-A pass is in the plan because an effect of the scene calls for it, or because another pass reads what it writes. The
-commands are counted on the null device, so no GPU is needed. With --technique auto, the device that --backend names
-says which technique is the fastest; the null device doesn't know. In the plot a column is a pass and a row a texture,
-with the contents that it holds in turn: dark where they are written, light where they are read."""
-
 
 _OPTIONS: Final = (
     options.SCENE,
@@ -145,4 +144,6 @@ def plot_plan(report: PlanReport, path: Path, title: str) -> None:
         axes.set_xlim(-0.5, max(len(report.passes), 4) - 0.5)
 
 
-COMMAND: Final = Subcommand("plan", "show the passes of a frame, and why each of them is there", _OPTIONS, _run, _NOTES)
+COMMAND: Final = Subcommand(
+    "plan", "show the passes of a frame, and why each of them is there", _OPTIONS, _run, __doc__
+)

@@ -1,4 +1,22 @@
-"""`render`: render a scene, write the image and report what it cost."""
+"""`render`: render a scene, write the image and report what it cost.
+
+  python -m renderer render city --output city.png
+  python -m renderer render city:blocks=12,seed=3 --camera sky --frame 600
+  python -m renderer render model.glb --camera 2,1.5,3 --size 1280x720
+  python -m renderer render hall --camera ground --frames 120 --visibility frustum --json
+  python -m renderer render city --visibility chc_plus_plus --queries emulated --json
+  python -m renderer render city --backend null --json
+  python -m renderer render city --camera ground --frame 600 --frames 120 --overlay
+  python -m renderer render hall --show lights
+  python -m renderer render hall --technique deferred --show surface
+  python -m renderer render city --camera ground --frame 600 --stereo dubois
+  python -m renderer render city --backend null --frames 10 --trace city.zip
+  python -m renderer render city --camera ground --frame 600 --frames 120 --record walk.json
+
+Times are measured from the scene's update until the GPU is finished. The first frame isn't counted, and with `auto`
+neither are those in which it looks for the fastest visibility algorithm and technique. Counters are those of one frame,
+or with several frames their mean. The image is that of the last frame.
+"""
 
 from __future__ import annotations
 
@@ -29,25 +47,6 @@ from renderer.techniques import AutoTechnique, Forward, Technique, Watched
 from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.light_indexed import count_overflowing
 from rhi.trace import save
-
-_NOTES: Final = """\
-  python -m renderer render city --output city.png
-  python -m renderer render city:blocks=12,seed=3 --camera sky --frame 600
-  python -m renderer render model.glb --camera 2,1.5,3 --size 1280x720
-  python -m renderer render hall --camera ground --frames 120 --visibility frustum --json
-  python -m renderer render city --visibility chc_plus_plus --queries emulated --json
-  python -m renderer render city --backend null --json
-  python -m renderer render city --camera ground --frame 600 --frames 120 --overlay
-  python -m renderer render hall --show lights
-  python -m renderer render hall --technique deferred --show surface
-  python -m renderer render city --camera ground --frame 600 --stereo dubois
-  python -m renderer render city --backend null --frames 10 --trace city.zip
-  python -m renderer render city --camera ground --frame 600 --frames 120 --record walk.json
-
-Times are measured from the scene's update until the GPU is finished. The first frame isn't counted, and with `auto`
-neither are those in which it looks for the fastest visibility algorithm and technique. Counters are those of one frame,
-or with several frames their mean. The image is that of the last frame."""
-
 
 _MAGENTA: Final = (255, 0, 255, 255)
 
@@ -218,4 +217,4 @@ def show_report(report: dict[str, Any]) -> str:
     return "\n".join(f"{names.get(key, key.replace('_', ' ')) + ':':<24}{text}" for key, text in texts.items())
 
 
-COMMAND: Final = Subcommand("render", "render a scene to an image and report what it cost", _OPTIONS, _run, _NOTES)
+COMMAND: Final = Subcommand("render", "render a scene to an image and report what it cost", _OPTIONS, _run, __doc__)

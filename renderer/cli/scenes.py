@@ -1,4 +1,10 @@
-"""`scenes`: list the scenes that can be rendered."""
+"""`scenes`: list the scenes that can be rendered.
+
+  python -m renderer scenes
+  python -m renderer render city:blocks=12,seed=3
+
+What isn't said of a scene's options is their default.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +13,6 @@ from typing import Final
 
 from renderer.cli.subcommand import Subcommand
 from renderer.content import GENERATORS
-
-_NOTES: Final = """\
-  python -m renderer scenes
-  python -m renderer render city:blocks=12,seed=3"""
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -23,4 +25,4 @@ def _run(given: argparse.Namespace) -> None:
     print("or a model file: glTF (.gltf, .glb), OBJ, PLY or STL")
 
 
-COMMAND: Final = Subcommand("scenes", "list the scene generators and their options", (), _run, _NOTES)
+COMMAND: Final = Subcommand("scenes", "list the scene generators and their options", (), _run, __doc__)

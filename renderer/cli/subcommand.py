@@ -31,19 +31,21 @@ class Subcommand:
         summary: one line for the list of commands; it begins the command's own help.
         options: the command's arguments.
         run: executes the command, given its parsed arguments.
-        notes: examples, and what the results mean; the end of the command's help.
+        notes: the docstring of the command's module. After its first line it has examples, and says what the results
+            mean: the end of the command's help. None where Python keeps no docstrings.
     """
 
     name: str
     summary: str
     options: Sequence[CommandOption]
     run: Callable[[argparse.Namespace], None]
-    notes: str
+    notes: str | None
 
     def add_to(self, commands: Any) -> None:
         """Add the command's parser to `commands`, which `add_subparsers` has made."""
+        examples = (self.notes or "").partition("\n\n")[2].rstrip()
         parser = commands.add_parser(
-            self.name, help=self.summary, description=_sentence(self.summary), epilog=f"examples:\n{self.notes}"
+            self.name, help=self.summary, description=_sentence(self.summary), epilog=f"examples:\n{examples}"
         )
         add_options(parser, self.options)
         parser.set_defaults(run=self.run)

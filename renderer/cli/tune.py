@@ -1,4 +1,17 @@
-"""`tune`: find the best b and n of CHC++ for a scene, a camera path and a device (thesis 6.5.1)."""
+"""`tune`: find the best b and n of CHC++ for a scene, a camera path and a device (thesis 6.5.1).
+
+  python -m renderer tune city --camera-path ground --b 1:100 --n 1:40
+  python -m renderer tune hall --camera-path walk.json --executor processes:4
+  python -m renderer tune city --executor dask:tcp://scheduler:8786 --output tuned
+  python -m renderer compare visibility city --settings tuned/settings.json
+
+b is the number of hidden nodes that are queried as one batch, n the number of frames for which a visible object isn't
+queried again. Each trial renders the path with one pair of values and, in turn, with the default pair (b=50, n=20);
+pairs are judged by the ratio of the two times, so trials may run at the same time and on different machines. The best
+three are then compared in one process. --leaf-size 1:16 then tries the best pair with leaves of 1, 2, 4, 8 and 16
+objects, which are queried and drawn together. `trials.csv`, `trials.png` and `settings.json` are written to DIR;
+`render`, `compare visibility` and `debug visibility` read the last with --settings.
+"""
 
 from __future__ import annotations
 
@@ -25,19 +38,6 @@ from renderer.visibility import VisibilitySettings, list_algorithms
 
 _LEAF_SIZES: Final = 5
 """The largest number of sizes of leaves that are tried."""
-
-_NOTES: Final = """\
-  python -m renderer tune city --camera-path ground --b 1:100 --n 1:40
-  python -m renderer tune hall --camera-path walk.json --executor processes:4
-  python -m renderer tune city --executor dask:tcp://scheduler:8786 --output tuned
-  python -m renderer compare visibility city --settings tuned/settings.json
-
-b is the number of hidden nodes that are queried as one batch, n the number of frames for which a visible object isn't
-queried again. Each trial renders the path with one pair of values and, in turn, with the default pair (b=50, n=20);
-pairs are judged by the ratio of the two times, so trials may run at the same time and on different machines. The best
-three are then compared in one process. --leaf-size 1:16 then tries the best pair with leaves of 1, 2, 4, 8 and 16
-objects, which are queried and drawn together. `trials.csv`, `trials.png` and `settings.json` are written to DIR;
-`render`, `compare visibility` and `debug visibility` read the last with --settings."""
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -169,4 +169,4 @@ _OPTIONS: Final = (
     options.file("--output", "folder for the results", "DIR", "tuned"),
     options.JSON,
 )  # fmt: skip
-COMMAND: Final = Subcommand("tune", "find the best b and n of CHC++ along a camera path", _OPTIONS, _run, _NOTES)
+COMMAND: Final = Subcommand("tune", "find the best b and n of CHC++ along a camera path", _OPTIONS, _run, __doc__)

@@ -1,4 +1,16 @@
-"""`view`: show a scene in a window, and move through it."""
+"""`view`: show a scene in a window, and move through it.
+
+  python -m renderer view city
+  python -m renderer view hall --backend cl --size 1280x720
+  python -m renderer view model.glb --technique clustered --shadows all
+  python -m renderer view city --camera street --script tour.txt
+  python -m renderer view city --live swept --budget-ms 30        after: accuracy city --output swept
+  python -m renderer view city --listen 7000            then, in another terminal: nc 127.0.0.1 7000
+
+F1 shows what the keys do, F2 or ` opens the console, in which Tab completes. A script has the console's lines, and
+`wait SECONDS`. --listen takes the same lines from programs of this computer, after a first line that is printed here
+and has a token: whoever knows it can do what the console can, and write below --write-to.
+"""
 
 from __future__ import annotations
 
@@ -13,19 +25,6 @@ from renderer.cli.subcommand import Subcommand
 from renderer.content import parse_camera
 from renderer.viewer.budget import FrameBudget, load_steps
 from renderer.viewer.look import PLAIN, SHADOWS, Look
-
-_NOTES: Final = """\
-  python -m renderer view city
-  python -m renderer view hall --backend cl --size 1280x720
-  python -m renderer view model.glb --technique clustered --shadows all
-  python -m renderer view city --camera street --script tour.txt
-  python -m renderer view city --live swept --budget-ms 30        after: accuracy city --output swept
-  python -m renderer view city --listen 7000            then, in another terminal: nc 127.0.0.1 7000
-
-F1 shows what the keys do, F2 or ` opens the console, in which Tab completes. A script has the console's lines, and
-`wait SECONDS`. --listen takes the same lines from programs of this computer, after a first line that is printed here
-and has a token: whoever knows it can do what the console can, and write below --write-to."""
-
 
 _OPTIONS: Final = (
     options.SCENE,
@@ -99,4 +98,4 @@ def _run(given: argparse.Namespace) -> None:
         shown.close()
 
 
-COMMAND: Final = Subcommand("view", "show a scene in a window, and move through it", _OPTIONS, _run, _NOTES)
+COMMAND: Final = Subcommand("view", "show a scene in a window, and move through it", _OPTIONS, _run, __doc__)

@@ -35,7 +35,8 @@ def paint_surface(kind: str, size: int, seed: int) -> Surface:
     """Paint a surface of one of `KINDS`, almost white, to be tinted by a material's base colour."""
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     noise = _noise(rng, size)
-    height = np.clip(_HEIGHTS[kind](size, noise), 0.0, 1.0)
+    at = (np.arange(size) + 0.5) / size
+    height = np.clip(_HEIGHTS[kind](*np.meshgrid(at, at), noise), 0.0, 1.0)
     bright = 0.5 + 0.42 * height + 0.10 * (noise - 0.5)
     rough = np.clip(0.9 - 0.45 * height + 0.25 * (noise - 0.5), 0.05, 1.0)
     metal = np.full_like(height, float(kind in ("studs", "grooves")))
@@ -62,59 +63,46 @@ def _noise(rng: np.random.Generator, size: int) -> Floats:
     return np.asarray((found - found.min()) / np.ptp(found))
 
 
-def _grid(size: int) -> tuple[Floats, Floats]:
-    at = (np.arange(size) + 0.5) / size
-    x, y = np.meshgrid(at, at)
-    return x, y
-
-
 def _joints(x: Floats, y: Floats, width: float) -> Floats:
     """Return 0 in joints at whole numbers, `width` wide, and 1 between them, with slanting edges."""
     away = [np.minimum(value % 1.0, 1.0 - value % 1.0) for value in (x, y)]
     return np.asarray(np.clip(np.minimum(*away) / width - 0.5, 0.0, 1.0))
 
 
-def _bricks(size: int, noise: Floats) -> Floats:
-    x, y = _grid(size)
+def _bricks(x: Floats, y: Floats, noise: Floats) -> Floats:
     row = np.floor(8.0 * y)
     return _joints(4.0 * x + 0.5 * (row % 2.0), 8.0 * y, 0.06) * (0.75 + 0.25 * noise)
 
 
-def _planks(size: int, noise: Floats) -> Floats:
-    x, y = _grid(size)
+def _planks(x: Floats, y: Floats, noise: Floats) -> Floats:
     grain = 0.5 + 0.5 * np.sin(2.0 * np.pi * (16.0 * x + 2.0 * noise))
     return _joints(4.0 * x, y, 0.05) * (0.7 + 0.2 * grain + 0.1 * noise)
 
 
-def _tiles(size: int, noise: Floats) -> Floats:
-    x, y = _grid(size)
+def _tiles(x: Floats, y: Floats, noise: Floats) -> Floats:
     return _joints(6.0 * x, 6.0 * y, 0.05) * (0.92 + 0.08 * noise)
 
 
-def _plaster(size: int, noise: Floats) -> Floats:
+def _plaster(x: Floats, y: Floats, noise: Floats) -> Floats:
     return np.asarray(0.35 + 0.6 * noise)
 
 
-def _cloth(size: int, noise: Floats) -> Floats:
-    x, y = _grid(size)
+def _cloth(x: Floats, y: Floats, noise: Floats) -> Floats:
     threads = np.sin(2.0 * np.pi * 32.0 * x) * np.sin(2.0 * np.pi * 32.0 * y)
     return np.asarray(0.5 + 0.35 * threads + 0.1 * (noise - 0.5))
 
 
-def _studs(size: int, noise: Floats) -> Floats:
-    x, y = _grid(size)
+def _studs(x: Floats, y: Floats, noise: Floats) -> Floats:
     away = np.hypot((6.0 * x) % 1.0 - 0.5, (6.0 * y) % 1.0 - 0.5)
     return np.asarray(0.3 + 0.6 * np.sqrt(np.clip(1.0 - (away / 0.32) ** 2, 0.0, 1.0)) + 0.1 * noise)
 
 
-def _stone(size: int, noise: Floats) -> Floats:
-    x, y = _grid(size)
+def _stone(x: Floats, y: Floats, noise: Floats) -> Floats:
     bent = 0.12 * (noise - 0.5)
     return _joints(3.0 * x + 3.0 * bent + 0.5 * (np.floor(3.0 * y) % 2.0), 3.0 * y, 0.08) * (0.6 + 0.4 * noise)
 
 
-def _grooves(size: int, noise: Floats) -> Floats:
-    _, y = _grid(size)
+def _grooves(x: Floats, y: Floats, noise: Floats) -> Floats:
     return np.asarray(0.5 + 0.4 * np.sin(2.0 * np.pi * 12.0 * y) + 0.1 * noise)
 
 

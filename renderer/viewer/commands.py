@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from math import inf
 from pathlib import Path
 from statistics import median
 from typing import Any, Final
@@ -108,7 +110,7 @@ def _cameras(stage: ViewerStage) -> Iterable[ViewerCommand]:
         if factor is not None:
             stage.controller.speed = min(max(stage.controller.speed * factor, 1e-6), 1e9)
         elif text is not None:
-            stage.controller.speed = _read("speed", text, parse_positive)
+            stage.controller.speed = _parse_speed(text)
         return f"{stage.controller.speed:.3g} m/s"
 
     speeds = Parameter("M/S", words=lambda: ("faster", "slower"), is_optional=True)
@@ -168,7 +170,7 @@ def _files(stage: ViewerStage) -> Iterable[ViewerCommand]:
         write_frames(path, captured)
         return f"wrote {path}: {median(one.milliseconds for one in captured):.1f} ms a frame"
 
-    number = Parameter("FRAMES", parse_frames, is_optional=True)
+    number = Parameter("FRAMES", partial(parse_number, least=1, most=_CAPTURED), is_optional=True)
     yield ViewerCommand("capture", "write the times of frames and of their passes to a file", capture, (file, number))
     yield ViewerCommand("record", "begin to record the camera, or end it", record, (file,))
     yield ViewerCommand("status", "say how fast frames are, and what draws them", lambda: describe_status(stage))
@@ -201,35 +203,23 @@ def find_free(stage: ViewerStage, ending: str) -> Path:
     return path
 
 
-def parse_number(text: str) -> int:
-    """Parse a whole number of 0 or more."""
+def parse_number(text: str, least: int = 0, most: float = inf) -> int:
+    """Parse a whole number from `least` to `most`."""
     value = int(text)
-    if value < 0:
-        raise ValueError(text)
-    return value
-
-
-def parse_frames(text: str) -> int:
-    """Parse a whole number from 1 to `_CAPTURED`."""
-    value = parse_number(text)
-    if not 1 <= value <= _CAPTURED:
+    if not least <= value <= most:
         raise ValueError(text)
     return value
 
 
 def parse_place(text: str) -> tuple[int, int]:
     """Parse `480,270` as a pixel."""
-    x, y = (parse_number(number) for number in text.split(","))
-    if max(x, y) > _WIDEST:
-        raise ValueError(text)
+    x, y = (parse_number(number, 0, _WIDEST) for number in text.split(","))
     return x, y
 
 
 def parse_size(text: str) -> tuple[int, int]:
     """Parse `1280x720` as a width and a height in pixels, 16 to 16,384 each."""
-    width, height = (parse_number(number) for number in text.lower().split("x"))
-    if not _SMALLEST <= min(width, height) <= max(width, height) <= _LARGEST:
-        raise ValueError(text)
+    width, height = (parse_number(number, _SMALLEST, _LARGEST) for number in text.lower().split("x"))
     return width, height
 
 
@@ -241,19 +231,14 @@ def parse_seconds(text: str) -> float:
     return value
 
 
-def parse_positive(text: str) -> float:
+def _parse_speed(text: str) -> float:
     """Parse a number above 0, to `_LONGEST`."""
-    value = parse_seconds(text)
-    if not value:
-        raise ValueError(text)
-    return value
-
-
-def _read(call: str, text: str, parse: Callable[[str], Any]) -> Any:
     try:
-        return parse(text)
+        if value := parse_seconds(text):
+            return value
     except ValueError:
-        refuse(rules.BAD_ARGUMENT, call, text, "a number above 0")
+        pass
+    refuse(rules.BAD_ARGUMENT, "speed", text, "a number above 0")
 
 
 def _after(choices: Iterable[str], present: str) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import find_rule
 
 import rhi
 from renderer.content import load_scene
@@ -66,37 +67,23 @@ def test_cells_that_a_file_gives_in_part_are_otherwise_those_of_their_technique(
     assert (technique.tiles, technique.clusters) == (LightCells(16, 1, "hybrid"), LightCells(64, 12, "exact"))
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "[]",
-        "{}",
-        '{"rendering": {"shadow": {}}}',
-        '{"rendering": {"shadows": {"filter": "soft"}}}',
-        '{"rendering": {"shadows": {"cascades": "4"}}}',
-        '{"rendering": {"precision": 1}}',
-        '{"rendering": {"shadows": [4]}}',
-    ],
-)
+@pytest.mark.parametrize("text", ["[]", "{}"])
 def test_a_file_without_settings_is_refused(text: str, tmp_path: Path) -> None:
     (tmp_path / "s.json").write_text(text)
-    with pytest.raises(rhi.ValidationError, match="visibility-bad-settings"):
-        RenderSettings.load(tmp_path / "s.json")
-
-
-def test_a_setting_out_of_its_range_is_refused_by_its_own_rule(tmp_path: Path) -> None:
-    (tmp_path / "s.json").write_text('{"rendering": {"shadows": {"cascades": 9}}}')
-    with pytest.raises(rhi.ValidationError, match="shadow-settings"):
-        RenderSettings.load(tmp_path / "s.json")
-    with pytest.raises(rhi.ValidationError, match="technique-parameter"):
-        TechniqueSettings("forwards")
-    with pytest.raises(rhi.ValidationError, match="technique-one-sample"):
-        TechniqueSettings("deferred", samples=4)
+    assert find_rule(lambda: RenderSettings.load(tmp_path / "s.json")) == "visibility-bad-settings"
 
 
 @pytest.mark.parametrize(
     ("text", "rule"),
     [
+        ('{"shadow": {}}', "visibility-bad-settings"),
+        ('{"shadows": {"filter": "soft"}}', "visibility-bad-settings"),
+        ('{"shadows": {"cascades": "4"}}', "visibility-bad-settings"),
+        ('{"precision": 1}', "visibility-bad-settings"),
+        ('{"shadows": [4]}', "visibility-bad-settings"),
+        ('{"shadows": {"cascades": 9}}', "shadow-settings"),
+        ('{"technique": {"name": "forwards"}}', "technique-parameter"),
+        ('{"technique": {"name": "deferred", "samples": 4}}', "technique-one-sample"),
         ('{"technique": {"scale": 5.0}}', "technique-parameter"),
         ('{"technique": {"scale": 0.0}}', "technique-parameter"),
         ('{"technique": {"specular_channels": 7}}', "technique-parameter"),
@@ -110,8 +97,7 @@ def test_a_setting_that_no_frame_could_have_is_refused_as_its_file_is_read(
     text: str, rule: str, tmp_path: Path
 ) -> None:
     (tmp_path / "s.json").write_text(f'{{"rendering": {text}}}')
-    with pytest.raises(rhi.ValidationError, match=rule):
-        RenderSettings.load(tmp_path / "s.json")
+    assert find_rule(lambda: RenderSettings.load(tmp_path / "s.json")) == rule
 
 
 PARTS = (
@@ -177,8 +163,7 @@ def test_numbers_of_numpy_become_python_s_own() -> None:
 
 @pytest.mark.parametrize("anisotropy", [0.99, inf])
 def test_an_anisotropy_out_of_its_range_is_refused(anisotropy: float) -> None:
-    with pytest.raises(rhi.ValidationError, match=r"^\[texture-settings\]"):
-        TextureSettings(anisotropy=anisotropy)
+    assert find_rule(lambda: TextureSettings(anisotropy=anisotropy)) == "texture-settings"
     assert TextureSettings(anisotropy=1.0).anisotropy == 1.0
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.content import BUILT_IN
-from renderer.lab.exam.case import Case, Found, Picture, find_largest
+from renderer.lab.exam.case import Found, Measures, Picture, find_largest
 from renderer.lab.exam.scenes import look, show_something
 from renderer.lab.measure.judge import Judge
 from renderer.lab.measure.judge.picture import unmap_tones
@@ -312,32 +312,12 @@ def cast_shadows(place: float, device: Device) -> Found:
     return Found(error, numbers, holds, lambda: pictures)
 
 
-_RENDERS: Final = ("renders",)
-_WHY: Final = "half a level of rounding to 8 bits, and as much of float32 and fast functions"
-_WHY_GLASS: Final = "each pane is rounded to 8 bits as well; what is behind it counts less the more it covers"
-
-
-def _judged(
-    number: int, about: str, make: Callable[[], Sights], tolerance: float = 1.0, why: str = _WHY, measure: Any = compare
-) -> Case:
-    run = partial(measure, make)
-    return Case(number, about, "rays in float64", tolerance, "levels of 8 bits", why, run, _RENDERS)
-
-
-def _shaded(number: int, about: str, place: float) -> Case:
-    why = (
-        "half a texel of the sun's map is 0.08 m, and moves all of its shadow; edges that maps blur are of many phases"
-    )
-    unit = "metres between the middles of shadows"
-    return Case(number, about, "rays in float64", 0.02, unit, why, partial(cast_shadows, place), _RENDERS)
-
-
-CASES: Final = (
-    _judged(69, "a picture as a whole: reflection, textures, lamps, lenses, tones", make_lit),
-    _judged(70, "light beyond white, beyond half floats, and beyond the square root of floats", make_bright),
-    _judged(71, "panes behind each other, and crossing ones", make_glass, 1.5, _WHY_GLASS, cover),
-    _judged(72, "fog on the ground, even fog, haze", make_air),
-    _judged(73, "objects mirrored, squeezed and skewed", make_turned),
-    _shaded(74, "shadows of the sun and of lamps", 0.0),
-    _shaded(75, "shadows ten million metres from the origin", 2.0**23 + 2.0**20),
-)
+MEASURES: Final[Measures] = {
+    69: partial(compare, make_lit),
+    70: partial(compare, make_bright),
+    71: partial(cover, make_glass),
+    72: partial(compare, make_air),
+    73: partial(compare, make_turned),
+    74: partial(cast_shadows, 0.0),
+    75: partial(cast_shadows, 2.0**23 + 2.0**20),
+}

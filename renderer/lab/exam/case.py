@@ -1,5 +1,5 @@
 """A case of the exam: something that goes wrong easily, the reference that says what is right, and by how much a device
-may be off.
+may be off. What a case is about stands in the catalogue, `cases.toml`; what measures it, in `MEASURES` of a module.
 
 A case measures and never judges: `measure` draws or computes on a device and returns what it has found. Its error is
 compared with the tolerance in one place (`Case.judge`), for the command line and for the tests.
@@ -37,6 +37,10 @@ class Found:
     numbers: Mapping[str, object] = field(default_factory=dict)
     holds: Mapping[str, bool] = field(default_factory=dict)
     pictures: Callable[[], Mapping[str, Picture]] = dict
+
+
+Measures = Mapping[int, Callable[[Device], Found]]
+"""What finds the errors of cases on a device, by the cases' numbers."""
 
 
 def find_largest(*errors: float) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading as sl
-from renderer.lab.exam.case import Case, Found, find_largest
+from renderer.lab.exam.case import Found, Measures, find_largest
 from renderer.lab.measure.encodings import (
     ENCODINGS,
     GROUP,
@@ -317,83 +317,16 @@ def find_places(device: Device) -> Found:
     return Found(error, {**numbers, "across": widest}, holds)
 
 
-_NEEDS: Final = ("compute", "shading")
-
-
-def _case(
-    number: int, about: str, reference: str, tolerance: float, unit: str, why: str, judge: Callable[[Floats], Found]
-) -> Case:
-    return Case(number, about, reference, tolerance, unit, why, partial(_measure, judge, number), _NEEDS)
-
-
 def _measure(judge: Callable[[Floats], Found], first: int, device: Device) -> Found:
     return judge(store_values(device, first))
 
 
-CASES: Final = (
-    _case(
-        37,
-        "normals along axes, with -0.0, z = -1, and at the seams of octants",
-        "the normal in float64",
-        1.0,
-        "of what the bits allow",
-        "the largest angle of 40,000 random normals, which edges must not exceed",
-        judge_normals,
-    ),
-    _case(
-        38,
-        "axes in 2 × 8 bits",
-        "the axis",
-        1e-6,
-        "of a unit vector",
-        "codes have a middle, so only normalising rounds, by a few 6e-8",
-        judge_axes,
-    ),
-    _case(
-        39,
-        "derivatives of length 0 and beyond 65,504",
-        "the derivative in float64",
-        0.31,
-        "%",
-        "half a step of 9 bits of direction, and of the length's 10",
-        judge_changes,
-    ),
-    _case(
-        40,
-        "tangents parallel to an axis, ties of the largest component, both sides",
-        "the tangent in float64",
-        0.46,
-        "degrees",
-        "half a step of the tangent's angle, and the normal's error",
-        judge_tangents,
-    ),
-    _case(
-        41,
-        "texture coordinates of 0.999999, -0.25, 1000.3",
-        "the coordinate in float32, whole repetitions aside",
-        0.5 / 65536 + 1e-12,
-        "of a repetition",
-        "half a step of 16 bits",
-        judge_places,
-    ),
-    Case(
-        42,
-        "65,536 materials by the equality of 16 bits of depth",
-        "the material's number",
-        0.0,
-        "materials and pixels",
-        "each material has a depth of its own",
-        find_materials,
-        ("renders",),
-    ),
-    Case(
-        66,
-        "positions from 2 mm to 9,000 km, read from depth, 10⁷ m from the origin",
-        "the pixel's ray in float64",
-        2e-6,
-        "of the distance",
-        "reversed depth is stored with 24 bits of its value, and its inverse rounded a few times",
-        find_places,
-        _NEEDS,
-    ),
-)
+MEASURES: Final[Measures] = {
+    37: partial(_measure, judge_normals, 37),
+    38: partial(_measure, judge_axes, 38),
+    39: partial(_measure, judge_changes, 39),
+    40: partial(_measure, judge_tangents, 40),
+    41: partial(_measure, judge_places, 41),
+    42: find_materials,
+    66: find_places,
+}

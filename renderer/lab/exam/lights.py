@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading as sl
-from renderer.lab.exam.case import Case, Found, find_largest
+from renderer.lab.exam.case import Found, Measures, find_largest
 from renderer.lab.exam.cell_pairs import LENSES, Pairs, find_corners, make_pairs, make_test_grid
 from renderer.lab.exam.cone_pairs import ANGLES, make_cone_pairs, run_cone_tests
 from renderer.lab.exam.sphere_pairs import SpherePair, pack_pairs, run_sphere_tests
@@ -498,130 +498,21 @@ def is_beyond_padding(pairs: Pairs) -> NDArray[np.bool_]:
     return np.asarray(pairs.distances > pairs.radii + 4e-6 * lengths)
 
 
-_WRONG: Final = "wrong decisions"
-_EXACT: Final = "distances in float64"
-_SURE: Final = "radii are padded for rounding, so none that overlaps may be dropped; exact tests keep nothing else"
-_LOOK_UP: Final = "what is looked up must be what was culled, to the bit: otherwise lights vanish at edges of tiles"
-_NEEDS: Final = ("compute", "shading")
-
-
-def _spheres(number: int, about: str) -> Case:
-    return Case(number, about, _EXACT, 0.0, _WRONG, _SURE, partial(decide_spheres, SPHERES[number]), _NEEDS)
-
-
-CASES: Final = (
-    Case(22, "a sphere beside a corner, behind no plane", _EXACT, 0.0, _WRONG, _SURE, keep_beside_a_corner, _NEEDS),
-    Case(23, "tangent spheres, a millionth larger and smaller", _EXACT, 0.0, _WRONG, _SURE, keep_tangents, _NEEDS),
-    _spheres(24, "radii of 0 and of a million metres"),
-    _spheres(25, "a light behind the eye that reaches the view"),
-    Case(26, "flat cells, and masks of flat tiles", _EXACT, 0.0, _WRONG, _SURE, keep_flat_tiles, _NEEDS),
-    Case(
-        27,
-        "the nearest and the farthest depth, also with the far plane at infinity",
-        "the planes' distances",
-        1e-5,
-        "of the distance",
-        "float32 has steps of 6e-8, and depths are taken to be off by 2.4e-7: near 0.1 m that is 3e-7 of the distance",
-        find_far_depths,
-        _NEEDS,
-    ),
-    Case(
-        28,
-        "every pixel in a tile, at 1366 × 768, 1680 × 1050, 1 × 1",
-        "rays through pixels, in float64",
-        0.0,
-        "pixels",
-        _LOOK_UP,
-        hold_pixels,
-        _NEEDS,
-    ),
-    Case(
-        29,
-        "parallel lenses that begin at the eye, and behind it",
-        "the inverse projection in float64",
-        0.0,
-        _WRONG,
-        _SURE,
-        begin_at_the_eye,
-        _NEEDS,
-    ),
-    Case(
-        30,
-        "depths before the first boundary of slices, before the near plane and behind the end",
-        "the nearest slice",
-        0.0,
-        "wrong slices",
-        _LOOK_UP,
-        find_outer_slices,
-        _NEEDS,
-    ),
-    Case(
-        31,
-        "tiles of 41 pixels, where float32 divides wrongly",
-        "division of whole numbers",
-        0.0,
-        "wrong tiles",
-        _LOOK_UP,
-        divide_whole_numbers,
-        _NEEDS,
-    ),
-    Case(
-        32,
-        "boundaries of slices, within an ulp",
-        "the device's own boundaries",
-        0.0,
-        "wrong slices",
-        _LOOK_UP,
-        find_boundaries,
-        _NEEDS,
-    ),
-    Case(
-        33,
-        "cones of 0.1° to 180°, those at 45° and 90° within 1e-5 among them",
-        "a point of both, found in float64",
-        0.0,
-        "dropped pairs",
-        "as with spheres: none that overlaps may be dropped",
-        keep_cones,
-        _NEEDS,
-    ),
-    Case(
-        34,
-        "a cell on the axis of a cone",
-        "it overlaps",
-        0.0,
-        "dropped pairs",
-        "it overlaps, whatever rounding does",
-        keep_on_the_axis,
-    ),
-    Case(
-        35,
-        "lists with room for all pairs but one",
-        "the same lists with room for all",
-        0.0,
-        "pairs",
-        "what has no room is in the masks, and the next lists have room",
-        overfill_lists,
-        _NEEDS,
-    ),
-    Case(
-        36,
-        "the tiles of an eye off the axis",
-        "the inverse projection in float64",
-        1e-6,
-        "of the view's width",
-        "four roundings of float32, 6e-8 each, of which the padding of radii allows sixteen",
-        skew_sides,
-        _NEEDS,
-    ),
-    Case(
-        54,
-        "24,000 pairs of a cell and a sphere that nearly touch",
-        "distances in float64",
-        0.0,
-        _WRONG,
-        _SURE,
-        keep_spheres,
-        _NEEDS,
-    ),
-)
+MEASURES: Final[Measures] = {
+    22: keep_beside_a_corner,
+    23: keep_tangents,
+    24: partial(decide_spheres, SPHERES[24]),
+    25: partial(decide_spheres, SPHERES[25]),
+    26: keep_flat_tiles,
+    27: find_far_depths,
+    28: hold_pixels,
+    29: begin_at_the_eye,
+    30: find_outer_slices,
+    31: divide_whole_numbers,
+    32: find_boundaries,
+    33: keep_cones,
+    34: keep_on_the_axis,
+    35: overfill_lists,
+    36: skew_sides,
+    54: keep_spheres,
+}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from renderer.content import load_scene
 from renderer.content.shapes import box
-from renderer.lab.exam.case import Case, Found, find_largest
+from renderer.lab.exam.case import Found, Measures, find_largest
 from renderer.lab.exam.places import make_pillars
 from renderer.lab.exam.scenes import Uncut, along, make_city
 from renderer.renderer import Renderer
@@ -276,83 +276,13 @@ def _count_blocks() -> int:
     return sys.getallocatedblocks()
 
 
-CASES: Final = (
-    Case(
-        60,
-        "steps of simulations after 10⁸ s, at up to 1000 a second",
-        "whole numbers",
-        0.0,
-        "wrong steps",
-        "a time that is a step's, rounded to a double, is that step",
-        count_late_steps,
-    ),
-    Case(
-        61,
-        "a million objects",
-        "each box against each plane; without culling",
-        0.0,
-        "wrong objects and pixels",
-        "the hierarchy gives the set that testing all gives",
-        cull_a_million,
-        is_long=True,
-    ),
-    Case(
-        62,
-        "100,000 frames",
-        "the first of them",
-        0.0,
-        "resources and other commands",
-        "what a frame leaves behind adds up",
-        draw_for_hours,
-        is_long=True,
-    ),
-    Case(
-        63,
-        "images 16,384 pixels wide, and as high",
-        "places of pixels; frames without culling",
-        0.0,
-        "wrong pixels",
-        "halves up to 16,384 are exact in float32",
-        draw_wide,
-        ("renders",),
-    ),
-    Case(
-        64,
-        "images of one pixel and of 3 by 1, lit while drawn and after",
-        "forward shading",
-        1.0,
-        "levels of 8 bits",
-        "a geometry buffer rounds normals by 0.004°",
-        draw_a_pixel,
-        ("renders",),
-    ),
-    Case(
-        65,
-        "the phase of animations after 10⁸ s",
-        "the phase reduced in exact fractions",
-        1e-7,
-        "of the amplitude",
-        "a double at 2.4e8 has steps of 3e-8",
-        wave_for_years,
-    ),
-    Case(
-        67,
-        "cloths after 10⁸ s, in a breeze and in a storm",
-        "the same steps at the beginning, on NumPy",
-        1e-4,
-        "metres",
-        "float32 rounds places of 1 m to 6e-8, a hundred times a step; creases make more of it; nothing is damped",
-        blow_for_years,
-        ("compute", "shading"),
-    ),
-    Case(
-        76,
-        "a strip of cloth that hangs and swings",
-        "the swing of a hanging chain",
-        0.03,
-        "of the period",
-        "17 rows stand for a chain, and 8 sub-steps stretch them by 2 %",
-        swing_strips,
-        ("compute", "shading"),
-    ),
-)
+MEASURES: Final[Measures] = {
+    60: count_late_steps,
+    61: cull_a_million,
+    62: draw_for_hours,
+    63: draw_wide,
+    64: draw_a_pixel,
+    65: wave_for_years,
+    67: blow_for_years,
+    76: swing_strips,
+}

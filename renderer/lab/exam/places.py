@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.content.shapes import box
-from renderer.lab.exam.case import Case, Found
+from renderer.lab.exam.case import Found, Measures
 from renderer.lab.exam.scenes import make_boxes
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Perspective, Scene, SceneBuilder, StereoRig, scaling, translation
@@ -149,45 +149,11 @@ def _pair_frames(frames: list[NDArray[Any]]) -> dict[str, NDArray[Any]]:
     return dict(zip(("without", "with denormal numbers"), frames, strict=True))
 
 
-_RENDERS: Final = ("renders",)
-_SAME: Final = "places are subtracted in float64 before anything is rounded, so nothing differs"
-
-
-def _away(
-    number: int, place: float, about: str, techniques: tuple[str, ...] = DRAWN_BY, needs: tuple[str, ...] = _RENDERS
-) -> Case:
-    measure = partial(move_away, place, techniques)
-    return Case(number, about, "the same scene at the origin", 0.0, "pixels", _SAME, measure, needs)
-
-
-CASES: Final = (
-    _away(43, 2.0**20, "a scene a million metres from the origin, lit while it is drawn and after"),
-    Case(
-        44,
-        "near plane at 1 mm and far plane at 10⁷ m: sheets 1e-5 of their distance apart",
-        "the nearer one",
-        0.0,
-        "pixels",
-        "reversed depth in float32 has steps of 6e-8 of a distance",
-        layer_depths,
-        _RENDERS,
-    ),
-    _away(57, 2.0**23 + 2.0**20, "a scene ten million metres from the origin"),
-    _away(
-        68,
-        2.0**23 + 2.0**20,
-        "a scene ten million metres from the origin, lit by tiles and clusters",
-        LIT_BY_CELLS,
-        ("renders", "compute", "shading"),
-    ),
-    Case(
-        58,
-        "denormal sizes, places, colours, directions, ranges and intensities",
-        "the scene without them",
-        0.0,
-        "pixels",
-        "what is smaller than any pixel is not seen, and is not NaN",
-        draw_without_size,
-        _RENDERS,
-    ),
-)
+_FAR: Final = 2.0**23 + 2.0**20  # ten million metres
+MEASURES: Final[Measures] = {
+    43: partial(move_away, 2.0**20, DRAWN_BY),
+    44: layer_depths,
+    57: partial(move_away, _FAR, DRAWN_BY),
+    58: draw_without_size,
+    68: partial(move_away, _FAR, LIT_BY_CELLS),
+}

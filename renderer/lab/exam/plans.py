@@ -9,7 +9,7 @@ import numpy as np
 
 from renderer.content import BUILT_IN
 from renderer.frame import Pass, Plan, Target, make_plan
-from renderer.lab.exam.case import Case, Found
+from renderer.lab.exam.case import Found, Measures
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder
 from renderer.techniques import TECHNIQUES
@@ -151,14 +151,4 @@ def plan_frames(_: Device) -> Found:
     return Found(total, numbers, holds)
 
 
-CASES: Final = (
-    Case(
-        51,
-        "which passes run: unread outputs, side effects, history, circles, no lights",
-        "brute force over what passes read",
-        0.0,
-        "faults",
-        "a pass that is missing shows, and one that is needless costs time",
-        plan_frames,
-    ),
-)
+MEASURES: Final[Measures] = {51: plan_frames}

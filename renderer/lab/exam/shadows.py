@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.content import BUILT_IN
-from renderer.lab.exam.case import Case, Found, Picture, find_largest
+from renderer.lab.exam.case import Found, Measures, Picture, find_largest
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene, SceneBuilder, scaling, translation
 from renderer.scene.arrays import Floats
@@ -114,33 +114,4 @@ def move_below_a_texel(_: Device) -> Found:
     return Found(error, numbers, holds)
 
 
-CASES: Final = (
-    Case(
-        48,
-        "a lit plane at slopes of 0° to 89°",
-        "the plane without shadows",
-        0.0,
-        "pixels",
-        "a bias above tan θ leaves no pixel in the plane's own shadow",
-        find_acne,
-        ("renders",),
-    ),
-    Case(
-        49,
-        "a light parallel to up",
-        "axes at right angles, along the light",
-        1e-11,
-        "of a unit vector",
-        "a dozen roundings of float64, and the 1e-12 that one light is off up",
-        light_along_up,
-    ),
-    Case(
-        50,
-        "moves below a texel of 8 mm, at 0, 10⁵ and 10⁷ m",
-        "whole texels",
-        1e-5,
-        "of a texel",
-        "a double at 10⁷ m has steps of 2e-9 m, and a place is the sum of three products",
-        move_below_a_texel,
-    ),
-)
+MEASURES: Final[Measures] = {48: find_acne, 49: light_along_up, 50: move_below_a_texel}

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.content import load_scene
-from renderer.lab.exam.case import Case, Found, Picture, find_largest
+from renderer.lab.exam.case import Found, Measures, Picture, find_largest
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Orthographic, Perspective, Projection, Scene, StereoRig, measure_parallax
 from renderer.scene.arrays import Floats
@@ -140,53 +140,10 @@ def _to_levels(light: Floats) -> Floats:
     return np.asarray(255.0 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055))
 
 
-CASES: Final = (
-    Case(
-        45,
-        "parallax: 0 at the convergence distance, P00 · e / c at infinity, never vertical",
-        "the formula, and points placed in float64",
-        1e-13,
-        "of half the image",
-        "a few hundred roundings of float64",
-        find_parallaxes,
-    ),
-    Case(
-        46,
-        "eyes without a distance",
-        "one eye's picture",
-        0.0,
-        "pixels",
-        "the same camera through the same shaders: the same to the bit",
-        join_eyes,
-        ("renders", "compute"),
-    ),
-    Case(
-        47,
-        "grey stays grey in anaglyphs",
-        "the grey",
-        1e-5,
-        "of white",
-        "Dubois gives his coefficients to six digits; no level of 8 bits may change",
-        keep_grey,
-    ),
-    Case(
-        55,
-        "two eyes in one frame",
-        "frames of each eye alone",
-        0.0,
-        "pixels",
-        "what eyes share must not depend on an eye",
-        draw_each_eye,
-        ("renders", "compute"),
-    ),
-    Case(
-        56,
-        "anaglyphs of two pictures",
-        "their mix in float64",
-        1.0,
-        "levels of 8 bits",
-        "an error of float32 may move a colour over the boundary of two levels",
-        mix_pictures,
-        ("renders", "compute"),
-    ),
-)
+MEASURES: Final[Measures] = {
+    45: find_parallaxes,
+    46: join_eyes,
+    47: keep_grey,
+    55: draw_each_eye,
+    56: mix_pictures,
+}

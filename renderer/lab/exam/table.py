@@ -1,9 +1,11 @@
-"""The cases of the exam, by number."""
+"""The cases of the exam, by number: those of the catalogue `cases.toml`, each with what measures it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final
+import tomllib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
 
 from renderer import rules
 from renderer.lab.exam import absolute, encodings, inputs, lights, limits, places, plans, shadows, stereo, visibility
@@ -11,10 +13,20 @@ from renderer.lab.exam.case import Case
 from rhi import refuse
 
 _SUBJECTS: Final = (visibility, lights, encodings, places, stereo, shadows, plans, inputs, limits, absolute)
-CASES: Final[dict[int, Case]] = {
-    case.number: case
-    for case in sorted((case for subject in _SUBJECTS for case in subject.CASES), key=lambda case: case.number)
-}
+MEASURES: Final = {number: measure for subject in _SUBJECTS for number, measure in subject.MEASURES.items()}
+
+
+def _read_cases() -> Iterator[Case]:
+    groups = tomllib.loads(Path(__file__).with_name("cases.toml").read_text(encoding="utf-8"))
+    for group in groups.values():
+        shared = {name: value for name, value in group.items() if not isinstance(value, dict)}
+        for number in group.keys() - shared.keys():
+            given: dict[str, Any] = {"needs": (), **shared, **group[number]}
+            given["needs"] = tuple(given["needs"])
+            yield Case(int(number), measure=MEASURES[int(number)], **given)
+
+
+CASES: Final[dict[int, Case]] = {case.number: case for case in sorted(_read_cases(), key=lambda case: case.number)}
 """All cases, in the order of their numbers."""
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Final
 
 import numpy as np
 
-from renderer.lab.exam.case import Case, Found, Picture
+from renderer.lab.exam.case import Found, Measures, Picture
 from renderer.lab.exam.late import late_answers
 from renderer.lab.exam.scenes import IMAGES, SIZE, CullingImage, Uncut, along, draw_with, make_city, teleport
 from renderer.renderer import Renderer
@@ -159,51 +159,12 @@ def fill_rings(_: Device) -> Found:
     return Found(sum(wrong.values()), dict(wrong))
 
 
-_PIXELS: Final = "wrong pixels"
-_UNCUT: Final = "the same frames without culling"
-_WHY_EXACT: Final = "what is drawn is drawn by the same shaders, so it is the same to the bit"
-_DRAWS: Final = ("renders",)
-_QUERIES: Final = ("renders", "occlusion_queries")
-
-
-def _image(number: int, about: str) -> Case:
-    return Case(number, about, _UNCUT, 0.0, _PIXELS, _WHY_EXACT, partial(look_alike, number), _DRAWS)
-
-
-def _asked(number: int, about: str, measure: Callable[[Device], Found]) -> Case:
-    return Case(number, about, _UNCUT, 0.0, _PIXELS, _WHY_EXACT, measure, _QUERIES)
-
-
-CASES: Final = (
-    Case(
-        1,
-        "how many nodes share a query of CHC++",
-        "the best of all sizes, by the formula of the thesis in float64",
-        0.0,
-        "nodes",
-        "sizes are whole numbers",
-        choose_sizes,
-    ),
-    _image(2, "a camera 1.5 near planes from a box's corner, which that plane cuts"),
-    _image(3, "a camera inside a box"),
-    _image(4, "a camera that jumps through a city"),
-    _asked(5, "answers of queries after 0, 1 and 20 looks, and never within a frame", answer_late),
-    _asked(6, "a batch of queries larger than the tree", ask_in_one_batch),
-    _image(7, "everything visible; everything hidden but a wall"),
-    _asked(8, "thresholds of 0 and 10 samples", ask_with_a_threshold),
-    _asked(9, "visible leaves asked in each frame, and in every twentieth", ask_seldom),
-    _image(10, "boxes without thickness"),
-    _image(11, "a scene of one object: queries of one node"),
-    Case(12, "a ring of N holds N", "a list", 0.0, "faults", "a ring neither loses nor invents anything", fill_rings),
-    _image(13, "corners of boxes with w at 0 and below"),
-    _image(14, "spheres that touch the near plane, within an ulp"),
-    _image(15, "1023 by 767 pixels: a depth pyramid of odd sizes"),
-    _image(16, "what shows through a slit of a pixel"),
-    _image(17, "sky through a hole in a wall, in a texel of a depth pyramid"),
-    _image(18, "a box smaller than a pixel"),
-    _image(19, "what was seen in the last frame is behind the camera"),
-    _image(20, "1 by 1, 17 by 9 and 130 by 67 pixels: no multiple of 4"),
-    _image(21, "two faces at exactly the same depth"),
-    _image(52, "boxes a million metres from the origin"),
-    _image(53, "a parallel lens whose near plane cuts boxes"),
-)
+MEASURES: Final[Measures] = {
+    1: choose_sizes,
+    5: answer_late,
+    6: ask_in_one_batch,
+    8: ask_with_a_threshold,
+    9: ask_seldom,
+    12: fill_rings,
+    **{image.number: partial(look_alike, image.number) for image in IMAGES.values()},
+}

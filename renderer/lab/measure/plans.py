@@ -6,10 +6,10 @@ Commands are counted on a null device, which records the same ones that another 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import rhi
-from renderer.frame import Effect, Frame, Needs, Pass, Plan
+from renderer.frame import Effect, Frame, Pass, Plan
 from renderer.frame.plan import list_names
 from renderer.frame.resources import SIMULATION_EVENT
 from renderer.lab.measure.draw_order import Changes, OrderRow, compare_orders, count_changes
@@ -91,16 +91,14 @@ class PlanReport:
     simulations: SimulationReport | None = None
 
 
-def describe_plan(
-    scene: Scene, technique: Technique, camera: Camera, size: tuple[int, int], visibility: str = "frustum"
-) -> PlanReport:
+def describe_plan(scene: Scene, technique: Technique, camera: Camera, size: tuple[int, int]) -> PlanReport:
     """Plan a frame, draw it on a null device and count what each pass does.
 
     Args:
-        size: (width, height) of the image in pixels. visibility: the name of the algorithm that finds the objects.
+        size: (width, height) of the image in pixels.
     """
     with rhi.create_device("null") as device:
-        algorithm = make_visibility(visibility, scene, device)
+        algorithm = make_visibility("frustum", scene, device)
         with Renderer(device, scene, technique=technique, visibility=algorithm, size=size) as renderer:
             drawn = renderer.render(camera).frames[0].drawn.opaque
             needs, plan = renderer.plan(camera)
@@ -110,45 +108,6 @@ def describe_plan(
             simulations = _describe_simulations(renderer, camera) if len(renderer.simulator) else None
             memory = describe_memory(device.stream, renderer.images)
         algorithm.destroy()
-    report = _report(scene, needs, plan, size, commands, maps, memory, orders)
-    return replace(report, simulations=simulations)
-
-
-def _describe_simulations(renderer: Renderer, camera: Camera) -> SimulationReport:
-    """Draw the next frame, and return what simulations have done in it."""
-    stream = renderer.device.stream
-    before = len(stream)
-    counted = renderer.render(camera, 1.0 / 60.0).statistics
-    issued = stream[before:].filter(Op.DISPATCH, label=SIMULATION_EVENT)
-    skipped = counted.skipped_simulations
-    return SimulationReport(len(renderer.simulator) - skipped, skipped, counted.simulation_steps, len(issued))
-
-
-def _divide_by_pass(device: rhi.Device, plan: Plan[Frame]) -> dict[str, Commands]:
-    """Return the commands of each pass by its name."""
-    return {one.name: _filter_pass(device.stream, one.name) for one in plan.passes}
-
-
-def _filter_pass(commands: Commands, name: str) -> Commands:
-    return commands.filter(where=lambda command: command.labels[:1] == (name,))
-
-
-def _find_geometry(commands: Mapping[str, Commands]) -> Commands:
-    """Return the draws of the scene's objects in the first pass that draws them."""
-    found = (some.draws().filter(where=lambda draw: "places" in draw.bindings) for some in commands.values())
-    return next((draws for draws in found if len(draws)), next(iter(commands.values()))[:0])
-
-
-def _report(
-    scene: Scene,
-    needs: Needs,
-    plan: Plan[Frame],
-    size: tuple[int, int],
-    commands: Mapping[str, Commands],
-    shadow_maps: list[MapReport],
-    memory: MemoryReport,
-    orders: list[OrderRow],
-) -> PlanReport:
     by_name = {name: texture for texture in plan.textures for name in texture.names}
 
     def describe(one: Pass[Frame]) -> PassRow:
@@ -174,7 +133,33 @@ def _report(
         ],
         textures=[list(texture.names) for texture in plan.textures],
         texture_bytes=plan.count_bytes(size),
-        shadow_maps=shadow_maps,
+        shadow_maps=maps,
         memory=memory,
         orders=orders,
+        simulations=simulations,
     )
+
+
+def _describe_simulations(renderer: Renderer, camera: Camera) -> SimulationReport:
+    """Draw the next frame, and return what simulations have done in it."""
+    stream = renderer.device.stream
+    before = len(stream)
+    counted = renderer.render(camera, 1.0 / 60.0).statistics
+    issued = stream[before:].filter(Op.DISPATCH, label=SIMULATION_EVENT)
+    skipped = counted.skipped_simulations
+    return SimulationReport(len(renderer.simulator) - skipped, skipped, counted.simulation_steps, len(issued))
+
+
+def _divide_by_pass(device: rhi.Device, plan: Plan[Frame]) -> dict[str, Commands]:
+    """Return the commands of each pass by its name."""
+    return {one.name: _filter_pass(device.stream, one.name) for one in plan.passes}
+
+
+def _filter_pass(commands: Commands, name: str) -> Commands:
+    return commands.filter(where=lambda command: command.labels[:1] == (name,))
+
+
+def _find_geometry(commands: Mapping[str, Commands]) -> Commands:
+    """Return the draws of the scene's objects in the first pass that draws them."""
+    found = (some.draws().filter(where=lambda draw: "places" in draw.bindings) for some in commands.values())
+    return next((draws for draws in found if len(draws)), next(iter(commands.values()))[:0])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -199,15 +200,7 @@ def _place_flag(builder: SceneBuilder) -> int:
     return material
 
 
-def _switch_particles(renderer: Renderer, _: int, is_on: bool) -> None:
-    _switch_layer(renderer, Particles, is_on)
-
-
-def _switch_overlay(renderer: Renderer, _: int, is_on: bool) -> None:
-    _switch_layer(renderer, Overlay, is_on)
-
-
-def _switch_layer(renderer: Renderer, kind: type[Any], is_on: bool) -> None:
+def _switch_layer(kind: type[Any], renderer: Renderer, _: int, is_on: bool) -> None:
     if is_on:
         renderer.layers.append(kind(renderer.device))
         return
@@ -342,7 +335,7 @@ LADDER: Final = (
         Footprint(
             "particles", programs=("*Particle*",), bindings=("particles",), events=("particles",),
         ),
-        switch=_switch_particles,
+        switch=partial(_switch_layer, Particles),
         modules=("renderer.layers.particles",),
     ),
     Rung(
@@ -376,7 +369,7 @@ LADDER: Final = (
         "overlay",
         "the debug overlay",
         Footprint("overlay", programs=("Canvas*",), events=("overlay",)),
-        switch=_switch_overlay,
+        switch=partial(_switch_layer, Overlay),
         modules=("renderer.layers.overlay", "renderer.layers.canvas"),
     ),
 )  # fmt: skip

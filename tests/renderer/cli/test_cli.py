@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 import io
 import json
 import logging
-import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +13,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from gltf_documents import TRIANGLE, GltfDocument
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -157,16 +156,9 @@ LEFT_OUT = "left out: vertex attribute _DUST (meshes[0].primitives[0].attributes
 
 def write_dusty(path: Path) -> dict[str, object]:
     """Write a model file with a triangle, and an attribute that isn't read; return how that is listed."""
-    triangle = base64.b64encode(struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)).decode()
-    document = {
-        "asset": {"version": "2.0"},
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "_DUST": 0}}]}],
-        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
-        "bufferViews": [{"buffer": 0, "byteLength": 36}],
-        "buffers": [{"byteLength": 36, "uri": f"data:application/octet-stream;base64,{triangle}"}],
-    }
-    path.write_text(json.dumps(document))
+    document = GltfDocument(nodes=[{"mesh": 0}])
+    document.mesh(_DUST=TRIANGLE)
+    document.write(path)
     return {"what": "vertex attribute _DUST", "count": 1, "where": "meshes[0].primitives[0].attributes"}
 
 

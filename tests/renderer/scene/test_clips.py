@@ -6,6 +6,7 @@ from frames import SIZE, find_eye, open_renderer, read_colors
 from gltf_documents import GltfDocument, make_morphing, make_skinned, turn
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import find_rule
 
 from renderer.content import load_model, save_scene
 from renderer.content.gltf.tracks import slerp
@@ -88,10 +89,8 @@ def test_a_bad_order_is_refused_and_changes_nothing(clip, values, rule):
     before = clip.clips._rows.copy()
     with pytest.raises(ValidationError, match=rule):
         clip.play(1.0, **values)
-    with pytest.raises(ValidationError, match="scene-bad-clip"):
-        clip.stop(1.0, fade=-1.0)
-    with pytest.raises(ValidationError, match="scene-not-finite"):
-        clip.seek(1.0, np.inf)
+    assert find_rule(lambda: clip.stop(1.0, fade=-1.0)) == "scene-bad-clip"
+    assert find_rule(lambda: clip.seek(1.0, np.inf)) == "scene-not-finite"
     assert clip.clips._rows.tobytes() == before.tobytes()
     assert clip.clips.version == 0
     clip.play(1.0, weight=0.0, fade=0.0)

@@ -78,6 +78,13 @@ def test_parameters_of_both_models_are_refused(name: str) -> None:
         ("emissive", (0, 1e6, 0), (0, -1, 0)),
         ("emissive_texture", -1, -2),
         ("alpha_mode", AlphaMode.BLEND, 3),
+        ("base_color", (1, 0, 0, 1), (1, 2)),
+        ("base_color", (1, 0, 0, 1), (1, -0.1, 0)),
+        ("base_color", (1, 0, 0, 1), (np.nan, 0, 0)),
+        ("shininess", 1.0, 0.5),
+        ("rim_power", 0.1, 0.0),
+        ("emission", 1e6, np.inf),
+        ("texture", -1, -2),
     ],
 )
 def test_values_out_of_range_are_refused(name: str, good: Any, bad: Any) -> None:

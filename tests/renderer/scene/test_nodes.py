@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import find_rule
 
 from renderer.scene import Nodes, rotation, translation
 from rhi.errors import ValidationError
@@ -87,21 +88,18 @@ def test_a_static_node_refuses_to_move_and_a_dynamic_one_moves():
 @pytest.mark.parametrize("rows", [[-1], [2]])
 def test_a_row_out_of_range_is_refused(rows):
     nodes = Nodes([-1, -1], np.tile(np.eye(4), (2, 1, 1)), dynamic=True)
-    with pytest.raises(ValidationError, match=r"^\[scene-bad-index\]"):
-        nodes.set_local(rows, np.eye(4))
+    assert find_rule(lambda: nodes.set_local(rows, np.eye(4))) == "scene-bad-index"
 
 
 @pytest.mark.parametrize("bad", [np.full((4, 4), np.nan), np.ones((4, 4)), np.eye(3)])
 def test_a_matrix_that_is_not_affine_is_refused(bad):
     nodes = Nodes([-1], np.eye(4)[None], dynamic=True)
-    with pytest.raises(ValidationError, match=r"^\[scene-bad-transform\]"):
-        nodes.set_local([0], bad)
+    assert find_rule(lambda: nodes.set_local([0], bad)) == "scene-bad-transform"
 
 
 @pytest.mark.parametrize("parents", [[0], [-2], [1, -1]])
 def test_a_parent_that_does_not_come_before_is_refused(parents):
-    with pytest.raises(ValidationError, match=r"^\[scene-bad-index\]"):
-        Nodes(parents, np.tile(np.eye(4), (len(parents), 1, 1)))
+    assert find_rule(lambda: Nodes(parents, np.tile(np.eye(4), (len(parents), 1, 1)))) == "scene-bad-index"
 
 
 def test_an_unknown_name_is_refused_with_the_nearest():

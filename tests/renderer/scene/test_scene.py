@@ -108,9 +108,13 @@ def test_transforms_relative_to_a_far_eye_are_exact():
     assert relative[0, :3, 3].tolist() == [0.0, 0.0, 0.25]
 
 
-@pytest.mark.parametrize("name", list(BUILT_IN))
-def test_built_in_meshes_face_outwards_with_unit_normals(name):
-    geometry = BUILT_IN[name]()
+SOLIDS = {name: make() for name, make in BUILT_IN.items()}
+SOLIDS["mirrored"] = BUILT_IN["sphere"]().transformed(scaling((-1, 2, 1)))
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_built_in_meshes_mirrored_or_not_face_outwards_with_unit_normals(name):
+    geometry = SOLIDS[name]
     corners = geometry.vertices[geometry.indices].reshape(-1, 3)
     position, normal = corners["position"].astype(np.float64), corners["normal"].astype(np.float64)
     face = np.cross(position[:, 1] - position[:, 0], position[:, 2] - position[:, 0])
@@ -138,14 +142,6 @@ def test_degenerate_triangles_give_unit_normals_and_no_nan():
 @pytest.mark.parametrize("scale", [1e-30, 1e30])
 def test_normals_of_tiny_and_huge_triangles_are_unit(scale):
     assert np.allclose(compute_normals(np.array(TRIANGLE) * scale, [0, 1, 2]), (0, 0, 1))
-
-
-def test_a_mirrored_mesh_still_faces_outwards():
-    mirrored = BUILT_IN["sphere"]().transformed(scaling((-1, 2, 1)))
-    corners = mirrored.vertices[mirrored.indices].reshape(-1, 3)
-    position = corners["position"]
-    face = np.cross(position[:, 1] - position[:, 0], position[:, 2] - position[:, 0])
-    assert ((face[:, None] * corners["normal"]).sum(2) > 0.0).all()
 
 
 @pytest.mark.parametrize(
@@ -178,22 +174,6 @@ def test_materials_are_a_storage_buffer_without_padding():
     assert MATERIAL.itemsize == 112
     material = make_material(base_color=(0.1, 0.2, 0.3), texture=-1)
     assert material["base_color"].tolist() == pytest.approx([0.1, 0.2, 0.3, 1.0])
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"base_color": (1, 2)},
-        {"base_color": (1, -0.1, 0)},
-        {"base_color": (np.nan, 0, 0)},
-        {"shininess": 0.5},
-        {"rim_power": 0.0},
-        {"emission": np.inf},
-        {"texture": -2},
-    ],
-)
-def test_bad_materials_are_refused(values):
-    assert find_rule(lambda: make_material(**values)) == "scene-bad-material"
 
 
 def test_lights_are_packed_relative_to_the_eye():

@@ -32,6 +32,16 @@ def shade_plane(
     return encode(look_at_plane(scene, camera, size, point, plane, albedo, normal)[0])
 
 
+def find_rays(camera: Camera, size: tuple[int, int]) -> Floats:
+    """Return the direction (height, width, 3) of each pixel, of length 1 along the view."""
+    lens = camera.projection
+    assert isinstance(lens, Perspective)
+    width, height = size
+    x = ((np.arange(width) + 0.5) / width * 2 - 1) * np.tan(lens.fov / 2) * width / height
+    y = (1 - (np.arange(height) + 0.5) / height * 2) * np.tan(lens.fov / 2)
+    return np.asarray(np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), -1) @ camera.rotation)
+
+
 def look_at_plane(
     scene: Scene,
     camera: Camera,
@@ -45,12 +55,7 @@ def look_at_plane(
     """Return the linear colours (height, width, 3) of a plane, of another material than the first if that is given, and
     the distances (height, width) from the eye; see `shade_plane`."""
     normal = plane if normal is None else normal
-    lens = camera.projection
-    assert isinstance(lens, Perspective)
-    width, height = size
-    x = ((np.arange(width) + 0.5) / width * 2 - 1) * np.tan(lens.fov / 2) * width / height
-    y = (1 - (np.arange(height) + 0.5) / height * 2) * np.tan(lens.fov / 2)
-    rays = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), -1) @ camera.rotation
+    rays = find_rays(camera, size)
     distance = ((point - camera.position) @ plane) / (rays @ plane)
     assert (distance > 0).all(), "the plane must fill the image"
     hit = camera.position + rays * distance[..., None]

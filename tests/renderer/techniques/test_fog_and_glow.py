@@ -10,7 +10,7 @@ import pytest
 from fog_reference import add_up
 from frames import SIZE, draw, open_renderer, read_colors
 from glow_reference import add_glow
-from lighting_reference import encode, tone_map
+from lighting_reference import encode, find_rays, tone_map
 from numpy.typing import NDArray
 
 import rhi
@@ -66,21 +66,16 @@ def stage(*, panes: bool = False, lamps: bool = False, emission: float = 1.0) ->
     return builder
 
 
-def find_rays(camera: Camera) -> NDArray[np.float64]:
+def find_directions(camera: Camera) -> NDArray[np.float64]:
     """Return the unit direction (h, w, 3) of each pixel."""
-    lens = camera.projection
-    assert isinstance(lens, Perspective)
-    width, height = SIZE
-    x = ((np.arange(width) + 0.5) / width * 2 - 1) * np.tan(lens.fov / 2) * width / height
-    y = (1 - (np.arange(height) + 0.5) / height * 2) * np.tan(lens.fov / 2)
-    rays = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), -1) @ camera.rotation
+    rays = find_rays(camera, SIZE)
     return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 
 
 def look_at_ground(fog: Fog, background: tuple[float, float, float], camera: Camera) -> NDArray[np.float64]:
     """Return the light (h, w, 3) of an endless ground of the light (0.5, 0.4, 0.3) at a height of 0, in fog that is
     added up along each ray."""
-    rays, eye, thinnest = find_rays(camera), camera.position[1], 1e-4
+    rays, eye, thinnest = find_directions(camera), camera.position[1], 1e-4
     light = np.zeros((*rays.shape[:2], 3))
     for place in np.ndindex(rays.shape[:2]):
         ray = rays[place]
@@ -220,7 +215,7 @@ def test_transparent_surfaces_have_the_fog_before_them(gl: rhi.Device, blending:
         builder.add_objects(node, builder.add_mesh(PANE), material)
     builder.fog = Fog(0.05, (0.3, 0.5, 0.4))
     camera = Camera.look_at((0, 2, 9), (0, 2, 0), projection=EYE.projection)
-    rays, through = find_rays(camera), []
+    rays, through = find_directions(camera), []
     for away, color in ((9.0, (0.1, 0.3, 0.9)), (8.0, (0.9, 0.5, 0.1))):
         passing = np.exp(-0.05 * away / -rays[..., 2:])
         through.append(tone_map(passing * color + (1 - passing) * np.array(find_light(builder.fog.color))))
@@ -245,7 +240,7 @@ def test_any_lens_shows_the_fog_of_its_pixels(gl: rhi.Device, lens: str) -> None
     covered = draw(gl, stage().build(), camera=camera)
     sky = (covered == encode(np.array(scene.background)).round()).all(axis=2)
     assert sky.any()
-    directions = np.broadcast_to(camera.forward, (*SIZE[::-1], 3)) if lens == "parallel" else find_rays(camera)
+    directions = np.broadcast_to(camera.forward, (*SIZE[::-1], 3)) if lens == "parallel" else find_directions(camera)
     up = np.maximum(directions[sky][:, 1], 0.0)
     density = FOG.density * np.exp(-FOG.falloff * (3.0 - FOG.base))
     with np.errstate(divide="ignore"):

@@ -28,22 +28,14 @@ def city():
 
 
 @pytest.mark.parametrize("path", ["ground", "sky"])
-def test_frustum_culling_draws_what_brute_force_keeps_along_a_path(city, path):
-    algorithm: VisibilityAlgorithm = FrustumCulling(city)
-    for frame in range(0, 1800, 120):
-        camera = city.paths[path].camera(frame)
-        expected = find_visible(camera.frustum.planes, city.objects.lower, city.objects.upper)
-        assert (find_visible_objects(algorithm, camera) == np.flatnonzero(expected)).all()
-
-
-def test_moving_objects_are_found_where_they_are_now(hall):
-    algorithm = FrustumCulling(hall)
+def test_what_brute_force_keeps_is_drawn_along_a_path_and_moving_objects_where_they_are_now(hall, path):
+    algorithm: VisibilityAlgorithm = FrustumCulling(hall)
     assert len(hall.objects.dynamic_rows)
     assert len(hall.objects.static_rows)
     seen = set()
     for frame in range(0, 1800, 90):
         hall.update(frame / 60.0)
-        camera = hall.paths["ground"].camera(frame)
+        camera = hall.paths[path].camera(frame)
         expected = np.flatnonzero(find_visible(camera.frustum.planes, hall.objects.lower, hall.objects.upper))
         assert (find_visible_objects(algorithm, camera) == expected).all()
         seen.update(np.intersect1d(expected, hall.objects.dynamic_rows).tolist())

@@ -4,18 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_culling import make_boxes
 
 from renderer.visibility import build_by_area, build_by_middle
 from rhi.errors import ValidationError
 
 BUILDERS = [build_by_area, build_by_middle]
-
-
-def make_boxes(count, seed=0, spread=100.0):
-    rng = np.random.default_rng(seed)
-    centre = rng.uniform(-spread, spread, (count, 3))
-    extent = rng.uniform(0.0, 5.0, (count, 3))
-    return centre - extent, centre + extent
 
 
 @st.composite

@@ -22,10 +22,6 @@ def test_a_node_that_has_just_become_hidden_is_asked_for_alone() -> None:
     assert choose_size([STAYS_HIDDEN[0]] * 40) == 1
 
 
-def test_one_node_is_a_query_of_one() -> None:
-    assert choose_size([STAYS_HIDDEN[15]]) == 1
-
-
 def test_unlikely_nodes_are_not_added_to_likely_ones() -> None:
     assert choose_size([STAYS_HIDDEN[15]] * 3 + [STAYS_HIDDEN[0]] * 3) == 3
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from occlusion_scenes import make_boxes
+from refusals import find_rule
 
 import rhi
 from renderer.renderer import Renderer
@@ -34,8 +35,7 @@ def test_a_number_that_is_missing_is_the_default(tmp_path: Path) -> None:
 ])  # fmt: skip
 def test_a_file_that_holds_no_settings_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "s.json").write_text(text)
-    with pytest.raises(ValidationError, match=r"^\[visibility-bad-settings\]"):
-        VisibilitySettings.load(tmp_path / "s.json")
+    assert find_rule(lambda: VisibilitySettings.load(tmp_path / "s.json")) == "visibility-bad-settings"
 
 
 @pytest.mark.parametrize(
@@ -46,8 +46,7 @@ def test_a_file_that_holds_no_settings_is_refused(tmp_path: Path, text: str) -> 
     ],
 )  # fmt: skip
 def test_a_value_out_of_its_range_is_refused(value: dict[str, int]) -> None:
-    with pytest.raises(ValidationError, match=r"^\[visibility-bad-parameter\]"):
-        VisibilitySettings(**value)
+    assert find_rule(lambda: VisibilitySettings(**value)) == "visibility-bad-parameter"
     VisibilitySettings(batch=1, persistence=1, leaf_size=1, threshold=0)
 
 
