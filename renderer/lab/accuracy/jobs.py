@@ -36,7 +36,7 @@ from renderer.lab.accuracy.sweep import (
 )
 from renderer.settings import to_plain
 
-_VERSION: Final = 3
+_VERSION: Final = 4
 """To be raised with any change of what is measured or stored."""
 
 
@@ -179,6 +179,6 @@ def load_sample(path: Path) -> KnobSample | None:
 
 
 def _read_sample(found: dict[str, Any]) -> ValueSample:
-    lists = {name: tuple(found[name]) for name in ("seconds", "processor_seconds")}
+    lists = {name: tuple(found[name]) for name in ("seconds", "processor_seconds", "flips")}
     worst = None if found["worst"] is None else tuple(found["worst"])
     return ValueSample(**found | lists | {"worst": worst, "sums": tuple((a, b) for a, b in found["sums"])})
