@@ -31,6 +31,7 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import require_format, require_line_width, require_samples
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import SUBTEXELS, rasterise, rasterise_line
 from rhi.conformance.shaders import Colored, FlatColored
 from rhi.conformance.shapes import corners, window_to_clip
@@ -55,10 +56,7 @@ def drawn(
 ) -> NDArray[Any]:  # fmt: skip
     """Return the image of one draw of window positions."""
     rows = corners(window_to_clip(points, SIZE), color, depth)
-    with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(rows, primitive=primitive) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(*states):
-            device.draw(device.program(shader), mesh)
-        return image.read()
+    return draw_once(device, SIZE, Format.RGBA32F, rows, *states, shader=shader, primitive=primitive)
 
 
 def wired(device: Device, points: Any, *states: Any, **more: Any) -> NDArray[Any]:
@@ -120,13 +118,8 @@ def test_a_line_may_be_as_wide_as_the_device_says(device: Device) -> None:
     most = device.capabilities.max_line_width
     height = int(most) + 9
     rows = corners([(-1, 1 / 64), (1, 1 / 64)])
-    with (
-        device.texture((4, height), Format.R8) as image,
-        device.mesh(rows, primitive=Primitive.LINES) as mesh,
-    ):
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(LineWidth(most)):
-            device.draw(device.program(Colored), mesh)
-        assert_same((image.read()[:, 1:3] > 0).sum(axis=0), np.floor(most + 0.5))
+    back = draw_once(device, (4, height), Format.R8, rows, LineWidth(most), primitive=Primitive.LINES)
+    assert_same((back[:, 1:3] > 0).sum(axis=0), np.floor(most + 0.5))
 
 
 def test_a_strip_of_wide_lines_is_a_line_for_each_segment(device: Device) -> None:
@@ -186,15 +179,7 @@ def test_a_wide_line_covers_samples(device: Device) -> None:
     require_line_width(device, 5)
     require_samples(device, 4)
     rows = corners(window_to_clip(GENTLE, SIZE))
-    with (
-        device.texture(SIZE, Format.RGBA8, samples=4) as target,
-        device.texture(SIZE, Format.RGBA8) as image,
-        device.mesh(rows, primitive=Primitive.LINES) as mesh,
-    ):
-        with device.render_pass(target, clear=(0, 0, 0, 0)), device.states(LineWidth(5)):
-            device.draw(device.program(Colored), mesh)
-        target.resolve_to(image)
-        back = image.read()[..., 3]
+    back = draw_once(device, SIZE, Format.RGBA8, rows, LineWidth(5), primitive=Primitive.LINES, samples=4)[..., 3]
     assert_same(back[line(GENTLE, 3)[0]], 255)
     columns = slice(7, 24)
     assert_same(back[:, columns][~line(GENTLE, 8)[1][:, columns]], 0)
@@ -256,10 +241,10 @@ def test_every_topology_of_triangles_has_edges(device: Device, primitive: Primit
     }[primitive]
     rows = corners(window_to_clip(points, SIZE))
     indices = None if dtype is None else np.arange(4, dtype=dtype)
-    with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(rows, indices, primitive=primitive) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE, PolygonMode.LINE):
-            device.draw(device.program(Colored), mesh)
-        assert_covers(image.read(), outline(triangles))
+    back = draw_once(
+        device, SIZE, Format.RGBA32F, rows, CullMode.NONE, PolygonMode.LINE, indices=indices, primitive=primitive
+    )
+    assert_covers(back, outline(triangles))
 
 
 @pytest.mark.needs("wireframe")
@@ -270,10 +255,7 @@ def test_many_triangles_have_all_their_edges(device: Device, dtype: str | None) 
     points = (places + np.array([(0.3125, 0.4375), (0.6875, 3.1875), (3.5625, 2.3125)])).reshape(-1, 2)
     rows = corners(window_to_clip(points, SIZE))
     indices = None if dtype is None else np.arange(len(points), dtype=dtype)
-    with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(rows, indices) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(PolygonMode.LINE):
-            device.draw(device.program(Colored), mesh)
-        assert_covers(image.read(), outline(points))
+    assert_covers(draw_once(device, SIZE, Format.RGBA32F, rows, PolygonMode.LINE, indices=indices), outline(points))
 
 
 @pytest.mark.needs("wireframe")

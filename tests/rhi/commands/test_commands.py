@@ -216,9 +216,8 @@ def test_a_command_of_a_cleared_stream_keeps_its_own_but_refuses_what_is_derived
     assert kept["count"] == 12
     assert kept.site is not None
     for name in ("labels", "states", "program", "render_pass"):
-        with pytest.raises(ValidationError) as caught:
+        with pytest.raises(ValidationError, match=r"^\[command-cleared\]"):
             getattr(kept, name)
-        assert caught.value.rule.id == "command-cleared"
 
 
 STEPS = st.lists(st.sampled_from(["push", "pop", "cull", "draw", "clear", "pause", "resume", "look"]), max_size=60)

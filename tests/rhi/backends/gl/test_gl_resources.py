@@ -69,9 +69,8 @@ def test_a_write_past_the_end_of_a_stream_touches_nothing(gl_kit: GlKit) -> None
 
 def test_a_texture_too_large_is_refused_and_its_id_stays_free(gl_kit: GlKit) -> None:
     limit = gl_kit.backend.capabilities.max_texture_size
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError, match=r"^\[device-driver\]"):
         gl_kit.backend.create_texture(1, TextureDescriptor((limit + 1, 1), Format.R8))
-    assert caught.value.rule.id == "device-driver"
     gl_kit.backend.create_texture(1, TextureDescriptor((limit, 1), Format.R8))
     assert gl_kit.backend.read_texture(1, 0, Region(limit - 1, 0, 1, 1), False)[0, 0, 0, 0] == 0
 

@@ -592,9 +592,8 @@ GOOD = {"position": np.zeros((4, 2)), "id": np.arange(4)}
 )
 def test_attributes_that_a_stage_hasnt_got_are_refused(attributes):
     assert sl.run_vertex(Depths, GOOD).position.shape == (4, 4)
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[shading-arguments\]"):
         sl.run_vertex(Depths, attributes)
-    assert caught.value.rule is rules.WRONG_ARGUMENTS
 
 
 def test_a_structured_array_gives_attributes_and_varyings():
@@ -610,20 +609,17 @@ def test_quads_have_even_rows_and_columns():
 
     assert run(2, 4) == (2, 4)
     for size in ((3, 4), (2, 5)):
-        with pytest.raises(ValidationError) as caught:
+        with pytest.raises(ValidationError, match=r"^\[shading-arguments\]"):
             run(*size)
-        assert caught.value.rule is rules.WRONG_ARGUMENTS
     values = {"value": np.zeros((3, 5, 2))}  # no differences, no quads
     assert sl.run_fragment(Endless, values).kept.shape == (3, 5)
 
 
 def test_a_stage_that_a_shader_hasnt_got_doesnt_run():
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[shading-stages\]"):
         sl.run_fragment(Depths, {})
-    assert caught.value.rule is rules.STAGES
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[shading-arguments\]"):
         sl.run_fragment(Endless, {"value": np.zeros((2, 2, 2))}, dtype=np.float16)
-    assert caught.value.rule is rules.WRONG_ARGUMENTS
 
 
 def test_a_shader_of_which_both_stages_run_is_parsed_once(monkeypatch):

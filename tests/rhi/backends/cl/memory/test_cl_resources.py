@@ -146,9 +146,8 @@ def test_nothing_may_be_read_copied_cleared_and_written(cl_kit: ClKit) -> None:
 def test_a_buffer_too_large_is_refused_and_the_device_goes_on(cl_kit: ClKit) -> None:
     size = cl_kit.backend.capabilities.max_storage_bytes
     for usage in BufferUsage:
-        with pytest.raises(DeviceError) as caught:
+        with pytest.raises(DeviceError, match=r"^\[device-out-of-memory\]"):
             cl_kit.backend.create_buffer(1, BufferDescriptor(size * 1000, usage))
-        assert caught.value.rule.id == "device-out-of-memory"
         cl_kit.backend.create_buffer(1, BufferDescriptor(64, usage))
         assert cl_kit.backend.read_buffer(1, 0, 64) == bytes(64)
         cl_kit.backend.destroy(1)
@@ -156,9 +155,8 @@ def test_a_buffer_too_large_is_refused_and_the_device_goes_on(cl_kit: ClKit) -> 
 
 def test_a_texture_too_large_is_refused_and_its_id_stays_free(cl_kit: ClKit) -> None:
     whole = TextureDescriptor((16384, 16384), Format.RGBA32F, TextureKind.D2_ARRAY, 64)
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError, match=r"^\[device-out-of-memory\]"):
         cl_kit.backend.create_texture(1, whole)
-    assert caught.value.rule.id == "device-out-of-memory"
     cl_kit.backend.create_texture(1, TextureDescriptor((4, 4), Format.R8))
     assert not cl_kit.read(1, 4, 4).any()
 

@@ -105,9 +105,8 @@ def test_a_command_that_failed_is_reported_and_not_waited_for() -> None:
     class Failed:
         command_execution_status = -5
 
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError, match=r"^\[device-lost\]") as caught:
         is_done(Failed())  # type: ignore[arg-type]
-    assert caught.value.rule.id == "device-lost"
     assert "-5" in caught.value.given
 
 
@@ -130,9 +129,8 @@ def test_a_lost_queue_is_told_of_by_whoever_asks_and_the_device_can_be_closed(
             lambda: device.completed, lambda: device.wait(value), lambda: device.wait(value, 0.1), device.finish,
         ]  # fmt: skip
         for ask in asks:
-            with pytest.raises(DeviceError) as caught:
+            with pytest.raises(DeviceError, match=r"^\[device-lost\]") as caught:
                 ask()
-            assert caught.value.rule.id == "device-lost"
             assert "create a new one" in caught.value.tip
     monkeypatch.undo()
     with rhi.create_device("cl") as device:
