@@ -19,12 +19,16 @@ def draw_once(
     samples: int = 1, clear: tuple[float, float, float, float] | None = None, **bindings: Any,
 ) -> NDArray[Any]:  # fmt: skip
     """Return the texels (height, width, channels) of a new texture, of a size or with texels, after one draw of
-    vertices into it. One of several samples is resolved at the end of the pass."""
+    vertices into it. One of several samples is resolved at the end of the pass; depth begins at 0."""
     with (
         device.texture(source, format, samples=samples) as image,
         device.mesh(rows, indices, primitive=primitive) as mesh,
         nullcontext() if samples == 1 else device.texture(source, format) as resolved,
     ):
-        with device.render_pass(image, clear=clear, resolve=resolved), device.states(*states):
+        if format.is_depth:
+            target = device.render_pass(depth=image, clear_depth=0.0)
+        else:
+            target = device.render_pass(image, clear=clear, resolve=resolved)
+        with target, device.states(*states):
             device.draw(device.program(shader), mesh, **bindings)
         return (resolved or image).read()

@@ -310,13 +310,7 @@ def test_depth_that_a_bias_moves_beyond_the_range_is_its_end(
 
 def test_lines_and_points_are_not_offset(device: Device) -> None:
     rows = rectangle(depth=0.5)
-    with (
-        device.texture(SIZE, Format.D24S8) as depth,
-        device.mesh(rows, primitive=rhi.Primitive.POINTS) as mesh,
-    ):
-        with device.render_pass(depth=depth, clear_depth=0.0), device.states(DepthBias(1000.0)):
-            device.draw(device.program(Colored), mesh)
-        stored = depth.read()
+    stored = draw_once(device, SIZE, Format.D24S8, rows, DepthBias(1000.0), primitive=rhi.Primitive.POINTS)
     assert_near(stored[stored > 0], 0.5, 2.0**-23, "24 bits of depth")
 
 

@@ -15,6 +15,7 @@ import rhi
 from rhi import Device, DeviceError, Format, Primitive, ShaderError
 from rhi.backends.null.capabilities import PROFILES
 from rhi.backends.wgpu import backend as wgpu_backend
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.shading import Shader, StorageRW, global_id, native
@@ -67,10 +68,7 @@ def test_the_core_profile_has_what_a_null_device_says_of_webgpu(usable: None, mo
     with rhi.create_device("wgpu") as device:
         names = {field.name for field in fields(known)} - own
         assert {name: getattr(device.capabilities, name) for name in names} == {n: getattr(known, n) for n in names}
-        with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle()) as mesh:
-            with device.render_pass(image):
-                device.draw(device.program(Colored), mesh)
-            assert (image.read() == 255).all()
+        assert (draw_once(device, SIZE, Format.R8, rectangle()) == 255).all()
 
 
 _PARSES = """
