@@ -353,11 +353,6 @@ def test_a_program_without_outputs_draws_depth(device: Device) -> None:
     assert_same(draw_once(device, SIZE, Format.D32F, rectangle(), shader=Nothing), 0.5)
 
 
-def test_signed_integers_keep_their_sign(device: Device) -> None:
-    drawn = draw_once(device, SIZE, Format.RGBA32I, rectangle(color=(-5, 5, -1, 0)), shader=IntColored)
-    assert_same(drawn, (-5, 5, -1, 0))
-
-
 @pytest.mark.parametrize("samples", [4, 8])
 def test_a_point_with_a_size_covers_samples(device: Device, samples: int) -> None:
     require_samples(device, samples)
