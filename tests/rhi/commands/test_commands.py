@@ -197,16 +197,6 @@ def test_states_given_out_are_a_copy(recorder):
     assert recorder.stream[1].states[CullMode] is CullMode.BACK
 
 
-def test_what_holds_goes_on_after_a_clear(recorder):
-    recorder.push_label("frame")
-    recorder.set_states([StateChange(CullMode, CullMode.NONE)])
-    recorder.stream.clear()
-    assert len(recorder.stream) == 0
-    draw(recorder)
-    assert recorder.stream[0].labels == ("frame",)
-    assert recorder.stream[0].states[CullMode] is CullMode.NONE
-
-
 def test_a_command_of_a_cleared_stream_keeps_its_own_but_refuses_what_is_derived(recorder):
     draw(recorder, 12)
     kept = recorder.stream[0]

@@ -21,43 +21,10 @@ def test_a_container_without_room_is_refused(container, capacity):
         container(capacity)
 
 
-@pytest.mark.parametrize("container", [FixedStack, FixedQueue])
-@pytest.mark.parametrize("capacity", [1, 2, 3, 4, 5, 8, 9])
-def test_a_container_of_n_takes_n_elements_and_no_more(container, capacity):
-    room = container(capacity)
-    for value in range(capacity):
-        room.push(value)
-    assert list(room) == list(range(capacity))
-    with pytest.raises(ValidationError, match=r"^\[container-full\]"):
-        room.push(-1)
-    assert list(room) == list(range(capacity))
-
-
-@pytest.mark.parametrize("container", [FixedStack, FixedQueue])
-def test_an_empty_container_refuses_a_pop_and_stays_usable(container):
-    room = container(1)
-    with pytest.raises(ValidationError, match=r"^\[container-empty\]"):
-        room.pop()
-    room.push(7)
-    assert room.pop() == 7
-
-
 @pytest.mark.parametrize(("container", "name"), [(FixedStack, "top"), (FixedQueue, "front")])
 def test_an_empty_container_has_no_first_element(container, name):
     with pytest.raises(ValidationError, match=r"^\[container-empty\]"):
         getattr(container(1), name)
-
-
-def test_n_pushes_fill_a_ring_wherever_it_stands():
-    for turned in range(8):
-        queue = FixedQueue(4)
-        for value in range(turned):
-            queue.push(value)
-            queue.pop()
-        for value in range(4):
-            queue.push(value)
-        assert queue.is_full
-        assert [queue.pop() for _ in range(4)] == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize(("container", "peek", "end"), [(FixedStack, "top", -1), (FixedQueue, "front", 0)])

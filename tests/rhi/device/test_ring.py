@@ -60,21 +60,6 @@ def end_frame(ring: Ring, timeline: Timeline) -> int:
     return value
 
 
-def test_places_are_aligned_also_to_strides_that_are_no_power_of_two() -> None:
-    ring, _, _ = make_ring(4096)
-    ring.allocate(10, 1)
-    assert ring.allocate(40, 20) % 20 == 0
-
-
-def test_a_request_never_straddles_the_end() -> None:
-    ring, timeline, gpu = make_ring(256)
-    ring.allocate(200, 1)
-    gpu.reached = end_frame(ring, timeline)
-    ring.allocate(40, 1)
-    offset = ring.allocate(100, 1)
-    assert offset + 100 <= ring.capacity
-
-
 def test_a_ring_whose_frames_fit_does_not_grow() -> None:
     ring, timeline, gpu = make_ring(1024)
     for _ in range(100):

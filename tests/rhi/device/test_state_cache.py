@@ -133,12 +133,6 @@ def test_equal_combinations_are_one_vector_whichever_way_they_came_about():
         assert cache.wanted is first
 
 
-def test_a_state_for_all_targets_replaces_those_of_single_ones():
-    cache = StateCache()
-    with cache.scope((ColorWrite.OFF.at(2),)), cache.scope((ColorWrite.ON,)):
-        assert cache.flush() == ()
-
-
 def test_a_scope_of_no_states_changes_nothing():
     cache = StateCache()
     with cache.scope((CullMode.NONE,)):

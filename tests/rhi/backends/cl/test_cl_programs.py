@@ -106,15 +106,6 @@ def test_without_that_each_work_item_is_an_invocation(cl_kit: ClKit) -> None:
     assert cl_kit.words(words, 256)[::64] == sums.tolist()
 
 
-def test_atomics_of_all_work_groups_are_counted(cl_kit: ClKit) -> None:
-    program = cl_kit.program(describe_program(COUNT, work_group=(32, 1, 1)))
-    words = cl_kit.buffer(bytes(4))
-    cl_kit.backend.bind_storage(0, words, 0, 4)
-    cl_kit.dispatch(program, 1000)
-    cl_kit.dispatch(program, 1)
-    assert cl_kit.words(words, 1) == [32 * 1001]
-
-
 @pytest.mark.parametrize(
     ("groups", "count"),
     [

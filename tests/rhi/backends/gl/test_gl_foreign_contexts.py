@@ -455,16 +455,6 @@ def test_make_current_restores_the_bindings_that_other_code_changed(device: Devi
     assert counts == [0, PIXELS]
 
 
-def test_a_disturbed_state_shows_without_make_current() -> None:
-    """The control of the test above."""
-    with rhi.create_device("gl") as device:
-        image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
-        device.backend_as(GlBackend).gl.Enable(0x8C89)
-        with device.render_pass(image, clear=(0, 0, 0, 0)):
-            device.draw(program, mesh)
-        assert count_filled(image) == 0
-
-
 # -- where the context can't be made current ---------------------------------------------------------------------
 
 
