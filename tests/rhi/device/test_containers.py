@@ -3,7 +3,7 @@
 import tracemalloc
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rhi.device.core.containers import FixedQueue, FixedStack
@@ -28,6 +28,8 @@ def test_an_empty_container_has_no_first_element(container, name):
 
 
 @pytest.mark.parametrize(("container", "peek", "end"), [(FixedStack, "top", -1), (FixedQueue, "front", 0)])
+@example(8, range(9))
+@example(9, range(10))
 @given(CAPACITIES, STEPS)
 @settings(max_examples=200)
 def test_a_container_does_what_a_list_does(container, peek, end, capacity, steps):

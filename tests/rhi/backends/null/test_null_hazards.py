@@ -514,7 +514,13 @@ ACTIONS = st.lists(
 )
 
 
+USED, ASKED = ("draw", 0, 16), [("ask", 0, 0), ("write", 0, 4)]
+
+
 @settings(max_examples=150)
+@example([USED, ("signal", 0, 0), ("wait", 0, 0), ("write", 0, 4)], 100, 20, 1000)
+@example([("signal", 0, 0), USED, ("wait", 0, 0), ("write", 0, 4)], 100, 20, 1000)  # a fence before the use
+@example([USED, ("signal", 0, 0), *ASKED, ("spend", 5000, 0), *ASKED], 100, 20, 1000)  # one that isn't reached, first
 @given(ACTIONS, st.integers(0, 20_000), st.integers(1, 20), st.integers(0, 3000))
 def test_no_hazard_escapes_and_none_is_invented(actions, latency, batch, pixels):
     backend = uniform_backend(submission_latency=latency, batch=batch)

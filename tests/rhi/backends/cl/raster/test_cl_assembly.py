@@ -245,3 +245,11 @@ def test_what_is_kept_of_a_buffer_is_bounded(monkeypatch: pytest.MonkeyPatch) ->
     for first in range(20):
         assert host.assembler.assemble(Primitive.POINTS, first, 5, buffer).lowest == first
         assert len(host.assembler._buffers[buffer].kept) <= 3
+
+
+def test_a_restart_in_a_list_ends_its_primitive() -> None:
+    host = Host()
+    buffer = host.buffer(1, np.array([0, 1, 2, 3, 0xFFFFFFFF, 4, 5, 6], np.uint32))
+    made = host.assembler.assemble(Primitive.TRIANGLES, 0, 8, buffer)
+    assert host.vertices(made, buffer) == [0, 1, 2, 4, 5, 6]
+    assert (made.lowest, made.highest) == (0, 6)
