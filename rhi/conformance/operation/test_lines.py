@@ -59,6 +59,17 @@ def drawn(
     return draw_once(device, SIZE, Format.RGBA32F, rows, *states, shader=shader, primitive=primitive)
 
 
+def drawn_with_depth(
+    device: Device, rows: NDArray[Any], *states: Any, primitive: Primitive = Primitive.TRIANGLES, clear: float = 0.0
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the image and the depth of one draw."""
+    with device.texture(SIZE, Format.RGBA32F) as image, device.texture(SIZE, Format.D32F) as depth:
+        with device.mesh(rows, primitive=primitive) as mesh:
+            with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=clear), device.states(*states):
+                device.draw(device.program(Colored), mesh)
+        return image.read(), depth.read()
+
+
 def wired(device: Device, points: Any, *states: Any, **more: Any) -> NDArray[Any]:
     """Return the image of triangles drawn as lines."""
     return drawn(device, points, PolygonMode.LINE, *states, primitive=Primitive.TRIANGLES, **more)
@@ -135,11 +146,7 @@ def test_values_and_depth_run_along_a_wide_line(device: Device) -> None:
     require_line_width(device, 5)
     points, width = [(4.0, 7.25), (28.0, 13.25)], 5
     rows = corners(window_to_clip(points, SIZE), [(0, 0, 0, 1), (1, 0.5, 0, 1)], [0.25, 0.75])
-    with device.texture(SIZE, Format.RGBA32F) as image, device.texture(SIZE, Format.D32F) as depth:
-        with device.mesh(rows, primitive=Primitive.LINES) as mesh:
-            with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0), device.states(LineWidth(width)):
-                device.draw(device.program(Colored), mesh)
-        back, stored = image.read(), depth.read()
+    back, stored = drawn_with_depth(device, rows, LineWidth(width), primitive=Primitive.LINES)
     y, x = np.nonzero(line(points, width)[0])
     share = (x + 0.5 - 4.0) / 24
     assert_near(back[y, x, 0], share, 2e-3, "8 fraction bits of the window position over 24 texels")
@@ -281,11 +288,7 @@ def test_values_and_depth_run_along_edges(device: Device) -> None:
     points = [(4.0, 4.25), (8.25, 20.0), (28.0, 8.25)]
     color, depths = np.array([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1)]), [0.2, 0.5, 0.8]
     rows = corners(window_to_clip(points, SIZE), color, depths)
-    with device.texture(SIZE, Format.RGBA32F) as image, device.texture(SIZE, Format.D32F) as depth:
-        with device.mesh(rows) as mesh:
-            with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0), device.states(PolygonMode.LINE):
-                device.draw(device.program(Colored), mesh)
-        back, stored = image.read(), depth.read()
+    back, stored = drawn_with_depth(device, rows, PolygonMode.LINE)
     for i in range(3):
         ends = np.array([points[i], points[(i + 1) % 3]])
         others = line(ends)[0]
@@ -309,14 +312,7 @@ def test_each_texel_of_an_edge_is_tested_for_depth(device: Device, function: Dep
     points = [(4.0, 4.25), (4.25, 20.0), (28.0, 8.25)]
     depths = (np.array(points)[:, 0] - 4.0) / 24  # 0.5 at x = 16
     rows = corners(window_to_clip(points, SIZE), depth=depths)
-    with device.texture(SIZE, Format.RGBA32F) as image, device.texture(SIZE, Format.D32F) as depth:
-        with device.mesh(rows) as mesh:
-            with (
-                device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5),
-                device.states(DepthTest.ON, function, PolygonMode.LINE),
-            ):
-                device.draw(device.program(Colored), mesh)
-        covered = image.read()
+    covered, _ = drawn_with_depth(device, rows, DepthTest.ON, function, PolygonMode.LINE, clear=0.5)
     certain, possible = outline(points)
     near = slice(16, None) if function is DepthFunction.GREATER else slice(None, 16)
     half = np.zeros_like(certain)
@@ -335,10 +331,7 @@ def test_edges_are_offset_as_their_triangle_is(device: Device, axis: int, far: f
 
     def stored(primitive: Primitive, *states: Any) -> NDArray[Any]:
         rows = corners(window_to_clip(points, SIZE), depth=depths)
-        with device.texture(SIZE, Format.D32F) as depth, device.mesh(rows, primitive=primitive) as mesh:
-            with device.render_pass(depth=depth, clear_depth=0.0), device.states(view, *states):
-                device.draw(device.program(Colored), mesh)
-            return depth.read()
+        return draw_once(device, SIZE, Format.D32F, rows, view, *states, primitive=primitive)
 
     seen = outline(points)[0] & ~(np.arange(SIZE[0]) > 26)  # at the last corner two edges cross
     plain = stored(Primitive.TRIANGLES, PolygonMode.LINE)
