@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import array
 from collections.abc import Iterator
 
 import numpy as np
 import psutil
 import pytest
+from backend_kit import SOURCES, VALUES
 from gl_kit import SIZE, GlKit
 
 import rhi
@@ -29,18 +29,6 @@ from rhi.contract.formats import Format, IndexFormat
 from rhi.errors import DeviceError
 
 IMAGE_BINDING_LAYERED, IMAGE_BINDING_LAYER = 0x8F3C, 0x8F3D
-VALUES = np.arange(8, dtype=np.float32)
-SOURCES = {
-    "bytes": VALUES.tobytes(),
-    "bytearray": bytearray(VALUES.tobytes()),
-    "bytes as a view": VALUES.view(np.uint8).data,
-    "floats": VALUES,
-    "rows": VALUES.reshape(4, 2),
-    "bytes in rows": VALUES.view(np.uint8).reshape(4, 8),
-    "records": VALUES.view([("a", "f4"), ("b", "f4", 3)]),
-    "an array of the standard library": array.array("f", VALUES),
-    "read only": memoryview(VALUES).toreadonly(),
-}
 
 
 @pytest.mark.parametrize("usage", [BufferUsage.STATIC, BufferUsage.STREAM])  # nothing is written to READBACK

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import array
 import weakref
 from dataclasses import replace
 
 import numpy as np
 import pyopencl as cl
 import pytest
+from backend_kit import SOURCES, VALUES
 from cl_kit import FILL, ClKit, describe_program
 
 from rhi.backends.cl.backend import ClBackend
@@ -18,17 +18,6 @@ from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Region, Text
 from rhi.contract.formats import Format
 from rhi.contract.texels import decode, encode, unpack
 from rhi.errors import DeviceError
-
-VALUES = np.arange(8, dtype=np.float32)
-SOURCES = {
-    "bytes": VALUES.tobytes(),
-    "bytearray": bytearray(VALUES.tobytes()),
-    "floats": VALUES,
-    "rows": VALUES.reshape(4, 2),
-    "records": VALUES.view([("a", "f4"), ("b", "f4", 3)]),
-    "an array of the standard library": array.array("f", VALUES),
-    "read only": memoryview(VALUES).toreadonly(),
-}
 
 
 @pytest.mark.parametrize("usage", BufferUsage)
