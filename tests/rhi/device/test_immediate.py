@@ -168,9 +168,8 @@ def test_draw_many_again_refuses_what_was_destroyed_since(kit: Kit, name: str) -
     with kit.device.render_pass(kit.image):
         kit.device.draw_many(kit.program, kit.mesh, draws, **arguments)
         getattr(kit, name).destroy()
-        with pytest.raises(rhi.ValidationError) as error:
+        with pytest.raises(rhi.ValidationError, match=r"^\[resource-destroyed\]"):
             kit.device.draw_many(kit.program, kit.mesh, draws, **arguments)
-    assert error.value.rule.id == "resource-destroyed"
 
 
 def test_a_transient_mesh_serves_the_program_it_was_made_for(kit: Kit) -> None:

@@ -418,27 +418,6 @@ def test_functions_helpers_defaults_and_overrides_are_found_as_in_python(run_eve
     assert run_everywhere(Overridden, out=4)["out"].tolist() == [2, 30, 4, 5]
 
 
-class Bits(sl.Shader):
-    out: sl.StorageRW[sl.uint]
-
-    def compute(self) -> None:
-        self.out[0] = sl.float_bits_to_uint(1.0)
-        self.out[1] = sl.pack_half_2x16(sl.vec2(1.0, -2.0))
-        self.out[2] = sl.uint(sl.unpack_half_2x16(self.out[1]).x)
-        self.out[3] = sl.uint(sl.find_msb(sl.uint(1) << 20))
-        self.out[5] = sl.float_bits_to_uint(sl.uint_bits_to_float(self.out[0]))
-        n = -9
-        self.out[4] = sl.uint(n + 8)
-        self.out[6] = sl.uint(n >> 1)
-        self.out[7] = sl.uint(0xF0) ^ 0xFF & ~sl.uint(1) | 0x100
-
-
-def test_bit_operations_are_numpy_s(run_everywhere):
-    out = run_everywhere(Bits, out=8)["out"]
-    expected = [0x3F800000, 0xC0003C00, 1, 20, 0xFFFFFFFF, 0x3F800000, 2**32 - 5, 0xF0 ^ 0xFF & ~1 | 0x100]
-    assert out.tolist() == expected
-
-
 class Reserved(sl.Struct):
     out: float
     sample: sl.ivec2
