@@ -120,7 +120,7 @@ class CommandBuffer(Encoder):
         core.check_thread("the end of device.record()")
         core.recording = False
         self._state = _INVALID
-        left = self._find_open()
+        left = [scope.describe() for scope in core.scopes]
         core.scopes.close()
         self._programs.clear()  # with the draws that they have prepared
         if kind is not None:
@@ -146,10 +146,6 @@ class CommandBuffer(Encoder):
             if op is Op.SET_STATES:
                 return number
         return None
-
-    def _find_open(self) -> list[str]:
-        """Return the texts of everything that is still open."""
-        return [scope.describe() for scope in self._recorder.scopes]
 
     def _draw(self, program: Program[...], mesh: Drawable, instances: int = 1, /, **bindings: Any) -> None:
         """Draw `mesh` with `program`; see `Encoder.draw`."""

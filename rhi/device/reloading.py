@@ -145,7 +145,8 @@ class Reloader:
         modules = [
             module
             for name, module in fresh.items()
-            if name.partition(".")[0] not in ("__main__", "rhi") and _is_of_shaders(module)
+            if name.partition(".")[0] not in ("__main__", "rhi") and isinstance(module, ModuleType)
+            if defines_shaders(module)
         ]
         self.watch(*(module for module in modules if Path(file_of(module)).is_file()))
 
@@ -338,10 +339,6 @@ class Reloader:
 
 def _of(tables: Iterable[ProgramTable]) -> set[object]:
     return {shader for table in tables for shader, _ in table.items()}
-
-
-def _is_of_shaders(module: object) -> bool:
-    return isinstance(module, ModuleType) and defines_shaders(module)
 
 
 def _read(path: Path) -> str:

@@ -7,17 +7,15 @@ from contextlib import suppress
 
 import numpy as np
 import pyopencl as cl
-from numpy.typing import ArrayLike, NDArray
+from backend_kit import BackendKit
+from numpy.typing import NDArray
 
 from rhi.backends.cl.backend import ClBackend
 from rhi.contract.descriptors import (
     Binding,
     BindingKind,
-    BufferDescriptor,
-    BufferUsage,
     Id,
     ProgramDescriptor,
-    QueryKind,
     Region,
     Stage,
     StageText,
@@ -44,24 +42,14 @@ def describe_program(
     )  # fmt: skip
 
 
-class ClKit:
-    """A backend that numbers its resources, and the steps that most tests share."""
+class ClKit(BackendKit):
+    """The kit on OpenCL: textures of any descriptor, and commands that are held back."""
+
+    backend: ClBackend
 
     def __init__(self, backend: ClBackend) -> None:
-        self.backend = backend
-        self._last: Id = 0
+        super().__init__(backend)
         self._held: dict[cl.UserEvent, threading.Timer] = {}
-
-    def new_id(self) -> Id:
-        self._last += 1
-        return self._last
-
-    def buffer(self, data: ArrayLike | bytes, usage: BufferUsage = BufferUsage.STATIC) -> Id:
-        content = data if isinstance(data, bytes) else np.asarray(data).tobytes()
-        buffer = self.new_id()
-        self.backend.create_buffer(buffer, BufferDescriptor(len(content), usage))
-        self.backend.write_buffer(buffer, 0, content)
-        return buffer
 
     def words(self, buffer: Id, count: int, offset: int = 0) -> list[int]:
         return np.frombuffer(self.backend.read_buffer(buffer, offset, 4 * count), np.uint32).tolist()
@@ -73,16 +61,6 @@ class ClKit:
 
     def read(self, texture: Id, width: int, height: int, level: int = 0) -> NDArray[np.generic]:
         return self.backend.read_texture(texture, level, Region(0, 0, width, height), False)[0]
-
-    def program(self, descriptor: ProgramDescriptor) -> Id:
-        program = self.new_id()
-        self.backend.create_program(program, descriptor)
-        return program
-
-    def timestamp(self) -> Id:
-        query = self.new_id()
-        self.backend.create_query(query, QueryKind.TIMESTAMP)
-        return query
 
     def hold(self) -> cl.UserEvent:
         """Hold back all further work until the returned event is released. It is released by itself after two minutes,

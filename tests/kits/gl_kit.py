@@ -5,19 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from backend_kit import BackendKit
 from numpy.typing import ArrayLike
 
 from rhi.backends.gl.backend import GlBackend
 from rhi.contract.descriptors import (
     Attachment,
-    BufferDescriptor,
-    BufferUsage,
     FragmentOutput,
     Id,
     PassDescriptor,
     Primitive,
     ProgramDescriptor,
-    QueryKind,
     Region,
     Stage,
     StageText,
@@ -60,32 +58,15 @@ def describe_program(
     )
 
 
-class GlKit:
-    """A backend that also assigns ids, with the few steps that most tests share."""
+class GlKit(BackendKit):
+    """The kit on OpenGL, which draws."""
 
-    def __init__(self, backend: GlBackend) -> None:
-        self.backend = backend
-        self._last: Id = 0
-
-    def new_id(self) -> Id:
-        self._last += 1
-        return self._last
-
-    def buffer(self, data: bytes, usage: BufferUsage = BufferUsage.STATIC) -> Id:
-        buffer = self.new_id()
-        self.backend.create_buffer(buffer, BufferDescriptor(len(data), usage))
-        self.backend.write_buffer(buffer, 0, data)
-        return buffer
+    backend: GlBackend
 
     def texture(self, texel: Format = Format.RGBA8, samples: int = 1) -> Id:
         texture = self.new_id()
         self.backend.create_texture(texture, TextureDescriptor((SIZE, SIZE), texel, samples=samples))
         return texture
-
-    def program(self, descriptor: ProgramDescriptor) -> Id:
-        program = self.new_id()
-        self.backend.create_program(program, descriptor)
-        return program
 
     def shape(self, program: Id, corners: ArrayLike) -> Id:
         buffer = self.buffer(np.asarray(corners, np.float32).tobytes())
@@ -93,11 +74,6 @@ class GlKit:
         shape = self.new_id()
         self.backend.create_vertex_array(shape, VertexArrayDescriptor(program, (stream,)))
         return shape
-
-    def query(self, kind: QueryKind) -> Id:
-        query = self.new_id()
-        self.backend.create_query(query, kind)
-        return query
 
     def answer(self, query: Id) -> int:
         while (answer := self.backend.read_query(query)) is None:

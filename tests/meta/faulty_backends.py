@@ -224,32 +224,27 @@ FAULTS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "no stencil clear": (NoStencilClear, "textures"),
     "one blend for all": (OneBlendForAll, "targets"),
 }
-GROUPS = {
-    rhi.CullMode: "rasterisation",
-    rhi.FrontFace: "rasterisation",
-    rhi.Scissor: "rasterisation",
-    rhi.Viewport: "rasterisation",
-    rhi.DepthTest: "depth",
-    rhi.DepthWrite: "depth",
-    rhi.DepthFunction: "depth",
-    rhi.DepthBias: "depth",
-    rhi.PolygonOffset: "depth",
-    rhi.ColorWrite: "blending",
-    rhi.BlendFunction: "blending",
-    rhi.BlendColor: "blending",
-    rhi.StencilTest: "stencil",
-    rhi.StencilFront: "stencil",
-    rhi.StencilBack: "stencil",
-    rhi.StencilReference: "stencil",
-    rhi.StencilReadMask: "stencil",
-    rhi.StencilWriteMask: "stencil",
-    rhi.AlphaToCoverage: "targets",
-    rhi.LineWidth: "lines",
-    rhi.PolygonMode: "lines",
+STATES = {
+    "rasterisation": (rhi.CullMode, rhi.FrontFace, rhi.Scissor, rhi.Viewport),
+    "depth": (rhi.DepthTest, rhi.DepthWrite, rhi.DepthFunction, rhi.DepthBias, rhi.PolygonOffset),
+    "blending": (rhi.ColorWrite, rhi.BlendFunction, rhi.BlendColor),
+    "stencil": (
+        rhi.StencilTest,
+        rhi.StencilFront,
+        rhi.StencilBack,
+        rhi.StencilReference,
+        rhi.StencilReadMask,
+        rhi.StencilWriteMask,
+    ),
+    "targets": (rhi.AlphaToCoverage,),
+    "lines": (rhi.LineWidth, rhi.PolygonMode),
 }
-"""Which group must see that a state is not heard of."""
-for _state, _group in GROUPS.items():
-    FAULTS[f"deaf to {_state.__name__}"] = (type("Deaf", (Deaf,), {"state": _state}), _group)
+"""Which states each group must see, if they are not heard of."""
+FAULTS |= {
+    f"deaf to {state.__name__}": (type("Deaf", (Deaf,), {"state": state}), group)
+    for group, states in STATES.items()
+    for state in states
+}
 
 
 class Failures:

@@ -79,9 +79,8 @@ def test_other_ways_with_errors_are_refused(screen: Screen) -> None:
 @pytest.mark.parametrize(("format", "options"), [(Format.RGBA16F, {}), (Format.R8, {}), (Format.RGBA8, {"samples": 4})])
 def test_other_images_are_refused_by_name(screen: Screen, format: Format, options: dict[str, Any]) -> None:
     image = screen.device.texture((6, 4), format, **options)
-    with pytest.raises(ValidationError) as error:
+    with pytest.raises(ValidationError, match=r"^\[screen-image\]") as error:
         screen.show(image)
-    assert error.value.rule.id == "screen-image"
     assert "RGBA8" in error.value.allowed
     assert error.value.site is not None
     assert error.value.site.file == __file__
@@ -105,15 +104,13 @@ def test_a_device_that_was_given_stays_open() -> None:
 def test_options_of_the_device_are_passed_on() -> None:
     with open_screen("null", canvas="offscreen", frames_in_flight=1, validation=True) as screen:
         assert screen.device.backend_name == "null"
-    with pytest.raises(ValidationError) as error:
+    with pytest.raises(ValidationError, match=r"^\[device-argument\]"):
         open_screen("null", canvas="offscreen", depth=1)
-    assert error.value.rule.id == "device-argument"
 
 
 def test_an_unknown_canvas_is_refused_with_all_names() -> None:
-    with pytest.raises(ValidationError) as error:
+    with pytest.raises(ValidationError, match=r"^\[screen-canvas\]") as error:
         open_canvas("vulkan")
-    assert error.value.rule.id == "screen-canvas"
     assert error.value.allowed == ", ".join(CANVASES)
 
 
@@ -134,8 +131,7 @@ def test_what_is_missing_is_named_with_what_to_install(
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.delitem(sys.modules, "rhi_screen.window", raising=False)
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(DeviceError) as error:
+    with pytest.raises(DeviceError, match=r"^\[screen-missing\]") as error:
         open_canvas(kind)
-    assert error.value.rule.id == "screen-missing"
     assert module in error.value.given
     assert tip in error.value.tip

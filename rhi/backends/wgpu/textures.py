@@ -227,36 +227,26 @@ class Textures:
         padded = -(-row // _ROW) * _ROW
         size = padded * r.height * r.layers
         staging = self._buffers.stage(size)
-        self._copy_out(self._stream.outside(), source, level, r, staging, 0, padded)
+        self._stream.outside().copy_texture_to_buffer(*self._sides(source, level, r, staging, 0, padded))
         data = self._buffers.collect(staging, size)
         rows = np.frombuffer(data, np.uint8).reshape(r.layers, r.height, padded)[:, :, :row]
         shape = (r.layers, r.height, r.width, format.components)
         return rows.copy().view(format.dtype).reshape(shape)  # rows without padding would be read-only
 
     @staticmethod
-    def _copy_out(
-        encoder: GpuObject, source: GpuTexture, level: int, r: Region, buffer: GpuObject, offset: int, row: int
-    ) -> None:
+    def _sides(
+        texture: GpuTexture, level: int, r: Region, buffer: GpuObject, offset: int, row: int
+    ) -> tuple[GpuObject, GpuObject, tuple[int, int, int]]:
+        """Return a copy's place in a texture, its place in a buffer, and its size."""
         layout = {"buffer": buffer, "offset": offset, "bytes_per_row": row, "rows_per_image": r.height}
-        encoder.copy_texture_to_buffer(
-            source.place(level, r.x, r.y, r.layer), layout, (r.width, r.height, r.layers)
-        )  # fmt: skip
-
-    @staticmethod
-    def _copy_in(
-        encoder: GpuObject, target: GpuTexture, level: int, r: Region, buffer: GpuObject, offset: int, row: int
-    ) -> None:
-        layout = {"buffer": buffer, "offset": offset, "bytes_per_row": row, "rows_per_image": r.height}
-        encoder.copy_buffer_to_texture(
-            layout, target.place(level, r.x, r.y, r.layer), (r.width, r.height, r.layers)
-        )  # fmt: skip
+        return texture.place(level, r.x, r.y, r.layer), layout, (r.width, r.height, r.layers)
 
     def copy_to_buffer(self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int) -> None:
         encoder, r = self._stream.outside(), region
         texture, buffer = self.use(source), self._buffers.use(target)
         buffer.version += 1
         if not texture.descriptor.format.is_depth:
-            self._copy_out(encoder, texture, level, r, buffer.object, offset, row_bytes)
+            encoder.copy_texture_to_buffer(*self._sides(texture, level, r, buffer.object, offset, row_bytes))
         elif buffer.descriptor.usage is not BufferUsage.READBACK:
             self._read_depth(source, level, r, buffer.object, offset, row_bytes, False)
         else:  # programs can't write it
@@ -270,9 +260,9 @@ class Textures:
 
     def copy_from_buffer(self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region) -> None:
         encoder = self._stream.outside()
-        self._copy_in(
-            encoder, self.use(target), level, region, self._buffers.use(source).object, offset, row_bytes
-        )  # fmt: skip
+        buffer = self._buffers.use(source).object
+        place, layout, size = self._sides(self.use(target), level, region, buffer, offset, row_bytes)
+        encoder.copy_buffer_to_texture(layout, place, size)
 
     def _read_depth(
         self, texture: Id, level: int, r: Region, target: GpuObject, offset: int, row: int, stencil: bool
@@ -299,9 +289,10 @@ class Textures:
         elif old is new:
             row = -(-r.width * old.descriptor.format.transfer_bytes // _ROW) * _ROW
             between = self._buffers.temporary(row * r.height * r.layers)
-            self._copy_out(encoder, old, source_level, r, between, 0, row)
+            encoder.copy_texture_to_buffer(*self._sides(old, source_level, r, between, 0, row))
             into = Region(x, y, r.width, r.height, layer, r.layers)
-            self._copy_in(encoder, new, target_level, into, between, 0, row)
+            place, layout, _ = self._sides(new, target_level, into, between, 0, row)
+            encoder.copy_buffer_to_texture(layout, place, size)
         else:
             encoder.copy_texture_to_texture(
                 old.place(source_level, r.x, r.y, r.layer), new.place(target_level, x, y, layer), size

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from rhi import BlendColor, BlendFactor, BlendFunction, BlendOperation, ColorWrite, Device, Format, Primitive
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import require_blendable, require_renderable
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import blend, channels_of, decode, encode, rounding
 from rhi.conformance.shaders import Colored, UintColored
 from rhi.conformance.shapes import centers, corners, rectangle
@@ -36,10 +37,7 @@ def blended(device: Device, function: BlendFunction, bits: int = 32) -> tuple[An
     source = np.broadcast_to(COLORS[None, :], (16, 16, 4))
     columns = [rectangle(-1 + x / 8, -1, -1 + (x + 1) / 8, 1, color=COLORS[x]) for x in range(16)]
     stored = np.rint(destination * 255).astype("u1") if bits == 8 else destination.astype(format.dtype)
-    with device.texture(stored, format) as image, device.mesh(np.concatenate(columns)) as mesh:
-        with device.render_pass(image), device.states(function, BlendColor(*CONSTANT)):
-            device.draw(device.program(Colored), mesh)
-        result = image.read()
+    result = draw_once(device, stored, format, np.concatenate(columns), function, BlendColor(*CONSTANT))
     if bits == 8:
         return result / 255, np.clip(blend(function, source, stored / 255, CONSTANT), 0, 1), tolerance, reason
     return result, blend(function, source, destination, CONSTANT), tolerance, reason
@@ -142,13 +140,7 @@ def test_any_function_blends_as_numpy_does(device: Device, function: BlendFuncti
 
 
 def test_without_a_scope_nothing_blends(device: Device) -> None:
-    with (
-        device.texture((2, 2), Format.RGBA8) as image,
-        device.mesh(rectangle(color=(0.2, 0.2, 0.2, 0.2))) as mesh,
-    ):
-        with device.render_pass(image, clear=(1, 1, 1, 1)):
-            device.draw(device.program(Colored), mesh)
-        assert_same(image.read(), 51)
+    assert_same(draw_once(device, (2, 2), Format.RGBA8, rectangle(color=(0.2, 0.2, 0.2, 0.2)), clear=(1, 1, 1, 1)), 51)
 
 
 def test_draws_blend_in_order(device: Device) -> None:
@@ -170,46 +162,32 @@ def test_many_primitives_of_one_draw_blend_in_order(device: Device) -> None:
     value = 0.0
     for i in range(count):
         value = 0.5 * value + 0.5 * (i % 2)
-    with device.texture((1, 1), Format.R32F) as image, device.mesh(rows) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(BlendFunction.ALPHA):
-            device.draw(device.program(Colored), mesh)
-        assert_near(image.read(), value, 1e-5, "40 roundings in float32")
+    drawn = draw_once(device, (1, 1), Format.R32F, rows, BlendFunction.ALPHA)
+    assert_near(drawn, value, 1e-5, "40 roundings in float32")
 
 
 def test_overlapping_points_all_add_up(device: Device) -> None:
     count = 100
     rows = corners(np.repeat(centers([(1, 1)], (3, 3)), count, axis=0), (1, 0, 0, 1))
-    with device.texture((3, 3), Format.R16F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(BlendFunction.ADDITIVE):
-            device.draw(device.program(Colored), mesh)
-        assert_same(image.read(), [[0, 0, 0], [0, count, 0], [0, 0, 0]])
+    drawn = draw_once(device, (3, 3), Format.R16F, rows, BlendFunction.ADDITIVE, primitive=Primitive.POINTS)
+    assert_same(drawn, [[0, 0, 0], [0, count, 0], [0, 0, 0]])
 
 
 def test_integer_targets_do_not_blend(device: Device) -> None:
-    with device.texture((2, 2), Format.RGBA8UI) as image, device.mesh(rectangle(color=(3, 4, 5, 6))) as mesh:
-        with device.render_pass(image, clear=(100, 100, 100, 100)), device.states(BlendFunction.ADDITIVE):
-            device.draw(device.program(UintColored), mesh)
-        assert_same(image.read(), (3, 4, 5, 6))
+    rows, clear = rectangle(color=(3, 4, 5, 6)), (100, 100, 100, 100)
+    drawn = draw_once(device, (2, 2), Format.RGBA8UI, rows, BlendFunction.ADDITIVE, shader=UintColored, clear=clear)
+    assert_same(drawn, (3, 4, 5, 6))
 
 
 def test_half_float_targets_blend(device: Device) -> None:
-    with (
-        device.texture((2, 2), Format.RGBA16F) as image,
-        device.mesh(rectangle(color=(3, -4, 0.5, 1))) as mesh,
-    ):
-        with device.render_pass(image, clear=(1, 1, 1, 1)), device.states(BlendFunction.ADDITIVE):
-            device.draw(device.program(Colored), mesh)
-        assert_same(image.read(), (4, -3, 1.5, 2))
+    rows = rectangle(color=(3, -4, 0.5, 1))
+    drawn = draw_once(device, (2, 2), Format.RGBA16F, rows, BlendFunction.ADDITIVE, clear=(1, 1, 1, 1))
+    assert_same(drawn, (4, -3, 1.5, 2))
 
 
 def test_srgb_targets_blend_in_linear_light(device: Device) -> None:
-    with (
-        device.texture((2, 2), Format.RGBA8_SRGB) as image,
-        device.mesh(rectangle(color=(1, 1, 1, 0.5))) as mesh,
-    ):
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(BlendFunction.ALPHA):
-            device.draw(device.program(Colored), mesh)
-        assert_near(image.read(), (187.5, 187.5, 187.5, 127.5), 1.0, "half of the light is 188 in sRGB")
+    drawn = draw_once(device, (2, 2), Format.RGBA8_SRGB, rectangle(color=(1, 1, 1, 0.5)), BlendFunction.ALPHA)
+    assert_near(drawn, (187.5, 187.5, 187.5, 127.5), 1.0, "half of the light is 188 in sRGB")
 
 
 # -- color write -------------------------------------------------------------------------------------------
@@ -225,7 +203,5 @@ def test_srgb_targets_blend_in_linear_light(device: Device) -> None:
 def test_color_write_chooses_channels(device: Device, format: Format, mask: int) -> None:
     require_renderable(device, format)
     channels = [bool(mask >> i & 1) for i in range(4)]
-    with device.texture((2, 2), format) as image, device.mesh(rectangle(color=(1, 1, 1, 1))) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(ColorWrite(*channels)):
-            device.draw(device.program(Colored), mesh)
-        assert_same(channels_of(format, image.read()), encode(format, np.array(channels)))
+    drawn = draw_once(device, (2, 2), format, rectangle(color=(1, 1, 1, 1)), ColorWrite(*channels))
+    assert_same(channels_of(format, drawn), encode(format, np.array(channels)))

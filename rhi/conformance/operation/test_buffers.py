@@ -305,9 +305,8 @@ def test_fields_of_a_uniform_are_written_alone(device: Device) -> None:
         wanted = Scene(**(first | {"time": 3, "count": 99})).to_bytes()
         assert scene.owner.read().tobytes() == wanted
         for wrong in ({"time": 4, "tiem": 5}, {"time": 4, "place": (1, 2)}):
-            with pytest.raises(ValidationError) as refusal:
+            with pytest.raises(ValidationError, match=r"^\[shading-struct-value\]"):
                 scene.write(**wrong)
-            assert refusal.value.rule.id == "shading-struct-value"
         with pytest.raises(ValidationError):
             scene.write(Scene(**first), time=4)
         assert scene.owner.read().tobytes() == wanted

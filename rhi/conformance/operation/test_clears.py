@@ -27,6 +27,7 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_mask, assert_same
 from rhi.conformance.formats import require_format, require_renderable, require_samples
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Colored, IntColored, UintColored
 from rhi.conformance.shapes import rectangle, texel_rectangle
 from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind
@@ -161,10 +162,10 @@ def test_a_clear_is_done_under_draws_of_nothing(device: Device) -> None:
 
 
 def test_a_clear_is_done_under_a_scissor_that_holds_nothing_of_the_draw(device: Device) -> None:
-    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(texel_rectangle(0, 0, 9, 9, SIZE)) as mesh:
-        with device.render_pass(image, clear=RED), device.states(Scissor(100, 50, 20, 10)):
-            device.draw(device.program(Colored), mesh)
-        assert_same(image.read(), (255, 0, 0, 255))
+    drawn = draw_once(
+        device, SIZE, Format.RGBA8, texel_rectangle(0, 0, 9, 9, SIZE), Scissor(100, 50, 20, 10), clear=RED
+    )
+    assert_same(drawn, (255, 0, 0, 255))
 
 
 def make_mesh(device: Device) -> None:

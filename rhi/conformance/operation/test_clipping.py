@@ -15,6 +15,7 @@ from rhi import BlendFunction, CullMode, DepthFunction, DepthWrite, Device, Form
 from rhi.conformance import triangles as exam
 from rhi.conformance.compare import assert_same
 from rhi.conformance.formats import require_blendable
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Bare, Corner, FlatColored
 from rhi.conformance.shapes import corners
 from rhi.conformance.triangles import CUT, WHOLE, Family, examine, make_triangles
@@ -45,10 +46,9 @@ def named(family: Family) -> str:
 def count(device: Device, triangles: Any, *states: Any) -> NDArray[Any]:
     """Return how often each texel is drawn by triangles (n, 3, 4)."""
     rows = corners(np.asarray(triangles, np.float64).reshape(-1, 4))
-    with device.texture(SIZE, Format.R16F) as image, device.mesh(rows) as mesh:
-        with device.render_pass(image), device.states(CullMode.NONE, BlendFunction.ADDITIVE, *states):
-            device.draw(device.program(FlatColored), mesh)
-        return image.read()
+    return draw_once(
+        device, SIZE, Format.R16F, rows, CullMode.NONE, BlendFunction.ADDITIVE, *states, shader=FlatColored
+    )
 
 
 # -- coverage ----------------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from rhi import Device, Format, TextureKind
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import random_texels, require_images, squeezed
 from rhi.conformance.reference import encode, rounding
+from rhi.contract.formats import COLOR_FORMATS, ChannelKind
 
 pytestmark = [pytest.mark.needs("shading", "compute"), pytest.mark.recorded_too]
 
@@ -401,30 +402,12 @@ def image_copy(pixel_format: Format, annotation: Any) -> Any:
     return Copy
 
 
-IMAGE_FORMATS = [
-    (Format.R8, sl.Image2D),
-    (Format.RG8, sl.Image2D),
-    (Format.RGBA8, sl.Image2D),
-    (Format.RGBA8_SNORM, sl.Image2D),
-    (Format.R16F, sl.Image2D),
-    (Format.RGBA16F, sl.Image2D),
-    (Format.R32F, sl.Image2D),
-    (Format.RGBA32F, sl.Image2D),
-    (Format.RGB10A2, sl.Image2D),
-    (Format.R11G11B10F, sl.Image2D),
-    (Format.RGB10A2UI, sl.UintImage2D),
-    (Format.R8UI, sl.UintImage2D),
-    (Format.RGBA16UI, sl.UintImage2D),
-    (Format.R32UI, sl.UintImage2D),
-    (Format.RGBA32UI, sl.UintImage2D),
-    (Format.R32I, sl.IntImage2D),
-    (Format.RGBA32I, sl.IntImage2D),
-]
+IMAGES: dict[ChannelKind, Any] = {ChannelKind.UINT: sl.UintImage2D, ChannelKind.INT: sl.IntImage2D}
 
 
-@pytest.mark.parametrize(("format", "annotation"), IMAGE_FORMATS, ids=lambda v: getattr(v, "name", ""))
+@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.kind is not ChannelKind.SRGB], ids=lambda f: f.name)
 @pytest.mark.needs("max_image_slots")
-def test_an_image_is_loaded_and_stored_in_its_format(device: Device, format: Format, annotation: Any) -> None:
+def test_an_image_is_loaded_and_stored_in_its_format(device: Device, format: Format) -> None:
     require_images(device, format)
     data = random_texels(format, 3, 5)
     if format is Format.R11G11B10F:  # a store may flush denormals: exponents of 0 become 1
@@ -432,7 +415,7 @@ def test_an_image_is_loaded_and_stored_in_its_format(device: Device, format: For
             data |= ((data >> place + bits & 31) == 0).astype(np.uint32) << place + bits
     plain = squeezed(format, data)
     with device.texture(plain, format) as source, device.texture((5, 3), format) as target:
-        program = device.program(image_copy(format, annotation))
+        program = device.program(image_copy(format, IMAGES.get(format.kind, sl.Image2D)))
         device.dispatch(program, (5, 3), source=source.image(), target=target.image())
         assert_same(target.read(), plain)
         program.destroy()

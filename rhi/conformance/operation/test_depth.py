@@ -24,6 +24,7 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_format
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import compare
 from rhi.conformance.shaders import Colored, Positions
 from rhi.conformance.shapes import VertexRows, corners, rectangle
@@ -164,10 +165,7 @@ def test_without_depth_test_and_write_depth_stays(device: Device) -> None:
 
 
 def test_without_a_depth_target_nothing_is_tested(device: Device) -> None:
-    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle(depth=0.0)) as mesh:
-        with device.render_pass(image):
-            device.draw(device.program(Colored), mesh)
-        assert_same(image.read(), 255)
+    assert_same(draw_once(device, SIZE, Format.R8, rectangle(depth=0.0)), 255)
 
 
 def test_depth_is_kept_between_passes(device: Device) -> None:
@@ -204,10 +202,7 @@ def test_what_lies_before_0_or_behind_1_is_clipped(device: Device, depth: float,
 def test_a_ramp_is_clipped_where_it_leaves_the_range(device: Device) -> None:
     ramp = rectangle()
     ramp["position"][:, 2] = np.where(ramp["position"][:, 0] < 0, -0.5, 1.5)
-    with device.texture((8, 1), Format.R8) as image, device.mesh(ramp) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)):
-            device.draw(device.program(Colored), mesh)
-        assert_same(image.read(), [[0, 0, 255, 255, 255, 255, 0, 0]])
+    assert_same(draw_once(device, (8, 1), Format.R8, ramp), [[0, 0, 255, 255, 255, 255, 0, 0]])
 
 
 def test_an_infinite_far_plane_can_be_drawn_to(device: Device) -> None:
@@ -219,10 +214,7 @@ def test_an_infinite_far_plane_can_be_drawn_to(device: Device) -> None:
 def test_what_lies_behind_the_camera_is_clipped(device: Device) -> None:
     """One corner has w < 0. Only the part in front of the camera is drawn, not a mirrored triangle."""
     rows = corners([(-1, -1, 0.5, 1), (1, -1, 0.5, 1), (0, 2, -0.5, -1)])
-    with device.texture((8, 8), Format.R8) as image, device.mesh(rows) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
-            device.draw(device.program(Colored), mesh)
-        seen = image.read()
+    seen = draw_once(device, (8, 8), Format.R8, rows, CullMode.NONE)
     # Homogeneous edge functions: a texel is inside where all three weights and the sum of them, which is
     # 1/w there, are positive.
     x, y = np.meshgrid((np.arange(8) + 0.5) / 4 - 1, 1 - (np.arange(8) + 0.5) / 4)
@@ -318,13 +310,7 @@ def test_depth_that_a_bias_moves_beyond_the_range_is_its_end(
 
 def test_lines_and_points_are_not_offset(device: Device) -> None:
     rows = rectangle(depth=0.5)
-    with (
-        device.texture(SIZE, Format.D24S8) as depth,
-        device.mesh(rows, primitive=rhi.Primitive.POINTS) as mesh,
-    ):
-        with device.render_pass(depth=depth, clear_depth=0.0), device.states(DepthBias(1000.0)):
-            device.draw(device.program(Colored), mesh)
-        stored = depth.read()
+    stored = draw_once(device, SIZE, Format.D24S8, rows, DepthBias(1000.0), primitive=rhi.Primitive.POINTS)
     assert_near(stored[stored > 0], 0.5, 2.0**-23, "24 bits of depth")
 
 

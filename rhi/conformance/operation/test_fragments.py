@@ -23,6 +23,7 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_blendable, require_samples
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Checkered, Colored, Corner, DepthFromColor, Shade, Shaded, Smooth
 from rhi.conformance.shapes import centers, corners, rectangle
 
@@ -318,10 +319,9 @@ def test_a_loop_over_what_fragments_broadcast_ends_at_the_edges_of_triangles(dev
         "position": np.array([[-1, -1, 0.5, 1], [0.8, -0.9, 0.5, 1], [-0.7, 0.9, 0.5, 1]], "f4"),
         "color": np.ones((3, 4), "f4"),
     }
-    with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(slim, np.arange(3)) as mesh:
-        with device.render_pass(image, clear=(-1, -1, -1, -1)):
-            device.draw(device.program(WaterfallAtEdges), mesh)
-        drawn = image.read()
+    drawn = draw_once(
+        device, SIZE, Format.RGBA32F, slim, shader=WaterfallAtEdges, indices=np.arange(3), clear=(-1, -1, -1, -1)
+    )
     covered = drawn[..., 3] == 1
     assert 8 < covered.sum() < 50
     columns = np.broadcast_to(np.arange(8.0), (8, 8))
@@ -342,14 +342,9 @@ def test_a_vertex_stage_reads_storage(device: Device) -> None:
     rows = np.zeros((8, 4), "f4")
     rows[:, :2], rows[:, 2], rows[:, 3] = centers([(i, 0) for i in range(8)], (8, 1)), 0.5, 1.0
     rows[3] = (9, 9, 9, 1)
-    with (
-        device.texture((8, 1), Format.R8) as image,
-        device.storage(sl.vec4, rows) as points,
-        device.mesh(8, primitive=Primitive.POINTS) as mesh,
-    ):
-        with device.render_pass(image):
-            device.draw(device.program(FromMemory), mesh, points=points)
-        assert_mask(image.read(), np.arange(8)[None] != 3)
+    with device.storage(sl.vec4, rows) as points:
+        back = draw_once(device, (8, 1), Format.R8, 8, shader=FromMemory, primitive=Primitive.POINTS, points=points)
+    assert_mask(back, np.arange(8)[None] != 3)
 
 
 def test_draws_of_one_pass_see_their_effects_in_order(device: Device) -> None:

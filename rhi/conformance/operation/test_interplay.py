@@ -28,6 +28,7 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import require_samples
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Colored, Corner, Count, Loads, Shade, Tint, Tinted, Weighted
 from rhi.conformance.shapes import centers, corners, rectangle
 
@@ -409,10 +410,7 @@ def read_by_buffer(device: Device, texture: rhi.Texture) -> Any:
 
 
 def read_by_vertices(device: Device, texture: rhi.Texture) -> Any:
-    with device.texture(SIZE, Format.R32F) as image, device.mesh(rectangle()) as mesh:
-        with device.render_pass(image):
-            device.draw(device.program(LoadedByVertices), mesh, source=texture)
-        return image.read()
+    return draw_once(device, SIZE, Format.R32F, rectangle(), shader=LoadedByVertices, source=texture)
 
 
 def read_by_dispatch(device: Device, texture: rhi.Texture) -> Any:

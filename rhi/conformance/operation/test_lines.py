@@ -31,6 +31,7 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import require_format, require_line_width, require_samples
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import SUBTEXELS, rasterise, rasterise_line
 from rhi.conformance.shaders import Colored, FlatColored
 from rhi.conformance.shapes import corners, window_to_clip
@@ -55,10 +56,18 @@ def drawn(
 ) -> NDArray[Any]:  # fmt: skip
     """Return the image of one draw of window positions."""
     rows = corners(window_to_clip(points, SIZE), color, depth)
-    with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(rows, primitive=primitive) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(*states):
-            device.draw(device.program(shader), mesh)
-        return image.read()
+    return draw_once(device, SIZE, Format.RGBA32F, rows, *states, shader=shader, primitive=primitive)
+
+
+def drawn_with_depth(
+    device: Device, rows: NDArray[Any], *states: Any, primitive: Primitive = Primitive.TRIANGLES, clear: float = 0.0
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the image and the depth of one draw."""
+    with device.texture(SIZE, Format.RGBA32F) as image, device.texture(SIZE, Format.D32F) as depth:
+        with device.mesh(rows, primitive=primitive) as mesh:
+            with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=clear), device.states(*states):
+                device.draw(device.program(Colored), mesh)
+        return image.read(), depth.read()
 
 
 def wired(device: Device, points: Any, *states: Any, **more: Any) -> NDArray[Any]:
@@ -120,13 +129,8 @@ def test_a_line_may_be_as_wide_as_the_device_says(device: Device) -> None:
     most = device.capabilities.max_line_width
     height = int(most) + 9
     rows = corners([(-1, 1 / 64), (1, 1 / 64)])
-    with (
-        device.texture((4, height), Format.R8) as image,
-        device.mesh(rows, primitive=Primitive.LINES) as mesh,
-    ):
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(LineWidth(most)):
-            device.draw(device.program(Colored), mesh)
-        assert_same((image.read()[:, 1:3] > 0).sum(axis=0), np.floor(most + 0.5))
+    back = draw_once(device, (4, height), Format.R8, rows, LineWidth(most), primitive=Primitive.LINES)
+    assert_same((back[:, 1:3] > 0).sum(axis=0), np.floor(most + 0.5))
 
 
 def test_a_strip_of_wide_lines_is_a_line_for_each_segment(device: Device) -> None:
@@ -142,11 +146,7 @@ def test_values_and_depth_run_along_a_wide_line(device: Device) -> None:
     require_line_width(device, 5)
     points, width = [(4.0, 7.25), (28.0, 13.25)], 5
     rows = corners(window_to_clip(points, SIZE), [(0, 0, 0, 1), (1, 0.5, 0, 1)], [0.25, 0.75])
-    with device.texture(SIZE, Format.RGBA32F) as image, device.texture(SIZE, Format.D32F) as depth:
-        with device.mesh(rows, primitive=Primitive.LINES) as mesh:
-            with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0), device.states(LineWidth(width)):
-                device.draw(device.program(Colored), mesh)
-        back, stored = image.read(), depth.read()
+    back, stored = drawn_with_depth(device, rows, LineWidth(width), primitive=Primitive.LINES)
     y, x = np.nonzero(line(points, width)[0])
     share = (x + 0.5 - 4.0) / 24
     assert_near(back[y, x, 0], share, 2e-3, "8 fraction bits of the window position over 24 texels")
@@ -186,15 +186,7 @@ def test_a_wide_line_covers_samples(device: Device) -> None:
     require_line_width(device, 5)
     require_samples(device, 4)
     rows = corners(window_to_clip(GENTLE, SIZE))
-    with (
-        device.texture(SIZE, Format.RGBA8, samples=4) as target,
-        device.texture(SIZE, Format.RGBA8) as image,
-        device.mesh(rows, primitive=Primitive.LINES) as mesh,
-    ):
-        with device.render_pass(target, clear=(0, 0, 0, 0)), device.states(LineWidth(5)):
-            device.draw(device.program(Colored), mesh)
-        target.resolve_to(image)
-        back = image.read()[..., 3]
+    back = draw_once(device, SIZE, Format.RGBA8, rows, LineWidth(5), primitive=Primitive.LINES, samples=4)[..., 3]
     assert_same(back[line(GENTLE, 3)[0]], 255)
     columns = slice(7, 24)
     assert_same(back[:, columns][~line(GENTLE, 8)[1][:, columns]], 0)
@@ -256,10 +248,10 @@ def test_every_topology_of_triangles_has_edges(device: Device, primitive: Primit
     }[primitive]
     rows = corners(window_to_clip(points, SIZE))
     indices = None if dtype is None else np.arange(4, dtype=dtype)
-    with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(rows, indices, primitive=primitive) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE, PolygonMode.LINE):
-            device.draw(device.program(Colored), mesh)
-        assert_covers(image.read(), outline(triangles))
+    back = draw_once(
+        device, SIZE, Format.RGBA32F, rows, CullMode.NONE, PolygonMode.LINE, indices=indices, primitive=primitive
+    )
+    assert_covers(back, outline(triangles))
 
 
 @pytest.mark.needs("wireframe")
@@ -270,10 +262,7 @@ def test_many_triangles_have_all_their_edges(device: Device, dtype: str | None) 
     points = (places + np.array([(0.3125, 0.4375), (0.6875, 3.1875), (3.5625, 2.3125)])).reshape(-1, 2)
     rows = corners(window_to_clip(points, SIZE))
     indices = None if dtype is None else np.arange(len(points), dtype=dtype)
-    with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(rows, indices) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(PolygonMode.LINE):
-            device.draw(device.program(Colored), mesh)
-        assert_covers(image.read(), outline(points))
+    assert_covers(draw_once(device, SIZE, Format.RGBA32F, rows, PolygonMode.LINE, indices=indices), outline(points))
 
 
 @pytest.mark.needs("wireframe")
@@ -299,11 +288,7 @@ def test_values_and_depth_run_along_edges(device: Device) -> None:
     points = [(4.0, 4.25), (8.25, 20.0), (28.0, 8.25)]
     color, depths = np.array([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1)]), [0.2, 0.5, 0.8]
     rows = corners(window_to_clip(points, SIZE), color, depths)
-    with device.texture(SIZE, Format.RGBA32F) as image, device.texture(SIZE, Format.D32F) as depth:
-        with device.mesh(rows) as mesh:
-            with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0), device.states(PolygonMode.LINE):
-                device.draw(device.program(Colored), mesh)
-        back, stored = image.read(), depth.read()
+    back, stored = drawn_with_depth(device, rows, PolygonMode.LINE)
     for i in range(3):
         ends = np.array([points[i], points[(i + 1) % 3]])
         others = line(ends)[0]
@@ -327,14 +312,7 @@ def test_each_texel_of_an_edge_is_tested_for_depth(device: Device, function: Dep
     points = [(4.0, 4.25), (4.25, 20.0), (28.0, 8.25)]
     depths = (np.array(points)[:, 0] - 4.0) / 24  # 0.5 at x = 16
     rows = corners(window_to_clip(points, SIZE), depth=depths)
-    with device.texture(SIZE, Format.RGBA32F) as image, device.texture(SIZE, Format.D32F) as depth:
-        with device.mesh(rows) as mesh:
-            with (
-                device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5),
-                device.states(DepthTest.ON, function, PolygonMode.LINE),
-            ):
-                device.draw(device.program(Colored), mesh)
-        covered = image.read()
+    covered, _ = drawn_with_depth(device, rows, DepthTest.ON, function, PolygonMode.LINE, clear=0.5)
     certain, possible = outline(points)
     near = slice(16, None) if function is DepthFunction.GREATER else slice(None, 16)
     half = np.zeros_like(certain)
@@ -353,10 +331,7 @@ def test_edges_are_offset_as_their_triangle_is(device: Device, axis: int, far: f
 
     def stored(primitive: Primitive, *states: Any) -> NDArray[Any]:
         rows = corners(window_to_clip(points, SIZE), depth=depths)
-        with device.texture(SIZE, Format.D32F) as depth, device.mesh(rows, primitive=primitive) as mesh:
-            with device.render_pass(depth=depth, clear_depth=0.0), device.states(view, *states):
-                device.draw(device.program(Colored), mesh)
-            return depth.read()
+        return draw_once(device, SIZE, Format.D32F, rows, view, *states, primitive=primitive)
 
     seen = outline(points)[0] & ~(np.arange(SIZE[0]) > 26)  # at the last corner two edges cross
     plain = stored(Primitive.TRIANGLES, PolygonMode.LINE)

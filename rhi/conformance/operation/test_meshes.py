@@ -13,6 +13,7 @@ import rhi
 import rhi.shading as sl
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_targets, require_vertex_alignment
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Colored, Corner, Flat, FlatShade
 from rhi.conformance.shapes import centers, corners, rectangle
 
@@ -294,10 +295,8 @@ def test_three_components_and_one_lie_where_the_dtype_says(device: rhi.Device) -
     for rows in (packed, padded):
         rows["position"][:, :2], rows["position"][:, 2] = CENTERS, 0.5
         rows["weight"] = np.arange(8)
-        with device.texture(ROW, rhi.Format.R32F) as image, device.mesh(rows, primitive=rhi.Primitive.POINTS) as mesh:
-            with device.render_pass(image):
-                device.draw(device.program(ShowNarrow), mesh)
-            assert_same(image.read()[0], np.arange(8))
+        drawn = draw_once(device, ROW, rhi.Format.R32F, rows, shader=ShowNarrow, primitive=rhi.Primitive.POINTS)
+        assert_same(drawn[0], np.arange(8))
 
 
 # -- instances ---------------------------------------------------------------------------------------------
@@ -407,10 +406,7 @@ class FullTriangle(Flat):
 
 
 def test_a_shader_without_attributes_counts_its_vertices(device: rhi.Device) -> None:
-    with device.texture((4, 4), rhi.Format.R8) as image, device.mesh(3) as mesh:
-        with device.render_pass(image), device.states(rhi.CullMode.NONE):
-            device.draw(device.program(FullTriangle), mesh)
-        assert_same(image.read(), 255)
+    assert_same(draw_once(device, (4, 4), rhi.Format.R8, 3, rhi.CullMode.NONE, shader=FullTriangle), 255)
 
 
 # -- many draws in one call --------------------------------------------------------------------------------

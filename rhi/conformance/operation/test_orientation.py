@@ -8,6 +8,7 @@ import pytest
 import rhi.shading as sl
 from rhi import Device, Format, Region, Viewport
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Colored, Corner, Shade, Shaded, Smooth
 from rhi.conformance.shapes import WHITE, corners, rectangle
 
@@ -16,22 +17,16 @@ pytestmark = [pytest.mark.needs("shading"), pytest.mark.recorded_too]
 
 @pytest.mark.needs("draws")
 def test_plus_y_is_up_and_row_0_is_the_top(device: Device) -> None:
-    with device.texture((4, 4), Format.R8) as target, device.mesh(rectangle(-1, 0.5, 1, 1)) as mesh:
-        with device.render_pass(target):
-            device.draw(device.program(Colored), mesh)
-        mask = np.zeros((4, 4), bool)
-        mask[0] = True
-        assert_mask(target.read(), mask)
+    mask = np.zeros((4, 4), bool)
+    mask[0] = True
+    assert_mask(draw_once(device, (4, 4), Format.R8, rectangle(-1, 0.5, 1, 1)), mask)
 
 
 @pytest.mark.needs("draws")
 def test_plus_x_is_right(device: Device) -> None:
-    with device.texture((4, 4), Format.R8) as target, device.mesh(rectangle(0.5, -1, 1, 1)) as mesh:
-        with device.render_pass(target):
-            device.draw(device.program(Colored), mesh)
-        mask = np.zeros((4, 4), bool)
-        mask[:, 3] = True
-        assert_mask(target.read(), mask)
+    mask = np.zeros((4, 4), bool)
+    mask[:, 3] = True
+    assert_mask(draw_once(device, (4, 4), Format.R8, rectangle(0.5, -1, 1, 1)), mask)
 
 
 @pytest.mark.needs("draws")
@@ -71,21 +66,16 @@ class FragmentPlace(Shaded):
 def test_fragment_coordinates_count_from_the_top_left(device: Device) -> None:
     rows = rectangle(depth=0.25)
     rows["position"] *= 2.0
-    with device.texture((5, 3), Format.RGBA32F) as target, device.mesh(rows) as mesh:
-        with device.render_pass(target):
-            device.draw(device.program(FragmentPlace), mesh)
-        y, x = np.mgrid[0:3, 0:5] + 0.5
-        assert_same(target.read(), np.stack([x, y, 0 * x + 0.25, 0 * x + 0.5], axis=-1))
+    y, x = np.mgrid[0:3, 0:5] + 0.5
+    drawn = draw_once(device, (5, 3), Format.RGBA32F, rows, shader=FragmentPlace)
+    assert_same(drawn, np.stack([x, y, 0 * x + 0.25, 0 * x + 0.5], axis=-1))
 
 
 @pytest.mark.needs("draws")
 def test_fragment_coordinates_do_not_depend_on_the_viewport(device: Device) -> None:
-    with device.texture((8, 8), Format.RGBA32F) as target, device.mesh(rectangle()) as mesh:
-        with device.render_pass(target), device.states(Viewport(4, 2, 4, 4)):
-            device.draw(device.program(FragmentPlace), mesh)
-        pixels = target.read()
-        assert_same(pixels[2, 4, :2], (4.5, 2.5))
-        assert_same(pixels[5, 7, :2], (7.5, 5.5))
+    pixels = draw_once(device, (8, 8), Format.RGBA32F, rectangle(), Viewport(4, 2, 4, 4), shader=FragmentPlace)
+    assert_same(pixels[2, 4, :2], (4.5, 2.5))
+    assert_same(pixels[5, 7, :2], (7.5, 5.5))
 
 
 class Derivatives(Shaded):
@@ -100,10 +90,8 @@ def test_derivatives_point_right_and_down(device: Device) -> None:
     rows = rectangle()
     rows["color"][:, 0] = (rows["position"][:, 0] + 1) / 2 * 8  # grows to the right, by 1 a texel
     rows["color"][:, 1] = (1 - rows["position"][:, 1]) / 2 * 16  # grows downwards, by 2 a texel
-    with device.texture((8, 8), Format.RGBA32F) as target, device.mesh(rows) as mesh:
-        with device.render_pass(target):
-            device.draw(device.program(Derivatives), mesh)
-        assert_near(target.read(), (1, 0, 0, 2), 1e-4, "differences of interpolated float32 values")
+    drawn = draw_once(device, (8, 8), Format.RGBA32F, rows, shader=Derivatives)
+    assert_near(drawn, (1, 0, 0, 2), 1e-4, "differences of interpolated float32 values")
 
 
 class Marks(sl.Shader):
@@ -183,16 +171,10 @@ def test_a_matrix_is_applied_as_numpy_does(device: Device) -> None:
     world = np.eye(4)
     world[:3, 3] = (1.0, 0.5, 0.0)
     rows = rectangle(-1, 0, -0.5, 0.5)
-    with (
-        device.texture((4, 4), Format.R8) as target,
-        device.uniform(Camera(world=world, turn=TURN, flat=FLAT, scale=1.0)) as camera,
-        device.mesh(rows) as mesh,
-    ):
-        with device.render_pass(target):
-            device.draw(device.program(Moved), mesh, camera=camera)
+    with device.uniform(Camera(world=world, turn=TURN, flat=FLAT, scale=1.0)) as camera:
         mask = np.zeros((4, 4), bool)
         mask[0, 2] = True
-        assert_mask(target.read(), mask)
+        assert_mask(draw_once(device, (4, 4), Format.R8, rows, shader=Moved, camera=camera), mask)
 
 
 class Products(sl.Shader):
@@ -231,7 +213,4 @@ def test_products_of_matrices_are_those_of_numpy(device: Device) -> None:
 def test_white_is_white(device: Device) -> None:
     """A control for these tests: a white triangle over the whole target makes every texel white."""
     whole = corners([(-1, -1), (3, -1), (-1, 3)], WHITE)
-    with device.texture((2, 2), Format.RGBA8) as target, device.mesh(whole) as mesh:
-        with device.render_pass(target):
-            device.draw(device.program(Colored), mesh)
-        assert_same(target.read(), 255)
+    assert_same(draw_once(device, (2, 2), Format.RGBA8, whole), 255)

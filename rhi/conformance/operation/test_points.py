@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rhi import CullMode, DepthFunction, DepthTest, Device, Format, Primitive, Scissor
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_point_sizes
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Located, Sized
 from rhi.conformance.shapes import point_rows, point_square
 from rhi.shading import Shader, Struct, point_coordinate, vec2, vec4
@@ -53,10 +54,9 @@ def square(x: float, y: float, size: float) -> NDArray[np.bool_]:
 
 def drawn(device: Device, rows: NDArray[Any], shader: Any = Sized, *states: Any) -> NDArray[Any]:
     """Return the image of these points."""
-    with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(*states or [CullMode.NONE]):
-            device.draw(device.program(shader), mesh)
-        return image.read()
+    return draw_once(
+        device, SIZE, Format.RGBA32F, rows, *states or [CullMode.NONE], shader=shader, primitive=Primitive.POINTS
+    )
 
 
 @pytest.mark.parametrize("size", [1.0, 2.0, 3.0, 4.5, 7.0, 12.0])
@@ -158,9 +158,6 @@ def test_a_point_is_never_culled(device: Device) -> None:
 
 def test_triangles_ignore_the_size(device: Device) -> None:
     rows = dots([(4, 4), (20, 4), (4, 20)], 9.0)
-    with device.texture(SIZE, Format.R8) as image, device.mesh(rows) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
-            device.draw(device.program(Sized), mesh)
-        back = image.read() > 0
+    back = draw_once(device, SIZE, Format.R8, rows, CullMode.NONE, shader=Sized) > 0
     x, y = np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1])[:, None] + 0.5
     assert_mask(back, (x >= 4) & (y >= 4) & (x + y < 24))

@@ -53,6 +53,16 @@ def count(device: rhi.Device, query: rhi.OcclusionQuery, rows: Any, *states: Any
         return query.wait()
 
 
+def draw_counted(
+    device: rhi.Device, query: rhi.OcclusionQuery, rows: Any, shader: Any = Colored, samples: int = 1, **more: Any
+) -> rhi.OcclusionQuery:
+    """Count one draw without a depth buffer; return the query."""
+    with device.texture(SIZE, rhi.Format.R8, samples=samples) as image, device.mesh(rows, **more) as mesh:
+        with device.render_pass(image), query:
+            device.draw(device.program(shader), mesh)
+    return query
+
+
 def test_a_query_counts_the_texels_that_pass(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     assert count(device, query, texel_rectangle(2, 3, 5, 4, SIZE, depth=0.75)) == 20
 
@@ -108,10 +118,7 @@ def test_a_query_counts_after_the_stencil_test(device: rhi.Device, query: rhi.Oc
 
 
 def test_a_query_does_not_count_what_is_discarded(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
-    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
-        with device.render_pass(image), query:
-            device.draw(device.program(Checkered), mesh)
-        assert query.wait() == 128
+    assert draw_counted(device, query, rectangle(), Checkered).wait() == 128
 
 
 def test_a_query_does_not_count_clears(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
@@ -137,10 +144,7 @@ def test_a_query_counts_a_fragment_s_own_depth(device: rhi.Device, query: rhi.Oc
 
 
 def test_a_query_counts_without_a_depth_buffer(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
-    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle(-1, -1, 0, 0)) as mesh:
-        with device.render_pass(image), query:
-            device.draw(device.program(Colored), mesh)
-        assert query.wait() == 64
+    assert draw_counted(device, query, rectangle(-1, -1, 0, 0)).wait() == 64
 
 
 def test_a_query_counts_only_what_lies_inside_it(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
@@ -190,11 +194,9 @@ def test_many_queries_keep_their_own_counts(device: rhi.Device, query: rhi.Occlu
 
 def test_an_answer_comes_without_waiting_for_it(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     """Polling is enough for the query to finish: `end` submits its work."""
-    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
-        with device.render_pass(image), query:
-            device.draw(device.program(Colored), mesh)
-        assert comes_true(lambda: query.is_finished)
-        assert query.visible_samples == 256
+    draw_counted(device, query, rectangle())
+    assert comes_true(lambda: query.is_finished)
+    assert query.visible_samples == 256
 
 
 def test_polling_does_not_block(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
@@ -231,10 +233,7 @@ def test_an_answer_stays_until_the_next_begin(device: rhi.Device, query: rhi.Occ
 def test_multi_sampled_targets_count_samples(device: rhi.Device, query: rhi.OcclusionQuery, samples: int) -> None:
     """A device that declares a number of samples has as many, not more."""
     require_samples(device, samples)
-    with device.texture(SIZE, rhi.Format.R8, samples=samples) as image, device.mesh(rectangle(-1, -1, 0, 0)) as mesh:
-        with device.render_pass(image), query:
-            device.draw(device.program(Colored), mesh)
-        assert query.wait() == samples * 64
+    assert draw_counted(device, query, rectangle(-1, -1, 0, 0), samples=samples).wait() == samples * 64
 
 
 def test_queries_are_counted(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
@@ -319,7 +318,4 @@ def test_an_unfinished_query_has_no_number_yet(device: rhi.Device) -> None:
 def test_the_samples_of_large_points_are_counted(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     require_point_sizes(device)
     rows = point_rows([(4.5, 8.5), (12.5, 8.5)], SIZE, [5.0, 3.0])
-    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rows, primitive=rhi.Primitive.POINTS) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), query:
-            device.draw(device.program(Sized), mesh)
-    assert query.wait() == 25 + 9
+    assert draw_counted(device, query, rows, Sized, primitive=rhi.Primitive.POINTS).wait() == 25 + 9

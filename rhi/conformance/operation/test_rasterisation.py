@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rhi import BlendFunction, CullMode, Device, Format, FrontFace, Scissor, State, Viewport
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import SUBTEXELS, rasterise, rasterise_within
 from rhi.conformance.shaders import Bare, Colored, Corner, Positions
 from rhi.conformance.shapes import VertexRows, corners, rectangle, texel_rectangle, window_to_clip
@@ -25,14 +26,8 @@ SIZE = (16, 16)
 
 def counts(device: Device, rows: VertexRows, *states: State, size: tuple[int, int] = SIZE) -> NDArray[Any]:
     """Return how often each texel is drawn."""
-    with device.texture(size, Format.R16F) as image, device.mesh(rows) as mesh:
-        with (
-            device.render_pass(image),
-            device.states(CullMode.NONE, BlendFunction.ADDITIVE),
-            device.states(*states or (CullMode.NONE,)),
-        ):
-            device.draw(device.program(Colored), mesh)
-        return image.read()
+    with device.states(CullMode.NONE, BlendFunction.ADDITIVE):
+        return draw_once(device, size, Format.R16F, rows, *states)
 
 
 def at_subtexels(points: Any, size: tuple[int, int] = SIZE) -> NDArray[np.float64]:
@@ -299,10 +294,7 @@ def weights(size: tuple[int, int]) -> NDArray[np.float64]:
 
 def interpolated(device: Device, shader: type[Shader]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     rows = corners(np.concatenate([TRIANGLE, np.full((3, 1), 0.5), np.ones((3, 1))], axis=1) * W[:, None], RGB)
-    with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(rows) as mesh:
-        with device.render_pass(image):
-            device.draw(device.program(shader), mesh)
-        pixels = image.read()
+    pixels = draw_once(device, SIZE, Format.RGBA32F, rows, shader=shader)
     return pixels, pixels[..., 3] > 0
 
 
@@ -326,8 +318,5 @@ def test_a_clipped_triangle_keeps_its_values(device: Device) -> None:
         [(-3, -1), (3, -1), (3, 1), (-3, -1), (3, 1), (-3, 1)],
         [(x / 6 + 0.5, 0, 0, 1) for x in (-3, 3, 3, -3, 3, -3)],
     )
-    with device.texture((8, 2), Format.R32F) as image, device.mesh(big) as mesh:
-        with device.render_pass(image):
-            device.draw(device.program(Colored), mesh)
-        expected = ((np.arange(8) + 0.5) / 4 - 1) / 6 + 0.5
-        assert_near(image.read(), np.stack([expected] * 2), 1e-6, "interpolation in float32")
+    expected = ((np.arange(8) + 0.5) / 4 - 1) / 6 + 0.5
+    assert_near(draw_once(device, (8, 2), Format.R32F, big), np.stack([expected] * 2), 1e-6, "interpolation in float32")

@@ -12,6 +12,7 @@ import rhi.shading as sl
 from rhi import Comparison, CompressedFormat, Device, Filter, Format, SamplerDescriptor, TextureKind, Wrap
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import random_texels, require_format, squeezed
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import channels_of, compare, decode, encode
 from rhi.conformance.shaders import Colored, Shade, Shaded
 from rhi.conformance.shapes import rectangle
@@ -229,14 +230,8 @@ def test_minifying_and_magnifying_have_filters_of_their_own(
     rows = rectangle()
     rows["color"][:, :2] = (rows["position"][:, :2] + 1) / 2 + 0.3 / size
     sampler = SamplerDescriptor(minify, magnify, None)
-    with (
-        device.texture(board, Format.R8) as texture,
-        device.texture((16, 16), Format.R8) as image,
-        device.mesh(rows) as mesh,
-    ):
-        with device.render_pass(image):
-            device.draw(device.program(Drawn), mesh, source=texture.sampled(sampler))
-        values = np.unique(image.read())
+    with device.texture(board, Format.R8) as texture:
+        values = np.unique(draw_once(device, (16, 16), Format.R8, rows, shader=Drawn, source=texture.sampled(sampler)))
     assert (set(values) <= {0, 255}) is not smooth, values
 
 

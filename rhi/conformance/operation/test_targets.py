@@ -26,6 +26,7 @@ from rhi import (
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_point_sizes, require_renderable, require_samples
 from rhi.conformance.patience import PATIENCE
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import channels_of, compare, encode, rounding
 from rhi.conformance.shaders import Bare, Colored, Corner, FlatShade, IntColored, Located, Shade, Sized, UintColored
 from rhi.conformance.shapes import centers, corners, point_rows, point_square, rectangle
@@ -48,10 +49,7 @@ def test_a_fragment_s_color_is_converted_to_the_format(
     device: Device, format: Format, color: tuple[float, float, float, float]
 ) -> None:
     require_renderable(device, format)
-    with device.texture(SIZE, format) as image, device.mesh(rectangle(color=color)) as mesh:
-        with device.render_pass(image):
-            device.draw(device.program(Colored), mesh)
-        back = channels_of(format, image.read()).reshape(16, -1)
+    back = channels_of(format, draw_once(device, SIZE, format, rectangle(color=color))).reshape(16, -1)
     expected = encode(format, np.array(color, "f4"))
     assert_near(back, expected, *rounding(format, expected))
 
@@ -63,10 +61,8 @@ def test_integers_are_stored_as_they_are(device: Device, format: Format) -> None
     last = min(100.0, 2.0 ** format.channel_bits[-1] - 1)
     color = (1.0, top, 0.0, last) if format.kind is ChannelKind.UINT else (-1.0, top, -(2.0**24), last)
     shader: type[Shader] = UintColored if format.kind is ChannelKind.UINT else IntColored
-    with device.texture(SIZE, format) as image, device.mesh(rectangle(color=color)) as mesh:
-        with device.render_pass(image):
-            device.draw(device.program(shader), mesh)
-        assert_same(channels_of(format, image.read()).reshape(16, -1), color[: format.channels])
+    drawn = draw_once(device, SIZE, format, rectangle(color=color), shader=shader)
+    assert_same(channels_of(format, drawn).reshape(16, -1), color[: format.channels])
 
 
 class Three(Struct):
@@ -161,10 +157,7 @@ def test_a_target_without_an_output_keeps_other_targets_right(device: Device, me
 
 
 def test_a_pass_with_depth_alone_draws_depth(device: Device) -> None:
-    with device.texture(SIZE, Format.D32F) as depth, device.mesh(rectangle()) as mesh:
-        with device.render_pass(depth=depth, clear_depth=0):
-            device.draw(device.program(Colored), mesh)
-        assert_same(depth.read(), 0.5)
+    assert_same(draw_once(device, SIZE, Format.D32F, rectangle()), 0.5)
 
 
 @pytest.mark.parametrize(
@@ -220,28 +213,16 @@ def test_eight_targets_are_drawn_at_once(device: Device) -> None:
 @pytest.mark.parametrize("samples", [2, 4, 8])
 def test_inside_a_triangle_all_samples_are_covered(device: Device, samples: int) -> None:
     require_samples(device, samples)
-    with (
-        device.texture(SIZE, Format.RGBA8, samples=samples) as image,
-        device.texture(SIZE, Format.RGBA8) as target,
-        device.mesh(rectangle(color=(0.2, 0.4, 0.6, 0.8))) as mesh,
-    ):
-        with device.render_pass(image, resolve=target):
-            device.draw(device.program(Colored), mesh)
-        assert_same(target.read(), (51, 102, 153, 204))
+    drawn = draw_once(device, SIZE, Format.RGBA8, rectangle(color=(0.2, 0.4, 0.6, 0.8)), samples=samples)
+    assert_same(drawn, (51, 102, 153, 204))
 
 
 @pytest.mark.parametrize("samples", [2, 4, 8])
 def test_an_edge_covers_some_samples_of_its_texels(device: Device, samples: int) -> None:
     """An edge through the middle of a column: its texels are covered in part, those beside it fully or not."""
     require_samples(device, samples)
-    with (
-        device.texture((8, 8), Format.R16F, samples=samples) as image,
-        device.texture((8, 8), Format.R16F) as target,
-        device.mesh(rectangle(right=4.5 / 8 * 2 - 1)) as mesh,
-    ):
-        with device.render_pass(image, clear=(0, 0, 0, 0), resolve=target):
-            device.draw(device.program(Colored), mesh)
-        covered = target.read().astype(np.float64)
+    rows = rectangle(right=4.5 / 8 * 2 - 1)
+    covered = draw_once(device, (8, 8), Format.R16F, rows, samples=samples).astype(np.float64)
     assert_same(covered[:, :4], 1)
     assert_same(covered[:, 5:], 0)
     middle = covered[:, 4]
@@ -259,15 +240,7 @@ def test_a_resolve_averages_the_samples(device: Device, samples: int) -> None:
             corners([(-1, 1), (1, -1), (1, 1)], (0, 1, 0, 1)),
         ]
     )
-    with (
-        device.texture((8, 8), Format.RGBA16F, samples=samples) as image,
-        device.texture((8, 8), Format.RGBA16F) as target,
-        device.mesh(rows) as mesh,
-    ):
-        with device.render_pass(image, clear=(0, 0, 0, 0)):
-            device.draw(device.program(Colored), mesh)
-        image.resolve_to(target)
-        resolved = target.read()
+    resolved = draw_once(device, (8, 8), Format.RGBA16F, rows, samples=samples)
     assert_near(resolved[..., 0] + resolved[..., 1], 1, 1e-6, "an average in float32")
     assert_near(resolved[..., 3], 1, 1e-6, "an average in float32")
     assert_same(resolved[7, 0], (1, 0, 0, 1))
@@ -276,16 +249,9 @@ def test_a_resolve_averages_the_samples(device: Device, samples: int) -> None:
 
 def test_a_resolve_keeps_row_0_on_top(device: Device) -> None:
     require_samples(device, 4)
-    with (
-        device.texture(SIZE, Format.R8, samples=4) as image,
-        device.texture(SIZE, Format.R8) as target,
-        device.mesh(rectangle(-1, 0.5, 1, 1)) as mesh,
-    ):
-        with device.render_pass(image, clear=(0, 0, 0, 0), resolve=target):
-            device.draw(device.program(Colored), mesh)
-        expected = np.zeros((4, 4), bool)
-        expected[0] = True
-        assert_mask(target.read(), expected)
+    expected = np.zeros((4, 4), bool)
+    expected[0] = True
+    assert_mask(draw_once(device, SIZE, Format.R8, rectangle(-1, 0.5, 1, 1), samples=4), expected)
 
 
 @pytest.mark.parametrize("at_end", [True, False], ids=["end of pass", "command"])
@@ -336,28 +302,17 @@ def test_each_of_several_targets_is_resolved_to_its_own(device: Device) -> None:
 @pytest.mark.parametrize("alpha", [0.0, 0.5, 1.0])
 def test_alpha_becomes_coverage(device: Device, alpha: float, samples: int) -> None:
     require_samples(device, samples)
-    with (
-        device.texture((8, 8), Format.RGBA16F, samples=samples) as image,
-        device.texture((8, 8), Format.RGBA16F) as target,
-        device.mesh(rectangle(color=(1, 1, 1, alpha))) as mesh,
-    ):
-        with device.render_pass(image, clear=(0, 0, 0, 0), resolve=target), device.states(AlphaToCoverage.ON):
-            device.draw(device.program(Colored), mesh)
-        covered = target.read()[..., 0].mean()
-    assert_near(covered, alpha, 0.25 if alpha == 0.5 else 0.0, "which samples are covered is left to the device")
+    rows = rectangle(color=(1, 1, 1, alpha))
+    drawn = draw_once(device, (8, 8), Format.RGBA16F, rows, AlphaToCoverage.ON, samples=samples)
+    assert_near(
+        drawn[..., 0].mean(), alpha, 0.25 if alpha == 0.5 else 0.0, "which samples are covered is left to the device"
+    )
 
 
 @pytest.mark.needs("alpha_to_coverage")
 def test_without_the_state_alpha_covers_nothing_less(device: Device) -> None:
     require_samples(device, 4)
-    with (
-        device.texture(SIZE, Format.RGBA16F, samples=4) as image,
-        device.texture(SIZE, Format.RGBA16F) as target,
-        device.mesh(rectangle(color=(1, 1, 1, 0.5))) as mesh,
-    ):
-        with device.render_pass(image, clear=(0, 0, 0, 0), resolve=target):
-            device.draw(device.program(Colored), mesh)
-        assert_same(target.read()[..., 0], 1)
+    assert_same(draw_once(device, SIZE, Format.RGBA16F, rectangle(color=(1, 1, 1, 0.5)), samples=4)[..., 0], 1)
 
 
 @pytest.mark.needs("alpha_test")
@@ -368,13 +323,10 @@ def test_an_alpha_function_compares_alpha_with_the_reference(
 ) -> None:
     alphas = np.array([0.25, 0.5, 0.75])
     rows = corners(centers([(0, 0), (1, 0), (2, 0)], (3, 1)), np.stack([alphas * 0 + 1] * 3 + [alphas], axis=1))
-    with device.texture((3, 1), Format.R8) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
-        with (
-            device.render_pass(image, clear=(0, 0, 0, 0)),
-            device.states(AlphaTest.ON, function, AlphaReference(reference)),
-        ):
-            device.draw(device.program(Colored), mesh)
-        assert_same(image.read()[0], compare(function, alphas, reference) * 255)
+    drawn = draw_once(
+        device, (3, 1), Format.R8, rows, AlphaTest.ON, function, AlphaReference(reference), primitive=Primitive.POINTS
+    )
+    assert_same(drawn[0], compare(function, alphas, reference) * 255)
 
 
 def test_points_and_lines_ignore_culling(device: Device) -> None:
@@ -398,17 +350,7 @@ class Nothing(Shader):
 
 
 def test_a_program_without_outputs_draws_depth(device: Device) -> None:
-    with device.texture(SIZE, Format.D32F) as depth, device.mesh(rectangle()) as mesh:
-        with device.render_pass(depth=depth, clear_depth=0):
-            device.draw(device.program(Nothing), mesh)
-        assert_same(depth.read(), 0.5)
-
-
-def test_signed_integers_keep_their_sign(device: Device) -> None:
-    with device.texture(SIZE, Format.RGBA32I) as image, device.mesh(rectangle(color=(-5, 5, -1, 0))) as mesh:
-        with device.render_pass(image):
-            device.draw(device.program(IntColored), mesh)
-        assert_same(image.read(), (-5, 5, -1, 0))
+    assert_same(draw_once(device, SIZE, Format.D32F, rectangle(), shader=Nothing), 0.5)
 
 
 @pytest.mark.parametrize("samples", [4, 8])
@@ -416,15 +358,8 @@ def test_a_point_with_a_size_covers_samples(device: Device, samples: int) -> Non
     require_samples(device, samples)
     require_point_sizes(device)
     size = (24, 20)
-    with (
-        device.texture(size, Format.RGBA8, samples=samples) as target,
-        device.texture(size, Format.RGBA8) as image,
-        device.mesh(point_rows([(12.0, 10.0)], size, 5.0), primitive=Primitive.POINTS) as mesh,
-    ):
-        with device.render_pass(target, clear=(0, 0, 0, 0)):
-            device.draw(device.program(Sized), mesh)
-        target.resolve_to(image)
-        back = image.read()[..., 0]
+    rows = point_rows([(12.0, 10.0)], size, 5.0)
+    back = draw_once(device, size, Format.R8, rows, shader=Sized, primitive=Primitive.POINTS, samples=samples)
     whole, touched = point_square(12.0, 10.0, 4.0, size), point_square(12.0, 10.0, 6.0, size)
     assert_same(back[whole], 255)
     assert ((back[touched & ~whole] > 0) & (back[touched & ~whole] < 255)).all()
@@ -436,14 +371,7 @@ def test_a_fragment_of_several_samples_knows_its_place_in_the_point(device: Devi
     require_samples(device, 4)
     size = (32, 24)
     rows = point_rows([(12.0, 10.0)], size, 8.0, (0.625, 0, 0, 1), w=3.0)
-    with (
-        device.texture(size, Format.RGBA16F, samples=4) as image,
-        device.texture(size, Format.RGBA16F) as mean,
-        device.mesh(rows, primitive=Primitive.POINTS) as mesh,
-    ):
-        with device.render_pass(image, resolve=mean, clear=(0, 0, 0, 0)):
-            device.draw(device.program(Located), mesh)
-        back = mean.read()
+    back = draw_once(device, size, Format.RGBA16F, rows, shader=Located, primitive=Primitive.POINTS, samples=4)
     rows, columns = np.nonzero(point_square(12.0, 10.0, 8.0, size))  # whole texels
     expected = np.stack([columns - 7.5, rows - 5.5], -1) / 8
     assert_near(back[rows, columns, :2], expected, 1 / 16 + 2e-3, "anywhere in the texel, and as with one sample")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rhi import Device, Filter, Format, Mesh, Primitive, SamplerDescriptor, Wrap
 from rhi.conformance.compare import assert_same
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Colored, FlatShade, Loads, TexturedVarying, TexturedVertex, Tint, Tinted
 from rhi.conformance.shapes import centers, corners, rectangle
 from rhi.shading import Shader, Texture2D, ivec2, vec4
@@ -49,14 +50,9 @@ def placed(uvs: object) -> NDArray[Any]:
 def test_v_0_is_the_top_row(device: Device) -> None:
     """A texture drawn with v = 0 at the top of the target comes out as it was written."""
     data = texels(5, 3)
-    with (
-        device.texture(data, Format.RGBA8) as source,
-        device.texture((5, 3), Format.RGBA8) as target,
-        device.mesh(placed(UPRIGHT)) as mesh,
-    ):
-        with device.render_pass(target):
-            device.draw(device.program(Textured), mesh, source=source.sampled(NEAREST))
-        assert_same(target.read(), data)
+    with device.texture(data, Format.RGBA8) as source:
+        sampled, rows = source.sampled(NEAREST), placed(UPRIGHT)
+        assert_same(draw_once(device, (5, 3), Format.RGBA8, rows, shader=Textured, source=sampled), data)
 
 
 def test_a_drawn_texture_is_sampled_like_a_written_one(device: Device) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rhi import BlendFunction, CullMode, Device, Format, Primitive, StorageBuffer, Texture
 from rhi.conformance.compare import assert_mask, assert_same
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, FlatColored
 from rhi.conformance.shapes import centers, corners, window_to_clip
@@ -32,10 +33,9 @@ def drawn(
 ) -> NDArray[Any]:
     """Return the image of one draw without culling."""
     rows = corners(positions, color)
-    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(rows, indices, primitive=primitive) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
-            device.draw(device.program(FlatColored), mesh)
-        return image.read()
+    return draw_once(
+        device, SIZE, Format.RGBA8, rows, CullMode.NONE, shader=FlatColored, indices=indices, primitive=primitive
+    )
 
 
 def covered(*triangles: Any) -> NDArray[np.bool_]:
@@ -194,10 +194,7 @@ def test_primitives_are_drawn_in_order(device: Device) -> None:
     color = np.repeat([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1)], 3, axis=0)
     positions = np.tile(window_to_clip([(0, 0), (0, 32), (32, 0)], SIZE), (3, 1))
     rows = corners(positions, color)
-    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(rows) as mesh:
-        with device.render_pass(image):
-            device.draw(device.program(Colored), mesh)
-        assert_same(image.read(), (0, 0, 255, 255))
+    assert_same(draw_once(device, SIZE, Format.RGBA8, rows), (0, 0, 255, 255))
 
 
 FLAT = np.array([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1), (1, 1, 0, 1)], float)
@@ -312,10 +309,7 @@ def test_a_view_of_indexed_quads_begins_at_any_index(device: Device, image: Text
 
 def test_corners_left_over_make_no_quad(device: Device) -> None:
     rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2))[:11], SIZE))
-    with device.texture(SIZE, Format.R8) as image, device.mesh(rows, primitive=Primitive.QUADS) as mesh:
-        with device.render_pass(image), device.states(CullMode.NONE):
-            device.draw(device.program(Colored), mesh)
-        assert_mask(image.read(), boxes((0, 1)))
+    assert_mask(draw_once(device, SIZE, Format.R8, rows, CullMode.NONE, primitive=Primitive.QUADS), boxes((0, 1)))
 
 
 def test_quads_are_drawn_once_per_instance(device: Device) -> None:

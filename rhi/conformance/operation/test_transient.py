@@ -12,6 +12,7 @@ import rhi
 import rhi.shading as sl
 from rhi import BlendFunction, CullMode, Device, Format, Primitive, ValidationError
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, Corner, Flat, FlatShade, Shade, Smooth, Tint, Tinted, Weighted
 from rhi.conformance.shapes import centers, corners, rectangle, window_to_clip
@@ -526,10 +527,7 @@ def test_numbers_vectors_and_matrices_are_bound_as_they_are(device: Device, way:
             bound[name].write(value * 0)
             bound[name].write(value)
     expected = view @ np.array([*(turn @ [1, 2, 3]), 0.5]) + [-3, 7, 0, 0]
-    with device.texture((1, 1), Format.RGBA32F) as image, device.mesh(rectangle()) as mesh:
-        with device.render_pass(image):
-            device.draw(device.program(Values), mesh, **bound)
-        assert_same(image.read()[0, 0], expected)
+    assert_same(draw_once(device, (1, 1), Format.RGBA32F, rectangle(), shader=Values, **bound)[0, 0], expected)
 
 
 def test_a_single_value_is_bound_as_its_own_class(device: Device) -> None:

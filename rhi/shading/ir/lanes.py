@@ -487,11 +487,7 @@ def parts_of(node: Value | Statement) -> tuple[Value, ...]:
 
 def within(node: Value) -> Iterator[Value]:
     """Yield a value and all values that it is computed from."""
-    left = [node]
-    while left:
-        node = left.pop()
-        yield node
-        left += parts_of(node)[::-1]
+    return nodes.within(node, "Value")
 
 
 def variables_of(value: Value) -> Iterator[Variable]:

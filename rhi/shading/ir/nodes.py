@@ -45,6 +45,15 @@ def operands(node: Any, of: str) -> tuple[Any, ...]:
     return read(node)
 
 
+def within(node: Any, of: str) -> Iterator[Any]:
+    """Yield a node and all nodes that it is computed from, in order; `of` is the name of their base class."""
+    left = [node]
+    while left:
+        node = left.pop()
+        yield node
+        left += operands(node, of)[::-1]
+
+
 def walk(block: Sequence[Any]) -> Iterator[Any]:
     """Yield all statements of a block; nested ones follow the statement that contains them."""
     for statement in block:

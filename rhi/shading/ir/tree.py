@@ -378,7 +378,7 @@ def left_chain(node: Binary) -> list[Binary]:
 
 def has_effect(node: Expression) -> bool:
     """Return whether an expression has side effects, so that evaluating it twice differs from evaluating it once."""
-    for part in _expressions(node):
+    for part in nodes.within(node, "Expression"):
         if isinstance(part, BuiltinCall) and part.builtin.effect is not SideEffect.NONE:
             return True
         if isinstance(part, Call) and part.function.has_effect:
@@ -410,19 +410,11 @@ def walk(block: Block) -> Iterator[Statement | Expression]:
         yield statement
         for part in parts_of(statement):
             is_target = isinstance(statement, Assign) and part is statement.target
-            yield from _indices(part) if is_target else _expressions(part)
+            yield from _indices(part) if is_target else nodes.within(part, "Expression")
 
 
 def _indices(lvalue: Expression) -> Iterator[Expression]:
     while isinstance(lvalue, Member | Swizzle | Index):
         if isinstance(lvalue, Index):
-            yield from _expressions(lvalue.index)
+            yield from nodes.within(lvalue.index, "Expression")
         lvalue = lvalue.base
-
-
-def _expressions(node: Expression) -> Iterator[Expression]:
-    stack = [node]
-    while stack:
-        node = stack.pop()
-        yield node
-        stack += parts_of(node)[::-1]

@@ -197,16 +197,6 @@ def test_states_given_out_are_a_copy(recorder):
     assert recorder.stream[1].states[CullMode] is CullMode.BACK
 
 
-def test_what_holds_goes_on_after_a_clear(recorder):
-    recorder.push_label("frame")
-    recorder.set_states([StateChange(CullMode, CullMode.NONE)])
-    recorder.stream.clear()
-    assert len(recorder.stream) == 0
-    draw(recorder)
-    assert recorder.stream[0].labels == ("frame",)
-    assert recorder.stream[0].states[CullMode] is CullMode.NONE
-
-
 def test_a_command_of_a_cleared_stream_keeps_its_own_but_refuses_what_is_derived(recorder):
     draw(recorder, 12)
     kept = recorder.stream[0]
@@ -216,9 +206,8 @@ def test_a_command_of_a_cleared_stream_keeps_its_own_but_refuses_what_is_derived
     assert kept["count"] == 12
     assert kept.site is not None
     for name in ("labels", "states", "program", "render_pass"):
-        with pytest.raises(ValidationError) as caught:
+        with pytest.raises(ValidationError, match=r"^\[command-cleared\]"):
             getattr(kept, name)
-        assert caught.value.rule.id == "command-cleared"
 
 
 STEPS = st.lists(st.sampled_from(["push", "pop", "cull", "draw", "clear", "pause", "resume", "look"]), max_size=60)

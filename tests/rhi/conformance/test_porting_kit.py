@@ -147,15 +147,13 @@ def test_a_backend_that_is_not_installed_is_named_by_its_function() -> None:
 
 @pytest.mark.parametrize("name", ["no_such_module:create_backend", "rhi.backends.null:no_such_function"])
 def test_a_function_that_is_not_there_is_an_unknown_backend(name: str) -> None:
-    with pytest.raises(rhi.DeviceError) as caught:
+    with pytest.raises(rhi.DeviceError, match=r"^\[device-unknown\]"):
         rhi.create_device(name)
-    assert caught.value.rule.id == "device-unknown"
 
 
 def test_a_function_takes_its_own_options_only() -> None:
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[device-argument\]"):
         rhi.create_device("rhi.backends.null:create_backend", colour=3)
-    assert caught.value.rule.id == "device-argument"
 
 
 # -- the scoreboard ------------------------------------------------------------------------------------------

@@ -60,18 +60,16 @@ BAD = [
 
 @pytest.mark.parametrize(("state", "bad", "good"), BAD)
 def test_a_number_out_of_range_is_refused_and_the_last_one_in_range_is_not(state, bad, good):
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[state-value\]") as caught:
         state(*bad)
-    assert caught.value.rule.id == "state-value"
     assert caught.value.call == state.__name__
     assert dataclasses.astuple(state(*good))[: len(good)] == good
 
 
 def test_a_blend_function_is_for_one_of_the_targets():
     assert BlendFunction.ALPHA.at(MAX_TARGETS - 1).target == MAX_TARGETS - 1
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[state-value\]"):
         BlendFunction.ALPHA.at(MAX_TARGETS)
-    assert caught.value.rule.id == "state-value"
 
 
 def test_equal_numbers_in_different_states_are_different_states():

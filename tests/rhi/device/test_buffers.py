@@ -32,9 +32,8 @@ def test_an_array_without_the_padding_is_refused_with_both_layouts(kit: Kit) -> 
 
 def test_fields_of_other_names_are_refused(kit: Kit) -> None:
     rows = np.zeros(2, [("spot", "f4", 2), ("pad", "f4", 2), ("color", "f4", 4)])
-    with pytest.raises(rhi.ValidationError) as caught:
+    with pytest.raises(rhi.ValidationError, match=r"^\[layout-mismatch\]"):
         kit.device.storage(Light, rows)
-    assert caught.value.rule.id == "layout-mismatch"
 
 
 def test_vectors_are_rows_of_a_plain_array(kit: Kit) -> None:

@@ -24,7 +24,6 @@ from calls import (
 )
 
 import rhi
-from rhi.errors import rules
 
 FREE = {
     "Device.backend_as", "Device.close", "Device.record", "Device.states", "Texture.at", "Texture.image",
@@ -110,9 +109,8 @@ def test_a_call_on_another_thread_is_refused(name: str) -> None:
         if name == "OcclusionQuery.end":
             stack.enter_context(house.query)
         before = len(device.stream)
-        with pytest.raises(rhi.ValidationError) as caught:
+        with pytest.raises(rhi.ValidationError, match=r"^\[device-thread\]") as caught:
             pool.submit(call).result()
-        assert caught.value.rule is rules.DEVICE_THREAD
         assert caught.value.site is not None
         assert caught.value.site.file in (__file__, calls.__file__, contextlib.__file__)
         assert len(device.stream) == before

@@ -101,9 +101,8 @@ def test_a_device_lost_in_a_submission_leaves_nothing_open(command: int) -> None
     house = House(device)
     with device.record() as commands:
         shadow_pass(commands, house)
-    with pytest.raises(rhi.DeviceError) as caught:
+    with pytest.raises(rhi.DeviceError, match=r"^\[device-lost\]"):
         device.submit(commands)
-    assert caught.value.rule.id == "device-lost"
     assert device._core.render_pass is None
     assert device._core.states.depth == 0
     device.close()

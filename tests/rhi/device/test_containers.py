@@ -3,7 +3,7 @@
 import tracemalloc
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rhi.device.core.containers import FixedQueue, FixedStack
@@ -17,54 +17,19 @@ STEPS = st.lists(st.one_of(st.integers(0, 9), st.none(), st.just("clear")), max_
 @pytest.mark.parametrize("container", [FixedStack, FixedQueue])
 @pytest.mark.parametrize("capacity", [0, -1])
 def test_a_container_without_room_is_refused(container, capacity):
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[container-capacity\]"):
         container(capacity)
-    assert caught.value.rule.id == "container-capacity"
-
-
-@pytest.mark.parametrize("container", [FixedStack, FixedQueue])
-@pytest.mark.parametrize("capacity", [1, 2, 3, 4, 5, 8, 9])
-def test_a_container_of_n_takes_n_elements_and_no_more(container, capacity):
-    room = container(capacity)
-    for value in range(capacity):
-        room.push(value)
-    assert list(room) == list(range(capacity))
-    with pytest.raises(ValidationError) as caught:
-        room.push(-1)
-    assert caught.value.rule.id == "container-full"
-    assert list(room) == list(range(capacity))
-
-
-@pytest.mark.parametrize("container", [FixedStack, FixedQueue])
-def test_an_empty_container_refuses_a_pop_and_stays_usable(container):
-    room = container(1)
-    with pytest.raises(ValidationError) as caught:
-        room.pop()
-    assert caught.value.rule.id == "container-empty"
-    room.push(7)
-    assert room.pop() == 7
 
 
 @pytest.mark.parametrize(("container", "name"), [(FixedStack, "top"), (FixedQueue, "front")])
 def test_an_empty_container_has_no_first_element(container, name):
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[container-empty\]"):
         getattr(container(1), name)
-    assert caught.value.rule.id == "container-empty"
-
-
-def test_n_pushes_fill_a_ring_wherever_it_stands():
-    for turned in range(8):
-        queue = FixedQueue(4)
-        for value in range(turned):
-            queue.push(value)
-            queue.pop()
-        for value in range(4):
-            queue.push(value)
-        assert queue.is_full
-        assert [queue.pop() for _ in range(4)] == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize(("container", "peek", "end"), [(FixedStack, "top", -1), (FixedQueue, "front", 0)])
+@example(8, range(9))
+@example(9, range(10))
 @given(CAPACITIES, STEPS)
 @settings(max_examples=200)
 def test_a_container_does_what_a_list_does(container, peek, end, capacity, steps):

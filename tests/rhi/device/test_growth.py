@@ -240,9 +240,8 @@ def test_samplers_are_shared_and_too_many_different_ones_refused(
     made = [SamplerDescriptor(border=(0, (i + 1) / 16, 0, 0)) for i in range(room + 1)]
     for descriptor in made[:room]:
         image.sampled(descriptor)
-    with pytest.raises(rhi.ValidationError) as caught:
+    with pytest.raises(rhi.ValidationError, match=r"^\[device-capability\]"):
         image.sampled(made[room])
-    assert caught.value.rule.id == "device-capability"
     image.sampled(made[0])
 
 

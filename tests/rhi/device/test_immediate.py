@@ -54,12 +54,11 @@ def test_an_array_is_drawn_as_it_was_when_it_was_given(kit: Kit) -> None:
 def test_a_vertex_that_was_refused_with_an_array_is_refused_at_the_end_too(kit: Kit, bad: object) -> None:
     """The array after it is refused and the vertex is kept, so that nothing is drawn without it."""
     rows = np.zeros(1, [("position", "<f4", (2,))])
-    with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError) as caught:
+    with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError, match=r"^\[immediate-vertex\]"):
         with kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)) as points:
             points.vertex(position=(bad, 0))
             with pytest.raises(rhi.ValidationError):
                 points.vertices(rows)
-    assert caught.value.rule.id == "immediate-vertex"
     assert not kit.ops(Op.DRAW)
 
 
@@ -169,9 +168,8 @@ def test_draw_many_again_refuses_what_was_destroyed_since(kit: Kit, name: str) -
     with kit.device.render_pass(kit.image):
         kit.device.draw_many(kit.program, kit.mesh, draws, **arguments)
         getattr(kit, name).destroy()
-        with pytest.raises(rhi.ValidationError) as error:
+        with pytest.raises(rhi.ValidationError, match=r"^\[resource-destroyed\]"):
             kit.device.draw_many(kit.program, kit.mesh, draws, **arguments)
-    assert error.value.rule.id == "resource-destroyed"
 
 
 def test_a_transient_mesh_serves_the_program_it_was_made_for(kit: Kit) -> None:
@@ -179,7 +177,6 @@ def test_a_transient_mesh_serves_the_program_it_was_made_for(kit: Kit) -> None:
     other = kit.device.program(hand_made_program("other"))
     mesh = kit.device.transient.mesh(kit.program, rows)
     with kit.device.render_pass(kit.image):
-        with pytest.raises(rhi.ValidationError) as caught:
+        with pytest.raises(rhi.ValidationError, match=r"^\[mesh-attribute\]"):
             kit.device.draw(other, mesh, camera=kit.camera, object=kit.objects[0])
-        assert caught.value.rule.id == "mesh-attribute"
         kit.device.draw(kit.program, mesh, camera=kit.camera, object=kit.objects[0])

@@ -75,9 +75,8 @@ def test_counted_samples_of_draws_add_up_by_row(kit: Kit, emulated: bool) -> Non
 def test_answers_that_were_never_supplied_are_unknown(kit: Kit) -> None:
     queries = kit.device.query_set(5)
     ask(kit, queries)
-    with pytest.raises(rhi.ValidationError) as caught:
+    with pytest.raises(rhi.ValidationError, match=r"^\[null-samples\]"):
         queries.wait()
-    assert caught.value.rule.id == "null-samples"
     kit.device.backend_as(NullBackend).answer_queries(3)
     assert queries.wait().tolist() == [3, -1, 3, 3, -1]
 

@@ -134,9 +134,8 @@ def test_a_closed_device_has_only_fetched_results() -> None:
     assert_same(fetched.result(), np.arange(4))
     assert fetched.done
     for call in (other.result, lambda: other.done):
-        with pytest.raises(rhi.ValidationError) as caught:
+        with pytest.raises(rhi.ValidationError, match=r"^\[device-closed\]"):
             call()
-        assert caught.value.rule is rules.DEVICE_CLOSED
 
 
 def test_without_copies_a_texture_is_read_at_once() -> None:

@@ -71,9 +71,8 @@ CALLS: dict[str, tuple[Callable[[Kit], object], str]] = {
 @pytest.mark.parametrize("name", CALLS)
 def test_a_refused_call_is_kept_once(name: str, kit: Kit) -> None:
     refused, rule = CALLS[name]
-    with pytest.raises(rhi.RhiError) as caught:
+    with pytest.raises(rhi.RhiError, match=rf"^\[{rule}\]"):
         refused(kit)
-    assert caught.value.rule.id == rule
     assert [refusal.error for refusal in kit.device.stream.refusals] == [rule]
 
 

@@ -54,9 +54,8 @@ def test_the_null_device_records_unless_told_not_to() -> None:
 def test_options_are_the_backends_own() -> None:
     with rhi.create_device("null", profile="gles-3") as device:
         assert device.capabilities.device == "gles-3"
-    with pytest.raises(rhi.ValidationError) as caught:
+    with pytest.raises(rhi.ValidationError, match=r"^\[device-argument\]") as caught:
         rhi.create_device("null", profil="gles-3")
-    assert caught.value.rule.id == "device-argument"
     assert "profil=" in caught.value.call
     assert caught.value.allowed == "faults, profile, simulation"
 

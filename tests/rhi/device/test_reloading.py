@@ -204,9 +204,8 @@ def test_new_bindings_are_asked_for_by_the_next_draw(device: rhi.Device, shaders
     picture.draw()
     text = TEXT.replace("gain = 1.0", "gain = 1.0\n    more: Uniform[float]").replace("* SHARE", "* self.more")
     Reloader(device).reload(shaders, text)
-    with pytest.raises(ValidationError) as error:
+    with pytest.raises(ValidationError, match=r"^\[binding-missing\]"):
         picture.draw()
-    assert error.value.rule.id == "binding-missing"
     picture.draw(more=device.uniform(0.5))
 
 
@@ -293,9 +292,8 @@ def test_a_faulty_edit_names_its_line_and_changes_nothing(device: rhi.Device, sh
     picture.draw()
     number, declared = picture.program.id, dict(shaders.Flat._declared)
     text = TEXT.replace(old, new).replace("gain = 1.0", "gain = 0.375").replace("color * 1.0", "color * 0.375")
-    with pytest.raises(RhiError) as error:
+    with pytest.raises(RhiError, match=rf"^\[{rule}\]") as error:
         reloader.reload(shaders, text)
-    assert error.value.rule.id == rule
     site = error.value.site
     assert site is not None
     if fault != "binding":  # whose line is not known before the class exists
@@ -319,9 +317,8 @@ def test_a_program_that_the_device_refuses_changes_nothing(shaders: Any) -> None
             "* SHARE", "* (" + " + ".join(f"self.u{i}" for i in range(40)) + ")"
         )
         numbers = [program.id for program in programs]
-        with pytest.raises(ValidationError) as error:
+        with pytest.raises(ValidationError, match=r"^\[device-capability\]"):
             Reloader(device).reload(shaders, text.replace("x] = 1.0", "x] = 2.0"))
-        assert error.value.rule.id == "device-capability"
         assert [program.id for program in programs] == numbers
         device.finish()
         created = {command["program"] for command in device.stream.filter(Op.CREATE_PROGRAM)}
@@ -331,9 +328,8 @@ def test_a_program_that_the_device_refuses_changes_nothing(shaders: Any) -> None
 def test_inside_a_pass_nothing_is_exchanged(device: rhi.Device, shaders: Any) -> None:
     picture = Picture(device, shaders)
     with device.render_pass(picture.image):
-        with pytest.raises(ValidationError) as error:
+        with pytest.raises(ValidationError, match=r"^\[pass-open\]"):
             Reloader(device).reload(shaders, TEXT.replace("SHARE = 1.0", "SHARE = 0.5"))
-    assert error.value.rule.id == "pass-open"
     assert shaders.SHARE == 1.0
 
 
@@ -357,9 +353,8 @@ def test_command_buffers_of_an_exchanged_program_are_stale(device: rhi.Device, s
     assert not commands.is_stale
     Reloader(device).reload(shaders, TEXT.replace("SHARE = 1.0", "SHARE = 0.5"))
     assert commands.is_stale
-    with pytest.raises(ValidationError) as error:
+    with pytest.raises(ValidationError, match=r"^\[resource-destroyed\]"):
         device.submit(commands)
-    assert error.value.rule.id == "resource-destroyed"
     device.submit(record())
     assert device.stream.filter(Op.DRAW)[-1]["vertex_array"] != device.stream.filter(Op.DRAW)[0]["vertex_array"]
 
@@ -452,9 +447,8 @@ def test_a_file_that_may_be_missing_is_given_to_the_function_when_it_appears(
     with Reloader(device) as reloader:
         reloader.watch(path, reload=seen.append, missing_ok=True)
         for wrong in (tmp_path, tmp_path / "no folder" / "late.txt"):
-            with pytest.raises(ValidationError) as error:
+            with pytest.raises(ValidationError, match=r"^\[reload-watch\]"):
                 reloader.watch(wrong, reload=seen.append, missing_ok=True)
-            assert error.value.rule.id == "reload-watch"
         path.write_text("1")
         assert update(reloader)
     assert seen == [path]
@@ -464,12 +458,10 @@ def test_what_cannot_be_watched_is_refused(
     device: rhi.Device, shaders: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reloader = Reloader(device)
-    with pytest.raises(ValidationError) as error:
+    with pytest.raises(ValidationError, match=r"^\[reload-watch\]"):
         reloader.watch(tmp_path / "missing.glb", reload=print)
-    assert error.value.rule.id == "reload-watch"
-    with pytest.raises(ValidationError) as error:
+    with pytest.raises(ValidationError, match=r"^\[device-argument\]"):
         reloader.watch(shaders.__file__)
-    assert error.value.rule.id == "device-argument"
     monkeypatch.setitem(sys.modules, "watchfiles", None)
     with pytest.raises(ValidationError) as error:
         reloader.watch(shaders)
@@ -483,9 +475,8 @@ def test_a_refused_watch_watches_nothing_of_it(device: rhi.Device, shaders: Any,
     seen: list[str] = []
     with Reloader(device) as reloader:
         for bad in (tmp_path / "missing.glb", tmp_path):
-            with pytest.raises(ValidationError) as error:
+            with pytest.raises(ValidationError, match=r"^\[reload-watch\]"):
                 reloader.watch(path, shaders, bad, reload=lambda path: seen.append("first"))
-            assert error.value.rule.id == "reload-watch"
             assert (reloader._thread, reloader._reloads, reloader._modules) == (None, {}, {})
         reloader.watch(path, reload=lambda path: seen.append("second"))
         with pytest.raises(ValidationError):

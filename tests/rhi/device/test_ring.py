@@ -6,7 +6,7 @@ import itertools
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rhi.contract.descriptors import BufferDescriptor
@@ -60,21 +60,6 @@ def end_frame(ring: Ring, timeline: Timeline) -> int:
     return value
 
 
-def test_places_are_aligned_also_to_strides_that_are_no_power_of_two() -> None:
-    ring, _, _ = make_ring(4096)
-    ring.allocate(10, 1)
-    assert ring.allocate(40, 20) % 20 == 0
-
-
-def test_a_request_never_straddles_the_end() -> None:
-    ring, timeline, gpu = make_ring(256)
-    ring.allocate(200, 1)
-    gpu.reached = end_frame(ring, timeline)
-    ring.allocate(40, 1)
-    offset = ring.allocate(100, 1)
-    assert offset + 100 <= ring.capacity
-
-
 def test_a_ring_whose_frames_fit_does_not_grow() -> None:
     ring, timeline, gpu = make_ring(1024)
     for _ in range(100):
@@ -117,9 +102,8 @@ def test_at_its_limit_a_ring_waits_for_the_oldest_fence() -> None:
 def test_a_frame_that_needs_more_than_the_limit_is_refused() -> None:
     ring, _, _ = make_ring(256, limit=256)
     ring.allocate(200, 1)
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[transient-size\]"):
         ring.allocate(200, 1)
-    assert caught.value.rule.id == "transient-size"
 
 
 def test_a_ring_outgrown_in_mid_frame_lives_to_the_end_of_the_frame() -> None:
@@ -139,9 +123,8 @@ def test_a_request_of_the_limit_is_served() -> None:
 
 def test_a_request_over_the_limit_is_refused() -> None:
     ring, _, _ = make_ring(256, limit=1024)
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[transient-size\]"):
         ring.allocate(1025, 1)
-    assert caught.value.rule.id == "transient-size"
 
 
 @settings(max_examples=200)
@@ -155,6 +138,7 @@ def test_a_request_over_the_limit_is_refused() -> None:
     ),
     st.booleans(),
 )
+@example([("write", 200, 1), ("frame", 0, 0), ("write", 40, 1), ("write", 100, 1)], False)  # not across the end
 def test_no_write_ever_touches_what_the_gpu_may_still_read(steps: list[tuple[str, int, int]], capped: bool) -> None:
     ring, timeline, gpu = make_ring(256, limit=2048 if capped else 1 << 28)
     live: list[tuple[int, int, int, int | None]] = []  # buffer, begin, end, fence after which it is free

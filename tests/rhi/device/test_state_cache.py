@@ -133,12 +133,6 @@ def test_equal_combinations_are_one_vector_whichever_way_they_came_about():
         assert cache.wanted is first
 
 
-def test_a_state_for_all_targets_replaces_those_of_single_ones():
-    cache = StateCache()
-    with cache.scope((ColorWrite.OFF.at(2),)), cache.scope((ColorWrite.ON,)):
-        assert cache.flush() == ()
-
-
 def test_a_scope_of_no_states_changes_nothing():
     cache = StateCache()
     with cache.scope((CullMode.NONE,)):
@@ -153,9 +147,8 @@ def test_a_missing_capability_refuses_the_state_but_not_its_default():
     cache = StateCache(replace(ANY_DEVICE, alpha_test=False))
     with cache.scope((AlphaTest.OFF,)):
         pass
-    with pytest.raises(ValidationError) as caught, cache.scope((AlphaTest.ON,)):
+    with pytest.raises(ValidationError, match=r"^\[state-capability\]") as caught, cache.scope((AlphaTest.ON,)):
         pass
-    assert caught.value.rule.id == "state-capability"
     assert "alpha_test" in caught.value.allowed
 
 
@@ -165,9 +158,8 @@ def test_a_line_is_as_wide_as_the_device_allows_and_no_wider(most, wider):
     for cache in (StateCache(limits), StateCache(limits).fresh()):
         with cache.scope((LineWidth(most),)):
             pass
-        with pytest.raises(ValidationError) as caught, cache.scope((LineWidth(wider),)):
+        with pytest.raises(ValidationError, match=r"^\[state-capability\]") as caught, cache.scope((LineWidth(wider),)):
             pass
-        assert caught.value.rule.id == "state-capability"
         assert f"max_line_width, {most:g}" in caught.value.allowed
 
 
@@ -176,9 +168,8 @@ def test_the_deepest_scope_fits_and_one_more_is_refused():
     scope = cache.scope((CullMode.NONE,))
     for _ in range(STACK_DEPTH):
         scope.__enter__()
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[container-full\]"):
         scope.__enter__()
-    assert caught.value.rule.id == "container-full"
     assert cache.software_changes == STACK_DEPTH
     for _ in range(STACK_DEPTH):
         scope.__exit__(None, None, None)

@@ -129,9 +129,8 @@ def test_anisotropy_is_a_limit_of_a_profile(anisotropy, fits):
         if fits:
             device.sampler(descriptor)
         else:
-            with pytest.raises(ValidationError) as caught:
+            with pytest.raises(ValidationError, match=r"^\[device-capability\]"):
                 device.sampler(descriptor)
-            assert caught.value.rule.id == "device-capability"
 
 
 def test_the_report_prints_the_call_what_was_given_and_what_is_allowed():
@@ -147,9 +146,8 @@ def test_what_breaks_everywhere_is_raised():
     def broken(device):
         device.texture((0, 4), Format.R8)
 
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[texture-size\]"):
         check_portability(broken)
-    assert caught.value.rule.id == "texture-size"
 
 
 def test_other_errors_of_a_frame_come_through():

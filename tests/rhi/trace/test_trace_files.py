@@ -28,7 +28,6 @@ from rhi.trace.rules import (
     TRACE_MEMBER,
     TRACE_REFERENCE,
     TRACE_SIZE,
-    TRACE_SOURCE,
     TRACE_VERSION,
 )
 
@@ -389,8 +388,7 @@ def test_a_program_without_source_loads_and_says_so_when_it_is_needed(file: Path
 
     trace = load(rewrite(file, strip))
     (program, *_) = trace.stream.filter(rhi.Op.CREATE_PROGRAM)
-    with pytest.raises(rhi.ShaderError) as caught:
+    with pytest.raises(rhi.ShaderError, match=r"^\[trace-source\]"):
         program["descriptor"].emit("glsl", rhi.Stage.VERTEX)
-    assert caught.value.rule is TRACE_SOURCE
     whole = load(file, trusted=True).stream.filter(rhi.Op.CREATE_PROGRAM)[0]
     assert "void main" in whole["descriptor"].emit("glsl", rhi.Stage.VERTEX).text

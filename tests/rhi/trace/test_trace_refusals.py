@@ -100,9 +100,8 @@ def test_every_kind_of_object_leads_to_its_device(name: str, null_device: Device
     with rhi.create_device("null") as other, rhi.create_device("null", record=False):
         House(other)
         house = House(null_device)
-        with pytest.raises(rhi.RhiError) as caught:
+        with pytest.raises(rhi.RhiError, match=rf"^\[{rule}\]"):
             break_it(house)
-        assert caught.value.rule.id == rule
         (refusal,) = null_device.stream.refusals
         assert refusal.error == rule
         assert other.stream.refusals == ()

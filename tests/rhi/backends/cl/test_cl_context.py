@@ -59,9 +59,8 @@ def test_a_device_that_computes_wrong_numbers_is_passed_over(monkeypatch: pytest
 def test_where_no_device_works_each_is_named_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("RHI_CL_DEVICE", raising=False)
     monkeypatch.setattr(context, "_PROBE", BROKEN)
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError, match=r"^\[device-driver\]") as caught:
         open_context()
-    assert caught.value.rule.id == "device-driver"
     assert len(caught.value.given.splitlines()) == len(find_devices())
     assert "pocl-opencl-icd" in caught.value.tip
 

@@ -43,9 +43,8 @@ def test_without_validation_the_driver_is_not_asked(gl_kit: GlKit) -> None:
 
 
 def test_a_failed_creation_keeps_its_own_rule(checked_kit: GlKit) -> None:
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError, match=r"^\[device-out-of-memory\]"):
         checked_kit.backend.create_buffer(1, BufferDescriptor(1 << 43))
-    assert caught.value.rule.id == "device-out-of-memory"
     with pytest.raises(ShaderError):
         checked_kit.program(describe_program(fragment="#version 430\nnonsense"))
     checked_kit.buffer(bytes(64))

@@ -229,9 +229,8 @@ def test_they_are_refused_at_the_next_call_that_creates_something(
     with device.render_pass(image, clear=(0, 0, 0, 0)):
         device.draw(program, mesh)
         take_over()
-        with pytest.raises(DeviceError) as caught:
+        with pytest.raises(DeviceError, match=r"^\[device-context\]"):
             device.buffer(4)
-        assert caught.value.rule.id == "device-context"
         device.draw(program, mesh)  # the pass goes on
     assert count_filled(image) == PIXELS
 
@@ -267,9 +266,8 @@ def test_with_validation_the_draw_itself_is_refused() -> None:
         with device.render_pass(image, clear=(0, 0, 0, 0)):
             device.draw(program, mesh)
             context = moderngl.create_context(450, standalone=True, **EGL)
-            with pytest.raises(DeviceError) as caught:
+            with pytest.raises(DeviceError, match=r"^\[device-context\]") as caught:
                 device.draw(program, mesh)
-            assert caught.value.rule.id == "device-context"
             assert caught.value.site is not None
             assert caught.value.site.file == __file__
             device.draw(program, mesh)
@@ -287,9 +285,8 @@ def test_what_a_first_draw_creates_is_not_created_in_another_context(
         with device.render_pass(image, clear=(0, 0, 0, 0)):
             device.draw(program, mesh, 0)
             take_over()
-            with device.states(*tested), pytest.raises(DeviceError) as caught:
+            with device.states(*tested), pytest.raises(DeviceError, match=r"^\[device-context\]"):
                 device.draw(program, mesh)
-            assert caught.value.rule.id == "device-context"
             with device.states(*tested):
                 device.draw(program, mesh)
         assert count_filled(image) == PIXELS // 2
@@ -309,9 +306,8 @@ def test_quads_are_not_expanded_in_another_context(
     with device.render_pass(image, clear=(0, 0, 0, 0)):
         device.draw(program, many.view(0, 4))
         take_over()
-        with pytest.raises(DeviceError) as caught:
+        with pytest.raises(DeviceError, match=r"^\[device-context\]"):
             device.draw(program, many.view(1))  # other quads than those that were expanded
-        assert caught.value.rule.id == "device-context"
     draw_all(device, image)
     for first in (0, 1):
         with device.render_pass(image, clear=(0, 0, 0, 0)):
@@ -459,16 +455,6 @@ def test_make_current_restores_the_bindings_that_other_code_changed(device: Devi
     assert counts == [0, PIXELS]
 
 
-def test_a_disturbed_state_shows_without_make_current() -> None:
-    """The control of the test above."""
-    with rhi.create_device("gl") as device:
-        image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
-        device.backend_as(GlBackend).gl.Enable(0x8C89)
-        with device.render_pass(image, clear=(0, 0, 0, 0)):
-            device.draw(program, mesh)
-        assert count_filled(image) == 0
-
-
 # -- where the context can't be made current ---------------------------------------------------------------------
 
 
@@ -490,9 +476,8 @@ def test_a_context_that_another_thread_holds_is_named() -> None:
         held.wait(10)
         try:
             for use in (lambda: draw_all(device, image), lambda: device.buffer(4), device.make_current):
-                with pytest.raises(DeviceError) as caught:
+                with pytest.raises(DeviceError, match=r"^\[device-context\]"):
                     use()
-                assert caught.value.rule.id == "device-context"
         finally:
             released.set()
             thread.join()

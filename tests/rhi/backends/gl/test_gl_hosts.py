@@ -283,9 +283,8 @@ REFUSED = {
 @pytest.mark.parametrize("what", REFUSED)
 def test_what_is_no_texture_is_refused(host: Host, device: Device, what: str) -> None:
     call, rule = REFUSED[what]
-    with pytest.raises(ValidationError) as refused:
+    with pytest.raises(ValidationError, match=rf"^\[{rule}\]"):
         call(device)
-    assert refused.value.rule.id == rule
     draw_all(device, device.texture(SIZE, Format.RGBA8))
 
 
@@ -299,9 +298,8 @@ def test_textures_of_several_samples_are_refused(host: Host, device: Device) -> 
 def test_a_device_that_shares_nothing_refuses_textures_of_others() -> None:
     with rhi.create_device("null") as device:
         for call in (lambda: device.adopt_texture(1), lambda: device.native_texture(device.texture(SIZE, Format.R8))):
-            with pytest.raises(ValidationError) as refused:
+            with pytest.raises(ValidationError, match=r"^\[device-capability\]"):
                 call()
-            assert refused.value.rule.id == "device-capability"
 
 
 def test_without_a_current_context_nothing_is_adopted(host: Host) -> None:
@@ -322,9 +320,8 @@ def test_the_version_of_a_context_that_shares_nothing_is_told(given: bytes | Non
 
 
 def test_what_is_no_context_is_refused(host: Host) -> None:
-    with pytest.raises(ValidationError) as refused:
+    with pytest.raises(ValidationError, match=r"^\[device-argument\]"):
         rhi.create_device("gl", context=7)
-    assert refused.value.rule.id == "device-argument"
     assert host.is_current
 
 
@@ -339,9 +336,8 @@ UNSHOWN = {
 @pytest.mark.parametrize("what", UNSHOWN)
 def test_what_is_no_picture_is_not_shown(host: Host, device: Device, what: str) -> None:
     image = device.texture(SIZE, **UNSHOWN[what])
-    with pytest.raises(ValidationError) as refused:
+    with pytest.raises(ValidationError, match=r"^\[texture-format\]"):
         device.present(image)
-    assert refused.value.rule.id == "texture-format"
     device.present(device.texture(ramp(), Format.RGBA8))
     np.testing.assert_array_equal(host.picture(), ramp())
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import array
 from collections.abc import Iterator
 
 import numpy as np
 import psutil
 import pytest
+from backend_kit import SOURCES, VALUES
 from gl_kit import SIZE, GlKit
 
 import rhi
@@ -29,18 +29,6 @@ from rhi.contract.formats import Format, IndexFormat
 from rhi.errors import DeviceError
 
 IMAGE_BINDING_LAYERED, IMAGE_BINDING_LAYER = 0x8F3C, 0x8F3D
-VALUES = np.arange(8, dtype=np.float32)
-SOURCES = {
-    "bytes": VALUES.tobytes(),
-    "bytearray": bytearray(VALUES.tobytes()),
-    "bytes as a view": VALUES.view(np.uint8).data,
-    "floats": VALUES,
-    "rows": VALUES.reshape(4, 2),
-    "bytes in rows": VALUES.view(np.uint8).reshape(4, 8),
-    "records": VALUES.view([("a", "f4"), ("b", "f4", 3)]),
-    "an array of the standard library": array.array("f", VALUES),
-    "read only": memoryview(VALUES).toreadonly(),
-}
 
 
 @pytest.mark.parametrize("usage", [BufferUsage.STATIC, BufferUsage.STREAM])  # nothing is written to READBACK
@@ -69,9 +57,8 @@ def test_a_write_past_the_end_of_a_stream_touches_nothing(gl_kit: GlKit) -> None
 
 def test_a_texture_too_large_is_refused_and_its_id_stays_free(gl_kit: GlKit) -> None:
     limit = gl_kit.backend.capabilities.max_texture_size
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError, match=r"^\[device-driver\]"):
         gl_kit.backend.create_texture(1, TextureDescriptor((limit + 1, 1), Format.R8))
-    assert caught.value.rule.id == "device-driver"
     gl_kit.backend.create_texture(1, TextureDescriptor((limit, 1), Format.R8))
     assert gl_kit.backend.read_texture(1, 0, Region(limit - 1, 0, 1, 1), False)[0, 0, 0, 0] == 0
 

@@ -184,9 +184,8 @@ def test_profiles_have_what_such_devices_have(feature: str, expected: set[str]):
 
 @pytest.mark.parametrize("profile", ["gl-3.4", 33, None])
 def test_an_unknown_profile_is_refused_with_those_there_are(profile):
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[device-argument\]") as caught:
         rhi.create_device("null", profile=profile)
-    assert caught.value.rule.id == "device-argument"
     assert "gles-3" in caught.value.allowed
 
 

@@ -118,9 +118,8 @@ def test_what_nobody_counts_stays_unknown():
     backend.write_query(1)
     backend.signal(1)
     backend.spend(100_000)
-    with pytest.raises(rhi.ValidationError) as caught:
+    with pytest.raises(rhi.ValidationError, match=r"^\[null-samples\]"):
         backend.read_query(1)
-    assert caught.value.rule.id == "null-samples"
 
 
 def test_timestamps_need_no_interrupt():

@@ -353,9 +353,8 @@ def test_a_given_answer_goes_before_a_count_and_a_missing_one_leaves_it(backend)
 def test_an_answer_that_is_no_number_of_samples_is_refused(backend, answer):
     occlusion(backend, 1)
     backend.answer_queries({1: answer})
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[null-answer\]"):
         backend.read_query(1)
-    assert caught.value.rule.id == "null-answer"
     backend.answer_queries({1: 0})
     assert backend.read_query(1) == 0
 

@@ -88,9 +88,8 @@ def test_after_running_out_of_memory_anywhere_the_same_device_renders_the_same(c
     assert creations > 15
     for number in range(creations):
         with rhi.create_device("null", faults=Faults(memory=number)) as device:
-            with pytest.raises(DeviceError) as caught:
+            with pytest.raises(DeviceError, match=r"^\[device-out-of-memory\]") as caught:
                 render(device)
-            assert caught.value.rule.id == "device-out-of-memory"
             assert f"creation {number}, an injected fault" in str(caught.value)
             assert caught.value.site.file == __file__
             device.timing = False
@@ -144,9 +143,8 @@ def test_a_program_that_the_driver_refuses_can_be_made_again():
     with rhi.create_device("null", faults=Faults(compilation=1)) as device:
         first, second = hand_made_program("first"), hand_made_program("second")
         device.program(first)
-        with pytest.raises(ShaderError) as caught:
+        with pytest.raises(ShaderError, match=r"^\[shader-driver\]") as caught:
             device.program(second)
-        assert caught.value.rule.id == "shader-driver"
         assert "program 1 (second), an injected fault" in str(caught.value)
         assert device.program(second).name == "second"
 
@@ -158,14 +156,12 @@ def test_a_device_lost_anywhere_says_so_from_then_on_and_can_be_closed(clean):
     _, ops, _ = clean
     for number in range(len(ops)):
         device = rhi.create_device("null", faults=Faults(loss=number))
-        with pytest.raises(DeviceError) as caught:
+        with pytest.raises(DeviceError, match=r"^\[device-lost\]") as caught:
             render(device)
-        assert caught.value.rule.id == "device-lost"
         assert f"lost at command {number}, an injected fault" in str(caught.value)
         assert caught.value.site.file == __file__
-        with pytest.raises(DeviceError) as caught:
+        with pytest.raises(DeviceError, match=r"^\[device-lost\]"):
             device.buffer(4)
-        assert caught.value.rule.id == "device-lost"
         device.close()
         assert device.closed
 
@@ -175,9 +171,8 @@ def test_a_lost_device_answers_no_question():
     backend.signal(1)
     assert backend.completed() == 1
     for call in (lambda: backend.signal(2), backend.completed, lambda: backend.read_query(1)):
-        with pytest.raises(DeviceError) as caught:
+        with pytest.raises(DeviceError, match=r"^\[device-lost\]"):
             call()
-        assert caught.value.rule.id == "device-lost"
     backend.close()
 
 
@@ -237,9 +232,8 @@ def test_a_query_that_never_answers_is_never_finished_and_no_wait_is_forever(mon
             with device.render_pass(image), query:
                 pass
         assert not silent.is_finished
-        with pytest.raises(DeviceError) as caught:
+        with pytest.raises(DeviceError, match=r"^\[device-no-answer\]") as caught:
             silent.wait()
-        assert caught.value.rule.id == "device-no-answer"
         assert f"query {silent.id}" in str(caught.value)
         assert other.wait() == 0
         silent.destroy()

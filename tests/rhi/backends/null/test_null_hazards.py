@@ -65,19 +65,6 @@ def finish(backend, value=1):
 # -- memory --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [1, 16, 64])
-@pytest.mark.parametrize(("begin", "hit"), [(0, False), (16, True), (31, True), (32, False), (100, False)])
-def test_a_write_to_what_a_draw_reads_is_found_to_the_byte(begin, size, hit):
-    backend = uniform_backend()
-    backend.bind_uniform(0, STREAM, 16, 16)
-    draw(backend)
-    backend.write_buffer(STREAM, begin, bytes(size))
-    hit = hit or (begin < 32 and begin + size > 16)
-    assert kinds(backend) == [KINDS.RING_OVERTAKEN] * hit
-    if hit:
-        assert backend.hazards[0].bytes == (max(begin, 16), min(begin + size, 32))
-
-
 def test_memory_rewritten_in_place_and_memory_a_ring_comes_round_to_are_told_apart():
     backend = uniform_backend()
     backend.write_buffer(STREAM, 0, bytes(16))
@@ -101,38 +88,6 @@ def test_both_calls_are_named_by_their_lines():
     assert hazard.calls == ("draw", "write_buffer")
     assert f"draw             {__file__}:{line + 1}" in str(hazard)
     assert str(hazard).startswith(f"{hazard.kind.value} (resource {STREAM}, bytes 0 to 4)")
-
-
-def test_a_fence_that_was_waited_for_makes_memory_free():
-    backend = uniform_backend()
-    backend.bind_uniform(0, STREAM, 0, 16)
-    draw(backend)
-    finish(backend)
-    backend.write_buffer(STREAM, 0, bytes(16))
-    assert not backend.hazards
-
-
-def test_a_fence_that_was_asked_makes_memory_free_only_if_it_was_reached():
-    backend = uniform_backend()
-    backend.bind_uniform(0, STREAM, 0, 16)
-    draw(backend)
-    backend.signal(1)
-    assert backend.completed() == 0
-    backend.write_buffer(STREAM, 0, bytes(4))
-    backend.spend(5000)
-    assert backend.completed() == 1
-    backend.write_buffer(STREAM, 0, bytes(4))
-    assert kinds(backend) == [KINDS.RING_OVERTAKEN]
-
-
-def test_a_fence_before_the_use_frees_nothing():
-    backend = uniform_backend()
-    backend.bind_uniform(0, STREAM, 0, 16)
-    backend.signal(1)
-    draw(backend)
-    backend.wait(1, 1.0)
-    backend.write_buffer(STREAM, 0, bytes(4))
-    assert kinds(backend) == [KINDS.RING_OVERTAKEN]
 
 
 def test_a_program_that_is_only_lucky_has_a_hazard_that_did_not_happen():
@@ -559,7 +514,13 @@ ACTIONS = st.lists(
 )
 
 
+USED, ASKED = ("draw", 0, 16), [("ask", 0, 0), ("write", 0, 4)]
+
+
 @settings(max_examples=150)
+@example([USED, ("signal", 0, 0), ("wait", 0, 0), ("write", 0, 4)], 100, 20, 1000)
+@example([("signal", 0, 0), USED, ("wait", 0, 0), ("write", 0, 4)], 100, 20, 1000)  # a fence before the use
+@example([USED, ("signal", 0, 0), *ASKED, ("spend", 5000, 0), *ASKED], 100, 20, 1000)  # one that isn't reached, first
 @given(ACTIONS, st.integers(0, 20_000), st.integers(1, 20), st.integers(0, 3000))
 def test_no_hazard_escapes_and_none_is_invented(actions, latency, batch, pixels):
     backend = uniform_backend(submission_latency=latency, batch=batch)

@@ -77,12 +77,10 @@ def test_memory_waiting_in_the_queue_is_bounded(backend):
 
 
 def test_too_large_a_resource_is_out_of_memory_and_leaves_the_backend_usable(backend):
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError, match=r"^\[device-out-of-memory\]"):
         backend.create_buffer(1, BufferDescriptor(1 << 62))
-    assert caught.value.rule.id == "device-out-of-memory"
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError, match=r"^\[device-out-of-memory\]"):
         texture(backend, 2, (1 << 30, 1 << 30))
-    assert caught.value.rule.id == "device-out-of-memory"
     backend.create_buffer(1, BufferDescriptor(1))
     assert backend.read_buffer(1, 0, 1) == b"\0"
 

@@ -58,16 +58,14 @@ def test_a_device_takes_the_simulation_as_an_option():
 )
 def test_times_that_would_never_pass_are_refused(name, least):
     assert getattr(Simulation(**{name: least}), name) == least
-    with pytest.raises(rhi.ValidationError) as caught:
+    with pytest.raises(rhi.ValidationError, match=r"^\[device-argument\]"):
         Simulation(**{name: least - 1})
-    assert caught.value.rule.id == "device-argument"
 
 
 @pytest.mark.parametrize("option", [{"simulation": 5}, {"faults": "all"}])
 def test_options_of_the_wrong_type_are_refused(option):
-    with pytest.raises(rhi.ValidationError) as caught:
+    with pytest.raises(rhi.ValidationError, match=r"^\[device-argument\]"):
         rhi.create_device("null", **option)
-    assert caught.value.rule.id == "device-argument"
 
 
 def test_every_call_takes_the_cpu_its_time_and_other_work_what_it_says():

@@ -15,6 +15,7 @@ import rhi
 from rhi import Device, DeviceError, Format, Primitive, ShaderError
 from rhi.backends.null.capabilities import PROFILES
 from rhi.backends.wgpu import backend as wgpu_backend
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.shading import Shader, StorageRW, global_id, native
@@ -32,9 +33,8 @@ def inside(device: Device) -> Any:
 
 def test_a_missing_package_is_named_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "wgpu.backends.wgpu_native", None)
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError, match=r"^\[device-driver\]") as caught:
         rhi.create_device("wgpu")
-    assert caught.value.rule.id == "device-driver"
     assert caught.value.tip == 'pip install "rhi[wgpu]"'
 
 
@@ -51,9 +51,8 @@ def test_an_adapter_that_does_not_exist_is_refused_with_those_that_do(
     usable: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("RHI_WGPU_ADAPTER", "no such adapter")
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError, match=r"^\[device-driver\]") as caught:
         rhi.create_device("wgpu")
-    assert caught.value.rule.id == "device-driver"
     assert "'no such adapter'" in caught.value.given
     assert "mesa-vulkan-drivers" in caught.value.tip
 
@@ -69,10 +68,7 @@ def test_the_core_profile_has_what_a_null_device_says_of_webgpu(usable: None, mo
     with rhi.create_device("wgpu") as device:
         names = {field.name for field in fields(known)} - own
         assert {name: getattr(device.capabilities, name) for name in names} == {n: getattr(known, n) for n in names}
-        with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle()) as mesh:
-            with device.render_pass(image):
-                device.draw(device.program(Colored), mesh)
-            assert (image.read() == 255).all()
+        assert (draw_once(device, SIZE, Format.R8, rectangle()) == 255).all()
 
 
 _PARSES = """
@@ -114,9 +110,8 @@ class Broken(Shader):
 
 
 def test_what_naga_refuses_is_told_with_its_python_line(device: Device) -> None:
-    with pytest.raises(ShaderError) as caught:
+    with pytest.raises(ShaderError, match=r"^\[shader-driver\]") as caught:
         device.program(Broken)
-    assert caught.value.rule.id == "shader-driver"
     assert "WGSL line 5: out[i] = sqrt(true);" in caught.value.given
     assert caught.value.site is not None
     line = Path(__file__).read_text().splitlines()[caught.value.site.line - 1]
@@ -128,9 +123,8 @@ def test_commands_that_wgpu_refuses_are_an_error_and_those_after_them_run(device
     with device.buffer(np.zeros(64, np.float32)) as values:
         same = made._buffers[values.id].object
         made._stream.outside().copy_buffer_to_buffer(same, 0, same, 4, 8)
-        with pytest.raises(DeviceError) as caught:
+        with pytest.raises(DeviceError, match=r"^\[device-driver\]"):
             values.read()
-        assert caught.value.rule.id == "device-driver"
         values.write(np.arange(64, dtype=np.float32))
         assert values.read().tolist() == list(range(64))
 
@@ -163,9 +157,8 @@ def test_a_lost_device_is_an_error_of_each_call_and_never_ends_the_process(usabl
 
 
 def test_memory_that_cannot_be_had_is_an_error_and_the_device_lives_on(device: Device) -> None:
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError, match=r"^\[device-out-of-memory\]"):
         device.buffer(1 << 39, np.dtype("u1"))
-    assert caught.value.rule.id == "device-out-of-memory"
     with device.storage(float, np.ones(64, np.float32)) as values:
         device.dispatch(device.program(Doubles), (64, 1, 1), values=values)
         assert values.read().tolist() == [3.0] * 64

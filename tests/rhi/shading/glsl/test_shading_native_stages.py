@@ -104,9 +104,8 @@ def test_lines_of_the_text_keep_their_origins():
 
 def test_a_backend_without_the_language_refuses_the_stage_by_name():
     for language, stage in (("opencl16", Stage.FRAGMENT), ("opencl16", Stage.VERTEX)):
-        with pytest.raises(ShaderError) as error:
+        with pytest.raises(ShaderError, match=r"^\[shading-native\]") as error:
             sl.compile_shader(Existing).emit(language, stage)
-        assert error.value.rule.id == "shading-native"
         assert stage.value in error.value.given
         assert error.value.site.line > 0
 
@@ -147,9 +146,8 @@ WRONG = [
 @pytest.mark.parametrize(("right", "wrong", "given", "says"), WRONG, ids=[row[1] for row in WRONG])
 def test_a_declaration_that_differs_from_the_class_is_refused(right, wrong, given, says):
     assert "void main()" in sl.compile_shader(sl.from_source(TEXT)).emit("glsl", Stage.VERTEX).text
-    with pytest.raises(ShaderError) as error:
+    with pytest.raises(ShaderError, match=r"^\[shading-native\]") as error:
         sl.compile_shader(sl.from_source(TEXT.replace(right, wrong, 1))).emit("glsl", Stage.VERTEX)
-    assert error.value.rule.id == "shading-native"
     assert error.value.given == given
     assert says in str(error.value)
     assert wrong in str(error.value)  # the line

@@ -189,9 +189,8 @@ def test_sets_bindings_and_rows_first_are_in_the_module():
 @needs_glslang
 def test_native_code_compiles_and_its_errors_name_the_line(tmp_path):
     check(sl.compile_shader(NativeText).emit("spirv", Stage.COMPUTE).binary, tmp_path / "stage.spv")
-    with pytest.raises(ShaderError) as error:
+    with pytest.raises(ShaderError, match=r"^\[shading-spirv\]") as error:
         sl.compile_shader(BrokenText).emit("spirv", Stage.COMPUTE)
-    assert error.value.rule.id == "shading-spirv"
     assert "missing" in error.value.given
     assert "return missing(x);" in error.value.given
     assert error.value.site.file == __file__
@@ -203,9 +202,8 @@ def test_without_glslang_spirv_is_refused_and_the_text_is_not(monkeypatch):
     class Fresh(Textured):
         pass
 
-    with pytest.raises(ShaderError) as error:
+    with pytest.raises(ShaderError, match=r"^\[shading-spirv\]") as error:
         sl.compile_shader(Fresh).emit("spirv", Stage.VERTEX)
-    assert error.value.rule.id == "shading-spirv"
     assert "rhi[spirv]" in error.value.tip
     assert sl.compile_shader(Fresh).emit("vulkan", Stage.VERTEX).binary == b""
 
@@ -279,6 +277,5 @@ def test_a_language_is_registered_once(monkeypatch):
     monkeypatch.setattr(sl.emitters, "_LANGUAGES", {**sl.emitters._LANGUAGES})
     sl.register_language("listing", lambda code, stage: StageText(""))
     for name in ("glsl", "listing"):
-        with pytest.raises(ValidationError) as error:
+        with pytest.raises(ValidationError, match=r"^\[shading-language\]"):
             sl.register_language(name, lambda code, stage: StageText(""))
-        assert error.value.rule.id == "shading-language"

@@ -120,9 +120,8 @@ def test_an_error_with_the_text_of_its_file_can_be_pickled(module):
 def test_a_class_without_readable_text_is_refused_when_it_is_compiled():
     names = {"__name__": "nowhere"}
     exec(compile(MODULE, "<nowhere>", "exec"), names)
-    with pytest.raises(ShaderError) as error:
+    with pytest.raises(ShaderError, match=r"^\[shading-no-source\]") as error:
         compile_shader(names["Written"])
-    assert error.value.rule.id == "shading-no-source"
     assert "from_source" in str(error.value)
 
 
@@ -132,11 +131,10 @@ def test_a_text_of_another_function_is_refused():
     linecache.cache["<replaced>"] = (0, None, MODULE.replace("def compute", "def other").splitlines(True), "")
     try:
         exec(compile(MODULE, "<replaced>", "exec"), names)
-        with pytest.raises(ShaderError) as error:
+        with pytest.raises(ShaderError, match=r"^\[shading-no-source\]") as error:
             compile_shader(names["Written"])
     finally:
         del linecache.cache["<replaced>"]
-    assert error.value.rule.id == "shading-no-source"
     assert "without `compute` on line 11" in str(error.value)
 
 
@@ -204,18 +202,16 @@ ERRORS = [
 
 @pytest.mark.parametrize(("text", "line", "given", "shown"), ERRORS, ids=[row[2] for row in ERRORS])
 def test_a_text_that_fails_is_refused_at_its_line(text, line, given, shown):
-    with pytest.raises(ShaderError) as error:
+    with pytest.raises(ShaderError, match=r"^\[shading-text\]") as error:
         from_source(text, file="buffer.py")
-    assert error.value.rule.id == "shading-text"
     assert (error.value.site.file, error.value.site.line) == ("buffer.py", line)
     assert given in str(error.value)
     assert shown in str(error.value)
 
 
 def test_an_error_of_the_language_points_into_the_text():
-    with pytest.raises(ShaderError) as error:
+    with pytest.raises(ShaderError, match=r"^\[shading-unknown-name\]") as error:
         compile_shader(from_source(MODULE, file="buffer.py"))
-    assert error.value.rule.id == "shading-unknown-name"
     assert (error.value.site.file, error.value.site.line) == ("buffer.py", 18)
     assert "self.out[0] = missing + 2.0" in str(error.value)
 

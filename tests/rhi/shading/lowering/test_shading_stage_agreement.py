@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import partial
 
 import numpy as np
@@ -16,6 +17,7 @@ from stage_runner import (
 )
 
 import rhi.shading as sl
+from rhi.contract.descriptors import Stage
 
 SHAPE = (12, 16)
 ROWS, COLUMNS = np.mgrid[: SHAPE[0], : SHAPE[1]]
@@ -140,21 +142,34 @@ def test_vertex_stages_agree(vertex_stage):
 class Pulled(sl.Shader):
     places: sl.Storage[sl.vec3]
     words: sl.Storage[int]
+    marks: sl.StorageRW[int]
 
     def vertex(self) -> sl.vec4:
         i = sl.vertex_index()
+        self.marks[i] = i + 1
         return sl.vec4(self.places[i].xy, float(self.words[i * 2 + 1] + i), float(sl.instance_index()))
 
 
-@pytest.mark.parametrize("consecutive", [True, False])
-def test_vertices_read_from_buffers_agree(vertex_stage, consecutive):
-    count, total = 40, 64
-    vertex = np.arange(count) + 5 if consecutive else np.random.default_rng(3).integers(0, total, count)
+CONSECUTIVE = np.arange(40) + 5
+
+
+@pytest.mark.parametrize(
+    "vertex",
+    [CONSECUTIVE, CONSECUTIVE[::-1], np.random.default_rng(3).integers(0, 64, 40)],
+    ids=["consecutive", "backwards", "scattered"],
+)
+def test_vertices_read_from_buffers_agree(vertex_stage, vertex):
+    total = 64
     places = np.random.default_rng(4).random((total, 4), "f4")
     words = np.arange(2 * total, dtype="i4") ** 2
-    out = vertex_stage(Pulled, {}, count, vertices=vertex, instance=2, places=places, words=words)
+    out = vertex_stage(Pulled, {}, 40, vertices=vertex, instance=2, places=places, words=words, marks=total)
     expected = np.c_[places[vertex, :2], words[vertex * 2 + 1] + vertex, vertex * 0 + 2]
     np.testing.assert_array_equal(out["position"], expected)
+    np.testing.assert_array_equal(out["marks"], np.where(np.isin(np.arange(total), vertex), np.arange(total) + 1, 0))
+
+
+def test_consecutive_vertices_are_read_with_vector_loads():
+    assert "rhi_load_global_4_0_of_4(places_," in sl.compile_shader(Pulled).emit("opencl16", Stage.VERTEX).text
 
 
 # -- fragments ---------------------------------------------------------------------------------------------
@@ -363,12 +378,12 @@ class Cut(sl.Shader):
         return sl.vec4(float(total), float(value), 0.0, 1.0)
 
 
-def cut(limit):
+def cut(limit, mask):
     """(kept, total, counts) of `Cut`."""
     kept, total, counts = np.zeros(SHAPE, bool), np.zeros(SHAPE), np.zeros(4, int)
     for r, c in np.ndindex(*SHAPE):
         value = c + 16 * r
-        if limit > 10 or value % 11 == 3:
+        if not mask[r, c] or limit > 10 or value % 11 == 3:
             continue
         kept[r, c] = True
         if value % 13 == 4:
@@ -386,10 +401,16 @@ def cut(limit):
     return kept, total, counts
 
 
-@pytest.mark.parametrize("limit", [0, 11])
-def test_discards_agree(fragment_stage, limit):
-    out = fragment_stage(Cut, {}, SHAPE, limit=np.float32(limit), counts=4)
-    kept, total, counts = cut(limit)
+@pytest.mark.parametrize(("limit", "covered"), [(0, "all"), (0, "part"), (11, "all")])
+def test_discards_agree(fragment_stage, limit, covered):
+    mask = np.ones(SHAPE, bool) if covered == "all" else (ROWS > 2) & (ROWS < 9) & (COLUMNS > 4) & (COLUMNS < 11)
+    out = fragment_stage(Cut, {}, SHAPE, mask=mask, limit=np.float32(limit), counts=4)
+    kept, total, counts = cut(limit, mask)
     np.testing.assert_array_equal(out["kept"], kept)
     np.testing.assert_array_equal(out["color"][..., 0][kept], total[kept])
     np.testing.assert_array_equal(out["counts"], counts)
+
+
+def test_a_discard_that_all_lanes_reach_ends_the_stage_at_once():
+    text = sl.compile_shader(Cut).emit("opencl16", Stage.FRAGMENT).text
+    assert re.search(r"^ *goto end_fragment", text, re.MULTILINE)  # and not with a mask's end

@@ -168,67 +168,6 @@ class PlaceValued(sl.Shader):
         return Values(clip=sl.vec4(v.position, 0.0, 1.0), value=v.position)
 
 
-class Placed(sl.Struct):
-    clip: sl.vec4
-    value: float
-
-
-class Holes(PlaceValued):
-    """Discards in a helper's loop, under conditions that vary and that don't."""
-
-    limits: sl.Uniform[sl.vec2]
-    hits: sl.StorageRW[int]
-
-    def search(self, x: float) -> float:
-        for i in range(8):
-            if x < float(i) and i > 2:
-                if x < 3.5:
-                    sl.discard()
-                return float(i)
-        return 9.0
-
-    def fragment(self, v: Values) -> sl.vec4:
-        if self.limits.x > 1.0:
-            sl.discard()
-        found = self.search(v.value.x)
-        if v.value.y > self.limits.y:
-            return sl.vec4(1.0)
-        sl.atomic_add(self.hits[0], 1)
-        self.hits[1 + int(v.value.x)] = 1
-        return sl.vec4(found)
-
-
-def holes(x):
-    """(found, discarded) of `Holes.search`."""
-    found, discarded = np.full(x.shape, 9.0), np.zeros(x.shape, bool)
-    for i in (7, 6, 5, 4, 3):
-        found[x < i] = i
-        discarded[x < i] = x[x < i] < 3.5
-    return found, discarded
-
-
-def test_discarded_lanes_stop_and_are_reported():
-    value = np.stack([COLUMNS % 11, ROWS], axis=-1).astype("f4")
-    mask = (ROWS + COLUMNS) % 3 != 0
-    out = run_fragment_lanes(Holes, {"value": value}, SHAPE, mask=mask, limits=np.array([0, 4], "f4"), hits=20)
-    found, discarded = holes(value[..., 0])
-    np.testing.assert_array_equal(out["kept"], mask & ~discarded)
-    expected = np.where(ROWS > 4, 1.0, found)
-    np.testing.assert_array_equal(out["color"][..., 0][out["kept"]], expected[out["kept"]])
-    counted = out["kept"] & (ROWS <= 4)
-    assert out["hits"][0] == counted.sum()
-    np.testing.assert_array_equal(np.flatnonzero(out["hits"][1:]), np.unique(value[..., 0][counted]))
-
-
-def test_a_discard_that_all_lanes_reach_ends_the_stage():
-    value = np.zeros((*SHAPE, 2), "f4")
-    out = run_fragment_lanes(Holes, {"value": value}, SHAPE, limits=np.array([2, 4], "f4"), hits=20)
-    assert not out["kept"].any()
-    assert not out["hits"].any()
-    text = sl.compile_shader(Holes).emit("opencl16", Stage.FRAGMENT).text
-    assert re.search(r"^ *goto end_fragment", text, re.MULTILINE)  # and not with a mask's end
-
-
 class Endless(PlaceValued):
     """A loop that ends only by a discard in a called function."""
 
@@ -267,17 +206,6 @@ class Slopes(PlaceValued):
         self.hits[int(v.value.x)] = 1
         sl.atomic_add(self.hits[19], 1)
         return sl.vec4(sl.ddx(squared), sl.ddy(squared), sl.fwidth(wide + 3.0), sl.ddx(read))
-
-
-def test_differences_are_those_of_each_row_and_column_of_a_quad():
-    value = np.stack([COLUMNS, ROWS], axis=-1).astype("f4")
-    table = np.arange(48, dtype="f4") ** 2
-    out = run_fragment_lanes(Slopes, {"value": value}, SHAPE, table=table, hits=20)
-    even = COLUMNS // 2 * 2
-    np.testing.assert_array_equal(out["color"][..., 0], ROWS)
-    np.testing.assert_array_equal(out["color"][..., 1], COLUMNS)
-    np.testing.assert_array_equal(out["color"][..., 2], 0)
-    np.testing.assert_array_equal(out["color"][..., 3], table[(even + 1) * 4] - table[even * 4])
 
 
 class CutSlopes(PlaceValued):
@@ -335,42 +263,9 @@ def test_a_stage_that_is_native_in_another_language_has_no_lanes():
         sl.compile_shader(NativeOnly).emit("opencl16", Stage.FRAGMENT)
 
 
-class Pulled(sl.Shader):
-    """Reads its vertices from buffers, as mesh shaders' predecessors do."""
-
-    places: sl.Storage[sl.vec3]
-    words: sl.Storage[int]
-    marks: sl.StorageRW[int]
-
-    def vertex(self) -> Placed:
-        i = sl.vertex_index()
-        self.marks[i] = i + 1
-        return Placed(clip=sl.vec4(self.places[i], 1.0), value=float(self.words[i * 2 + 1]))
-
-    def fragment(self, v: Placed) -> sl.vec4:
-        return sl.vec4(v.value)
-
-
-@pytest.mark.parametrize("indices", ["consecutive", "scattered", "backwards"])
-def test_a_vertex_stage_reads_buffers_whatever_the_order_of_its_vertices(indices):
-    count, total = 40, 64
-    vertex = np.arange(count) + 5
-    if indices == "scattered":
-        vertex = np.random.default_rng(3).integers(0, total, count)
-    elif indices == "backwards":
-        vertex = vertex[::-1]
-    places = np.zeros((total, 4), "f4")
-    places[:, :3] = np.random.default_rng(4).random((total, 3))
-    words = np.arange(2 * total, dtype="i4") ** 2
-    out = run_vertex_lanes(Pulled, {}, count, vertices=vertex, places=places, words=words, marks=total)
-    np.testing.assert_array_equal(out["position"][:, :3], places[vertex, :3])
-    np.testing.assert_array_equal(out["value"][:, 0], words[vertex * 2 + 1])
-    np.testing.assert_array_equal(np.flatnonzero(out["marks"]), np.unique(vertex))
-    assert out["marks"].max() == vertex.max() + 1
-
-
-def test_consecutive_vertices_are_read_with_vector_loads():
-    assert "rhi_load_global_4_0_of_4(places_," in sl.compile_shader(Pulled).emit("opencl16", Stage.VERTEX).text
+class Placed(sl.Struct):
+    clip: sl.vec4
+    value: float
 
 
 class Value(sl.Struct):
@@ -592,9 +487,8 @@ GOOD = {"position": np.zeros((4, 2)), "id": np.arange(4)}
 )
 def test_attributes_that_a_stage_hasnt_got_are_refused(attributes):
     assert sl.run_vertex(Depths, GOOD).position.shape == (4, 4)
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[shading-arguments\]"):
         sl.run_vertex(Depths, attributes)
-    assert caught.value.rule is rules.WRONG_ARGUMENTS
 
 
 def test_a_structured_array_gives_attributes_and_varyings():
@@ -610,20 +504,17 @@ def test_quads_have_even_rows_and_columns():
 
     assert run(2, 4) == (2, 4)
     for size in ((3, 4), (2, 5)):
-        with pytest.raises(ValidationError) as caught:
+        with pytest.raises(ValidationError, match=r"^\[shading-arguments\]"):
             run(*size)
-        assert caught.value.rule is rules.WRONG_ARGUMENTS
     values = {"value": np.zeros((3, 5, 2))}  # no differences, no quads
     assert sl.run_fragment(Endless, values).kept.shape == (3, 5)
 
 
 def test_a_stage_that_a_shader_hasnt_got_doesnt_run():
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[shading-stages\]"):
         sl.run_fragment(Depths, {})
-    assert caught.value.rule is rules.STAGES
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ValidationError, match=r"^\[shading-arguments\]"):
         sl.run_fragment(Endless, {"value": np.zeros((2, 2, 2))}, dtype=np.float16)
-    assert caught.value.rule is rules.WRONG_ARGUMENTS
 
 
 def test_a_shader_of_which_both_stages_run_is_parsed_once(monkeypatch):

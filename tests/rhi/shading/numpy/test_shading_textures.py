@@ -63,35 +63,23 @@ class Sample2D(At):
         self.results[sl.global_id().x] = self.source.sample_lod(at.xy, at.w)
 
 
-class SampleArray(At):
-    source: sl.Texture2DArray
+def sampling(annotation: Any) -> Any:
+    class Sample(At):
+        source: annotation
 
-    def compute(self) -> None:
-        at = self.places[sl.global_id().x]
-        self.results[sl.global_id().x] = self.source.sample_lod(at.xyz, at.w)
+        def compute(self) -> None:
+            at = self.places[sl.global_id().x]
+            self.results[sl.global_id().x] = self.source.sample_lod(at.xyz, at.w)
 
-
-class Sample3D(At):
-    source: sl.Texture3D
-
-    def compute(self) -> None:
-        at = self.places[sl.global_id().x]
-        self.results[sl.global_id().x] = self.source.sample_lod(at.xyz, at.w)
+    return Sample
 
 
-class SampleCube(At):
-    source: sl.TextureCube
-
-    def compute(self) -> None:
-        at = self.places[sl.global_id().x]
-        self.results[sl.global_id().x] = self.source.sample_lod(at.xyz, at.w)
-
-
+Sample3D = sampling(sl.Texture3D)
 SHAPES: dict[TextureKind, tuple[type[sl.Shader], int]] = {
     D2: (Sample2D, 1),
-    ARRAY: (SampleArray, 5),
+    ARRAY: (sampling(sl.Texture2DArray), 5),
     D3: (Sample3D, 6),
-    CUBE: (SampleCube, 6),
+    CUBE: (sampling(sl.TextureCube), 6),
 }
 
 
@@ -688,20 +676,15 @@ class Compare2D(At):
         self.results[i] = sl.vec4(implicit, level, four.x + 2.0 * four.y, four.z + 2.0 * four.w)
 
 
-class CompareArray(At):
-    source: sl.DepthTexture2DArray
+def comparing(annotation: Any) -> Any:
+    class Compare(At):
+        source: annotation
 
-    def compute(self) -> None:
-        at = self.places[sl.global_id().x]
-        self.results[sl.global_id().x] = sl.vec4(self.source.sample_compare(at.xyz, abs_half(at.w)))
+        def compute(self) -> None:
+            at = self.places[sl.global_id().x]
+            self.results[sl.global_id().x] = sl.vec4(self.source.sample_compare(at.xyz, abs_half(at.w)))
 
-
-class CompareCube(At):
-    source: sl.DepthTextureCube
-
-    def compute(self) -> None:
-        at = self.places[sl.global_id().x]
-        self.results[sl.global_id().x] = sl.vec4(self.source.sample_compare(at.xyz, abs_half(at.w)))
+    return Compare
 
 
 @rhi.shading.function
@@ -736,12 +719,12 @@ def test_references_of_fixed_point_depths_are_clamped(device: Device, format: Fo
     assert_agree(read_everywhere(device, Compare2D, {"source": texture}, 1, places=at, results=64), 0.0, 0.0)
 
 
-@pytest.mark.parametrize(("shader", "kind"), [(CompareArray, ARRAY), (CompareCube, CUBE)], ids=name)
-def test_layers_and_cubes_are_compared(device: Device, shader: type[sl.Shader], kind: TextureKind) -> None:
+@pytest.mark.parametrize(("annotation", "kind"), [(sl.DepthTexture2DArray, ARRAY), (sl.DepthTextureCube, CUBE)])
+def test_layers_and_cubes_are_compared(device: Device, annotation: Any, kind: TextureKind) -> None:
     texels = random_levels(Format.D32F, 4, 4, SHAPES[kind][1], kind, levels=1)
     sampler = SamplerDescriptor(LINEAR, LINEAR, None, compare=Comparison.LESS)
     texture = sl.HostTexture(texels, Format.D32F, kind, sampler)
-    results = read_everywhere(device, shader, {"source": texture}, 8, places=places(12), results=COUNT)
+    results = read_everywhere(device, comparing(annotation), {"source": texture}, 8, places=places(12), results=COUNT)
     assert_agree(results, 3e-6, 3e-6)
 
 

@@ -11,7 +11,6 @@ import pytest
 
 from rhi.errors import RULES, ShaderError, ShaderWarning, ValidationError
 from rhi.shading import Shader, StorageRW, Struct, compile_shader, function, mat3, sin, uint, vec3, vec4
-from rhi.shading.language import rules
 
 PRELUDE = """
 from rhi import Format
@@ -257,9 +256,8 @@ BODIES = [
 
 @pytest.mark.parametrize(("rule", "bad", "good", "says"), BODIES, ids=[f"{b[0]}: {'; '.join(b[1])}" for b in BODIES])
 def test_a_body_that_breaks_a_rule_is_refused_and_its_neighbour_is_not(define, rule, bad, good, says):
-    with pytest.raises(ShaderError) as error:
+    with pytest.raises(ShaderError, match=rf"^\[shading-{rule}\]") as error:
         compile_shader(define(body(*bad)))
-    assert error.value.rule.id == f"shading-{rule}"
     assert says in str(error.value)
     assert "^" in str(error.value)
     assert str(error.value.site) in str(error.value)
@@ -382,9 +380,8 @@ CLASSES = [
 @pytest.mark.parametrize(("rule", "shader", "old", "new", "says"), CLASSES, ids=[f"{c[0]}: {c[3]}" for c in CLASSES])
 def test_a_class_that_breaks_a_rule_is_refused_and_the_original_is_not(define, rule, shader, old, new, says):
     assert old in shader
-    with pytest.raises(ShaderError) as error:
+    with pytest.raises(ShaderError, match=rf"^\[shading-{rule}\]") as error:
         compile_shader(define(shader.replace(old, new)), strict=True)
-    assert error.value.rule.id == f"shading-{rule}"
     assert says in str(error.value)
     compile_shader(define(shader), strict=True)
 
@@ -536,9 +533,8 @@ def test_a_struct_value_must_fit_its_fields():
         ("at", (0, 0, 1e39)),
         ("att", 1),
     ):
-        with pytest.raises(ValidationError) as error:
+        with pytest.raises(ValidationError, match=r"^\[shading-struct-value\]") as error:
             Pose(**{**good, name: value})
-        assert error.value.rule is rules.STRUCT_VALUE
         assert name in str(error.value)
     with pytest.raises(ValidationError, match="no count"):
         Pose(turn=good["turn"], at=good["at"])
@@ -560,17 +556,15 @@ def test_shading_functions_and_shaders_do_not_run_on_the_cpu():
         return x
 
     for call in (lambda: f(1.0), lambda: sin(1.0), lambda: Shader()):
-        with pytest.raises(ValidationError) as error:
+        with pytest.raises(ValidationError, match=r"^\[shading-device-only\]"):
             call()
-        assert error.value.rule is rules.DEVICE_ONLY
 
 
 def test_a_shader_without_source_is_refused():
     space = {"Shader": Shader, "StorageRW": StorageRW, "vec4": vec4, "vec3": vec3, "__name__": __name__}
     exec("class Hidden(Shader):\n    def vertex(self) -> vec4:\n        return vec4(0)\n", space)
-    with pytest.raises(ShaderError) as error:
+    with pytest.raises(ShaderError, match=r"^\[shading-no-source\]"):
         compile_shader(space["Hidden"])
-    assert error.value.rule is rules.NO_SOURCE
 
 
 TESTED_ELSEWHERE = {

@@ -9,7 +9,6 @@ from rhi import Format
 from rhi.contract.descriptors import Attribute, BindingKind, FragmentOutput, Stage
 from rhi.contract.layout import FLOAT, INT, UINT, VectorType
 from rhi.errors import ShaderError
-from rhi.shading.language import rules
 from rhi.shading.language.types import TextureType
 
 
@@ -295,13 +294,11 @@ class Broken(sl.Shader):
 
 
 def test_a_function_that_is_native_in_another_language_only_is_refused():
-    with pytest.raises(ShaderError) as error:
+    with pytest.raises(ShaderError, match=r"^\[shading-native\]"):
         sl.compile_shader(Broken).emit("glsl", Stage.COMPUTE)
-    assert error.value.rule is rules.NATIVE
     sl.compile_shader(Native).emit("glsl", Stage.COMPUTE)
-    with pytest.raises(ShaderError) as error:
+    with pytest.raises(ShaderError, match=r"^\[shading-native\]"):
         sl.compile_shader(Native).emit("other", Stage.COMPUTE)
-    assert error.value.rule is rules.NATIVE
 
 
 def test_the_line_map_leads_from_glsl_to_python():

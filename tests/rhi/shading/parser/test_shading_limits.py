@@ -35,10 +35,6 @@ def arms(count, of):
     return [*lines, "else:", "    y = -1.0", "self.out[i] = y"]
 
 
-def is_float32(values):
-    return np.array(values, "f4").tolist()
-
-
 # -- flat chains of any length, by all emitters
 
 I = range(128)  # noqa: E741 (the invocations)
@@ -60,7 +56,7 @@ FLAT = {
 @pytest.mark.parametrize("name", FLAT)
 def test_a_flat_chain_has_pythons_value_in_every_language(run_everywhere, name):
     lines, wanted = FLAT[name]
-    assert run_everywhere(shader(*lines), 2, out=128)["out"].tolist() == is_float32(wanted)
+    assert run_everywhere(shader(*lines), 2, out=128)["out"].tolist() == np.array(wanted, "f4").tolist()
 
 
 LONG = {
@@ -98,9 +94,8 @@ def test_variables_that_all_branches_of_a_long_elif_assign_have_a_value():
     lines = arms(40, lambda k: f"z = {k}.5")
     compile_shader(shader(*lines[1:-2], "    z = 1.0", "self.out[i] = z"))
     without = [line.replace("z = 33.5", "y = 33.5") for line in lines[1:-2]]
-    with pytest.raises(ShaderError) as error:
+    with pytest.raises(ShaderError, match=r"^\[shading-unassigned\]"):
         compile_shader(shader(*without, "    z = 1.0", "self.out[i] = z"))
-    assert error.value.rule.id == "shading-unassigned"
 
 
 def test_a_long_elif_of_returns_returns_what_python_would(run_everywhere):
@@ -131,9 +126,8 @@ def test_nesting_works_up_to_its_limit_and_is_refused_beyond_it(name):
     descriptor = compile_shader(shader(*lines(most)))
     for language in ("glsl", "opencl16", "opencl1", "numpy"):
         assert descriptor.emit(language, Stage.COMPUTE).text
-    with pytest.raises(ShaderError) as error:
+    with pytest.raises(ShaderError, match=r"^\[shading-too-deep\]") as error:
         compile_shader(shader(*lines(most + 1)))
-    assert error.value.rule.id == "shading-too-deep"
     assert "64" in str(error.value)
     assert error.value.site.file == "<shader>"
 
@@ -148,9 +142,8 @@ def chain_of_functions(count):
 def test_functions_that_call_each_other_work_up_to_the_limit():
     deepest = shader(*store("self.f28(x)"), before=chain_of_functions(29))
     assert run_compute(deepest, 2, out=128)["out"].tolist() == [i + 1 for i in I]
-    with pytest.raises(ShaderError) as error:
+    with pytest.raises(ShaderError, match=r"^\[shading-too-deep\]"):
         compile_shader(shader(*store("self.f399(x)"), before=chain_of_functions(400)))
-    assert error.value.rule.id == "shading-too-deep"
 
 
 def test_conditions_at_the_limit_have_pythons_value(run_everywhere):
@@ -167,11 +160,10 @@ def test_a_shader_within_the_limit_is_refused_where_the_stack_is_deep_already():
     before = sys.getrecursionlimit()
     sys.setrecursionlimit(depth + 120)
     try:
-        with pytest.raises(ShaderError) as error:
+        with pytest.raises(ShaderError, match=r"^\[shading-too-deep\]"):
             compile_shader(fine)
     finally:
         sys.setrecursionlimit(before)
-    assert error.value.rule.id == "shading-too-deep"
     compile_shader(fine)
 
 
@@ -181,9 +173,8 @@ def test_structs_lie_in_each_other_up_to_a_limit():
         return text + "".join(f"class S{k}(Struct):\n    inner: S{k - 1}\n" for k in range(2, count + 1))
 
     assert from_source(structs(32), "S32").dtype.itemsize == 4
-    with pytest.raises(ShaderError) as error:
+    with pytest.raises(ShaderError, match=r"^\[shading-too-deep\]"):
         from_source(structs(33), "S33")
-    assert error.value.rule.id == "shading-too-deep"
 
 
 def test_structs_have_a_greatest_number_of_fields():
@@ -194,9 +185,8 @@ def test_structs_have_a_greatest_number_of_fields():
         )
 
     assert from_source(structs(10), "S10").dtype.itemsize == 4096
-    with pytest.raises(ShaderError) as error:
+    with pytest.raises(ShaderError, match=r"^\[shading-too-deep\]") as error:
         from_source(structs(40), "S40")  # would take 2^40 fields
-    assert error.value.rule.id == "shading-too-deep"
     assert error.value.given == "2048 fields"
 
 
@@ -207,9 +197,8 @@ def test_a_local_array_is_refused_beyond_its_limit():
     lines = ["a[i] = x", *store("a[i + 1]")]
     compile_shader(shader("a = array(float, 4096)", *lines))
     for size in ("4097", "1000000", "2147483647"):
-        with pytest.raises(ShaderError) as error:
+        with pytest.raises(ShaderError, match=r"^\[shading-too-large\]") as error:
             compile_shader(shader(f"a = array(float, {size})", *lines))
-        assert error.value.rule.id == "shading-too-large"
         assert error.value.allowed == "up to 4096 numbers for each invocation"
     with pytest.raises(ShaderError, match="4100 numbers"):
         compile_shader(shader("a = array(vec4, 1025)", *store("a[0].x")))
@@ -237,9 +226,8 @@ def test_the_arrays_of_a_work_group_are_refused_beyond_their_limit():
     compile_shader(arrays(1, 1024))
     compile_shader(arrays(16, 64))
     for count, group in ((2, 1024), (17, 64)):
-        with pytest.raises(ShaderError) as error:
+        with pytest.raises(ShaderError, match=r"^\[shading-too-large\]") as error:
             compile_shader(arrays(count, group))
-        assert error.value.rule.id == "shading-too-large"
         assert str(2**20) in error.value.allowed
 
 
@@ -259,9 +247,8 @@ def test_a_constant_array_is_refused_beyond_its_limit():
     text = "".join([HEAD, BODY, *(f"        {line}\n" for line in lines)])
     compile_shader(from_source(text, scope={"TABLE": (0.5,) * 16384}))
     for table in ((0.5,) * 16385, np.zeros(10**6, "f4")):
-        with pytest.raises(ShaderError) as error:
+        with pytest.raises(ShaderError, match=r"^\[shading-too-large\]") as error:
             compile_shader(from_source(text, scope={"TABLE": table}))
-        assert error.value.rule.id == "shading-too-large"
         assert "Storage" in str(error.value)
 
 

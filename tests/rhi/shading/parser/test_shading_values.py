@@ -1,35 +1,53 @@
-"""The results of compute shaders, compared with those of Python."""
+"""The results of compute shaders, compared with those of Python. What the kit asks of devices, languages have to give
+alone."""
 
-import itertools
 import math
+from contextlib import contextmanager
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import rhi.shading as sl
-
-N = 64
-
-
-class Integers(sl.Shader):
-    work_group = (64,)
-    a: sl.Storage[int]
-    b: sl.Storage[int]
-    quotient: sl.StorageRW[int]
-    remainder: sl.StorageRW[int]
-
-    def compute(self) -> None:
-        i = sl.global_id().x
-        self.quotient[i] = self.a[i] // self.b[i]
-        self.remainder[i] = self.a[i] % self.b[i]
+from rhi.conformance.operation import test_compute, test_language
 
 
-def test_integer_division_and_remainder_floor_as_in_python(run_everywhere):
-    pairs = [(a, b) for a, b in itertools.product(range(-5, 6), (-3, -2, -1, 1, 2, 3))][:64]
-    a, b = np.array(pairs, "i4").T
-    out = run_everywhere(Integers, a=a, b=b, quotient=64, remainder=64)
-    assert out["quotient"].tolist() == [x // y for x, y in pairs]
-    assert out["remainder"].tolist() == [x % y for x, y in pairs]
+class Host:
+    """What the kit's tests of compute shaders ask of a device, in one language."""
+
+    def __init__(self, run):
+        self._run = run
+
+    def program(self, shader):
+        return shader
+
+    @contextmanager
+    def storage(self, element, values):
+        held = SimpleNamespace(values=values)
+        held.read = lambda: held.values
+        yield held
+
+    def dispatch(self, shader, groups, **bound):
+        for name, values in self._run(shader, groups, **{name: held.values for name, held in bound.items()}).items():
+            bound[name].values = values
+
+
+@pytest.mark.parametrize(
+    "examine",
+    [
+        test_language.test_integers_mean_what_they_mean_in_python,
+        test_language.test_loops_run_as_often_as_their_data_says,
+        test_language.test_control_flow_is_python_s,
+        test_compute.test_a_work_group_sees_its_shared_memory_after_a_barrier,
+        test_compute.test_atomics_work_in_shared_memory,
+        test_compute.test_atomics_lose_nothing,
+        partial(test_compute.test_every_invocation_runs_once_and_knows_its_place, groups=(3, 2, 2)),
+    ],
+    ids=lambda examine: getattr(examine, "__name__", "places"),
+)
+def test_every_language_gives_what_the_kit_asks_of_devices(run_everywhere, examine):
+    examine(Host(run_everywhere))
 
 
 class ByPowerOfTwo(sl.Shader):
@@ -129,58 +147,6 @@ class BoundsOnce(sl.Shader):
 def test_loop_bounds_are_evaluated_once_and_the_body_cannot_change_the_count(run_everywhere):
     out = run_everywhere(BoundsOnce, out=np.full(8, -1, "i4"))["out"]
     assert out[:6].tolist() == [3, 0 + 1 + 2 + 3, 10070401, 531, -1, 1]
-
-
-class Control(sl.Shader):
-    work_group = (16,)
-    out: sl.StorageRW[int]
-
-    def classify(self, n: int) -> int:
-        if n < 2:
-            return 0
-        k = 2
-        if n == 2:
-            k = n * n
-        elif n == 3:
-            k = n
-            k *= n
-        else:
-            k = 2
-        while k * k <= n:
-            if n % k == 0:
-                return 0
-            k += 1
-        return 1
-
-    def collatz(self, n: int) -> int:
-        steps = 0
-        while True:
-            if n == 1:
-                break
-            if n % 2 == 0:
-                n //= 2
-                steps += 1
-                continue
-            n = 3 * n + 1
-            steps += 1
-        return steps
-
-    def compute(self) -> None:
-        i = sl.global_id().x
-        self.out[i] = self.classify(i) * 1000 + self.collatz(i + 1)
-
-
-def test_early_return_break_and_continue_leave_what_they_leave_in_python(run_everywhere):
-    def collatz(n):
-        steps = 0
-        while n != 1:
-            n = n // 2 if n % 2 == 0 else 3 * n + 1
-            steps += 1
-        return steps
-
-    primes = {2, 3, 5, 7, 11, 13}
-    expected = [1000 * (i in primes) + collatz(i + 1) for i in range(16)]
-    assert run_everywhere(Control, out=16)["out"].tolist() == expected
 
 
 class Swizzles(sl.Shader):
@@ -415,95 +381,6 @@ def test_a_numpy_matrix_means_the_same_in_a_shader(run_everywhere):
     np.testing.assert_array_equal(out[:9], expected)
 
 
-class Atomics(sl.Shader):
-    work_group = (32,)
-    out: sl.StorageRW[int]
-    bits: sl.StorageRW[sl.uint]
-    order: sl.StorageRW[sl.uint]
-
-    def compute(self) -> None:
-        i = sl.global_id().x
-        sl.atomic_add(self.out[0], i)
-        sl.atomic_min(self.out[1], i - 5)
-        sl.atomic_max(self.out[2], i)
-        sl.atomic_or(self.bits[0], sl.uint(1) << i)
-        sl.atomic_and(self.bits[1], ~(sl.uint(1) << i))
-        sl.atomic_xor(self.bits[2], sl.uint(i))
-        slot = sl.atomic_add(self.bits[3], 1)
-        self.order[slot] = sl.uint(i)
-        if sl.atomic_compare_exchange(self.out[3], 0, 7) == 0:
-            sl.atomic_add(self.out[4], 1)
-        sl.atomic_exchange(self.out[5], 3)
-
-
-def test_atomics_see_every_invocation(run_everywhere):
-    bits = np.array([0, 0xFFFFFFFF, 0, 0], "u4")
-    out = run_everywhere(Atomics, 2, out=6, bits=bits, order=64)
-    assert out["out"].tolist() == [sum(range(64)), -5, 63, 7, 1, 3]
-    xor = 0
-    for i in range(64):
-        xor ^= i
-    assert out["bits"].tolist()[:2] == [0xFFFFFFFF, 0]
-    assert out["bits"].tolist()[2:] == [xor, 64]
-    assert sorted(out["order"].tolist()) == list(range(64))
-
-
-class Scan(sl.Shader):
-    work_group = (N,)
-    partial = sl.shared(float, N)
-    total = sl.shared(int)
-    values: sl.Storage[float]
-    sums: sl.StorageRW[float]
-    counts: sl.StorageRW[int]
-
-    def compute(self) -> None:
-        i = sl.local_index()
-        if i == 0:
-            self.total = 0
-        self.partial[i] = self.values[sl.global_id().x]
-        sl.barrier()
-        offset = 1
-        while offset < N:
-            value = self.partial[i]
-            if i >= offset:
-                value += self.partial[i - offset]
-            sl.barrier()
-            self.partial[i] = value
-            sl.barrier()
-            offset *= 2
-        sl.atomic_add(self.total, 1)
-        sl.barrier()
-        self.sums[sl.global_id().x] = self.partial[i]
-        if i == N - 1:
-            self.counts[sl.group_id().x] = self.total
-
-
-def test_shared_memory_and_barriers_give_a_prefix_sum(run_everywhere):
-    values = np.arange(1, 2 * N + 1, dtype="f4")
-    out = run_everywhere(Scan, 2, values=values, sums=2 * N, counts=2)
-    np.testing.assert_array_equal(out["sums"].reshape(2, N), np.cumsum(values.reshape(2, N), axis=1))
-    assert out["counts"].tolist() == [N, N]
-
-
-class Ids(sl.Shader):
-    work_group = (2, 3, 4)
-    out: sl.StorageRW[sl.ivec3]
-
-    def compute(self) -> None:
-        size = sl.ivec3(2, 3, 4)
-        g = sl.global_id()
-        if g == sl.group_id() * size + sl.local_id():
-            self.out[0] = sl.max(self.out[0], g)
-        if sl.local_index() == sl.local_id().x + sl.local_id().y * 2 + sl.local_id().z * 6:
-            sl.memory_barrier()
-            self.out[1] = sl.group_count()
-
-
-def test_ids_count_in_three_dimensions(run_everywhere):
-    out = run_everywhere(Ids, (2, 1, 1), out=2)["out"]
-    assert out[1, :3].tolist() == [2, 1, 1]
-
-
 @sl.function
 def halved(x: float, *, by: int = 2) -> float:
     return x / by
@@ -539,27 +416,6 @@ class Overridden(Calls):
 def test_functions_helpers_defaults_and_overrides_are_found_as_in_python(run_everywhere):
     assert run_everywhere(Calls, out=4)["out"].tolist() == [2, 3, 4, 5]
     assert run_everywhere(Overridden, out=4)["out"].tolist() == [2, 30, 4, 5]
-
-
-class Bits(sl.Shader):
-    out: sl.StorageRW[sl.uint]
-
-    def compute(self) -> None:
-        self.out[0] = sl.float_bits_to_uint(1.0)
-        self.out[1] = sl.pack_half_2x16(sl.vec2(1.0, -2.0))
-        self.out[2] = sl.uint(sl.unpack_half_2x16(self.out[1]).x)
-        self.out[3] = sl.uint(sl.find_msb(sl.uint(1) << 20))
-        self.out[5] = sl.float_bits_to_uint(sl.uint_bits_to_float(self.out[0]))
-        n = -9
-        self.out[4] = sl.uint(n + 8)
-        self.out[6] = sl.uint(n >> 1)
-        self.out[7] = sl.uint(0xF0) ^ 0xFF & ~sl.uint(1) | 0x100
-
-
-def test_bit_operations_are_numpy_s(run_everywhere):
-    out = run_everywhere(Bits, out=8)["out"]
-    expected = [0x3F800000, 0xC0003C00, 1, 20, 0xFFFFFFFF, 0x3F800000, 2**32 - 5, 0xF0 ^ 0xFF & ~1 | 0x100]
-    assert out.tolist() == expected
 
 
 class Reserved(sl.Struct):

@@ -318,9 +318,8 @@ def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.Monkey
 def test_what_is_too_large_is_refused_and_the_device_goes_on(make: Callable[[Device], Any]) -> None:
     with rhi.create_device("cl") as device:
         expected = work(device)
-        with pytest.raises(DeviceError) as caught:
+        with pytest.raises(DeviceError, match=r"^\[device-out-of-memory\]") as caught:
             make(device)
-        assert caught.value.rule.id == "device-out-of-memory"
         assert "destroy" in caught.value.tip
         assert caught.value.site is not None
         assert caught.value.site.file == __file__

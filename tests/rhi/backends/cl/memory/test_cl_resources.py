@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import array
 import weakref
 from dataclasses import replace
 
 import numpy as np
 import pyopencl as cl
 import pytest
+from backend_kit import SOURCES, VALUES
 from cl_kit import FILL, ClKit, describe_program
 
 from rhi.backends.cl.backend import ClBackend
@@ -18,17 +18,6 @@ from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Region, Text
 from rhi.contract.formats import Format
 from rhi.contract.texels import decode, encode, unpack
 from rhi.errors import DeviceError
-
-VALUES = np.arange(8, dtype=np.float32)
-SOURCES = {
-    "bytes": VALUES.tobytes(),
-    "bytearray": bytearray(VALUES.tobytes()),
-    "floats": VALUES,
-    "rows": VALUES.reshape(4, 2),
-    "records": VALUES.view([("a", "f4"), ("b", "f4", 3)]),
-    "an array of the standard library": array.array("f", VALUES),
-    "read only": memoryview(VALUES).toreadonly(),
-}
 
 
 @pytest.mark.parametrize("usage", BufferUsage)
@@ -146,9 +135,8 @@ def test_nothing_may_be_read_copied_cleared_and_written(cl_kit: ClKit) -> None:
 def test_a_buffer_too_large_is_refused_and_the_device_goes_on(cl_kit: ClKit) -> None:
     size = cl_kit.backend.capabilities.max_storage_bytes
     for usage in BufferUsage:
-        with pytest.raises(DeviceError) as caught:
+        with pytest.raises(DeviceError, match=r"^\[device-out-of-memory\]"):
             cl_kit.backend.create_buffer(1, BufferDescriptor(size * 1000, usage))
-        assert caught.value.rule.id == "device-out-of-memory"
         cl_kit.backend.create_buffer(1, BufferDescriptor(64, usage))
         assert cl_kit.backend.read_buffer(1, 0, 64) == bytes(64)
         cl_kit.backend.destroy(1)
@@ -156,9 +144,8 @@ def test_a_buffer_too_large_is_refused_and_the_device_goes_on(cl_kit: ClKit) -> 
 
 def test_a_texture_too_large_is_refused_and_its_id_stays_free(cl_kit: ClKit) -> None:
     whole = TextureDescriptor((16384, 16384), Format.RGBA32F, TextureKind.D2_ARRAY, 64)
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError, match=r"^\[device-out-of-memory\]"):
         cl_kit.backend.create_texture(1, whole)
-    assert caught.value.rule.id == "device-out-of-memory"
     cl_kit.backend.create_texture(1, TextureDescriptor((4, 4), Format.R8))
     assert not cl_kit.read(1, 4, 4).any()
 

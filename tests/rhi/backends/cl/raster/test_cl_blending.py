@@ -8,6 +8,7 @@ import pytest
 
 from rhi import AlphaToCoverage, BlendColor, BlendFactor, BlendFunction, Device, Format
 from rhi.conformance.compare import assert_near
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import blend_factor, channels_of, decode, encode
 from rhi.conformance.shaders import Colored, Shade
 from rhi.conformance.shapes import rectangle
@@ -54,22 +55,15 @@ class Three(Colored):
 def test_components_that_a_shader_does_not_give_are_0_and_alpha_1(
     device: Device, shader: type[Colored], components: int
 ) -> None:
-    with device.texture((2, 2), Format.RGBA32F) as image, device.mesh(rectangle(color=(0.5, 0.25, 0.75, 2))) as mesh:
-        with device.render_pass(image, clear=(9, 9, 9, 9)):
-            device.draw(device.program(shader), mesh)
-        assert_near(image.read(), [0.5, 0.25, 0.75][:components] + [0.0] * (3 - components) + [1.0], 0, "exact numbers")
+    rows = rectangle(color=(0.5, 0.25, 0.75, 2))
+    drawn = draw_once(device, (2, 2), Format.RGBA32F, rows, shader=shader, clear=(9, 9, 9, 9))
+    assert_near(drawn, [0.5, 0.25, 0.75][:components] + [0.0] * (3 - components) + [1.0], 0, "exact numbers")
 
 
 @pytest.mark.parametrize("samples", [4, 8])
 def test_alpha_to_coverage_covers_as_many_samples_as_alpha_says(device: Device, samples: int) -> None:
     alphas = np.linspace(0.0, 1.0, 16)
     columns = [rectangle(-1 + i / 8, -1, -1 + (i + 1) / 8, 1, color=(1, 1, 1, a)) for i, a in enumerate(alphas)]
-    with (
-        device.texture((16, 1), Format.RGBA8, samples=samples) as image,
-        device.texture((16, 1), Format.RGBA8) as mean,
-        device.mesh(np.concatenate(columns)) as mesh,
-    ):
-        with device.render_pass(image, clear=(0, 0, 0, 0), resolve=mean), device.states(AlphaToCoverage.ON):
-            device.draw(device.program(Colored), mesh)
-        covered = mean.read()[0, :, 0] / 255.0
+    rows = np.concatenate(columns)
+    covered = draw_once(device, (16, 1), Format.R8, rows, AlphaToCoverage.ON, samples=samples)[0] / 255.0
     assert_near(covered, np.floor(samples * alphas + 0.5) / samples, 0.003, "a mean in 8 bits")

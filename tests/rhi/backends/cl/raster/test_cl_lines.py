@@ -26,6 +26,7 @@ from rhi import (
 )
 from rhi.backends.cl.raster import launcher
 from rhi.conformance.compare import assert_same
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import corners, window_to_clip
 
@@ -37,16 +38,8 @@ def drawn(
     device: Device, rows: NDArray[Any], *states: Any, primitive: Primitive = Primitive.TRIANGLES, samples: int = 1
 ) -> NDArray[Any]:
     """Return how often each texel is drawn, (height, width)."""
-    with (
-        device.texture(SIZE, Format.RGBA32F, samples=samples) as target,
-        device.texture(SIZE, Format.RGBA32F) as image,
-        device.mesh(rows, primitive=primitive) as mesh,
-    ):
-        with device.render_pass(target, clear=(0, 0, 0, 0)), device.states(BlendFunction.ADDITIVE, *states):
-            device.draw(device.program(Colored), mesh)
-        if samples > 1:
-            target.resolve_to(image)
-        return (image if samples > 1 else target).read()[..., 3]
+    states = (BlendFunction.ADDITIVE, *states)
+    return draw_once(device, SIZE, Format.RGBA32F, rows, *states, primitive=primitive, samples=samples)[..., 3]
 
 
 def many_triangles(count: int) -> NDArray[Any]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rhi import BlendFunction, Device, Format, Primitive, Scissor
 from rhi.conformance.compare import assert_same
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Sized
 from rhi.conformance.shapes import point_rows, point_square
 
@@ -32,16 +33,8 @@ def counted(points: NDArray[Any], indices: Any = slice(None)) -> NDArray[np.int6
 
 def drawn(device: Device, rows: NDArray[Any], indices: Any = None, *states: Any, samples: int = 1) -> NDArray[Any]:
     """Return how often each texel is drawn."""
-    with (
-        device.texture(SIZE, Format.RGBA32F, samples=samples) as target,
-        device.texture(SIZE, Format.RGBA32F) as image,
-        device.mesh(rows, indices, primitive=Primitive.POINTS) as mesh,
-    ):
-        with device.render_pass(target, clear=(0, 0, 0, 0)), device.states(BlendFunction.ADDITIVE, *states):
-            device.draw(device.program(Sized), mesh)
-        if samples > 1:
-            target.resolve_to(image)
-        return (image if samples > 1 else target).read()[..., 3]
+    given: dict[str, Any] = {"shader": Sized, "indices": indices, "primitive": Primitive.POINTS, "samples": samples}
+    return draw_once(device, SIZE, Format.RGBA32F, rows, BlendFunction.ADDITIVE, *states, **given)[..., 3]
 
 
 @pytest.mark.parametrize("count", [15, 16, 17, COUNT])

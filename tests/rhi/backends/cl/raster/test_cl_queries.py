@@ -15,6 +15,7 @@ from rhi.backends.cl import create_backend
 from rhi.backends.cl.fence import is_done
 from rhi.conformance.patience import PATIENCE, comes_true
 from rhi.contract.backend import FOREVER
+from rhi.contract.descriptors import QueryKind
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_LOST
 
@@ -63,7 +64,7 @@ def test_a_fence_that_nobody_signals_is_not_waited_for(cl_kit: ClKit) -> None:
 
 def test_timestamps_enclose_the_time_of_the_work_between_them(cl_kit: ClKit) -> None:
     """Hold work back for a time by the clock."""
-    backend, before, after = cl_kit.backend, cl_kit.timestamp(), cl_kit.timestamp()
+    backend, before, after = cl_kit.backend, cl_kit.query(QueryKind.TIMESTAMP), cl_kit.query(QueryKind.TIMESTAMP)
     assert backend.read_query(before) is None
     start = time.monotonic_ns()
     backend.write_query(before)
@@ -84,7 +85,7 @@ def test_timestamps_enclose_the_time_of_the_work_between_them(cl_kit: ClKit) -> 
 
 
 def test_a_timestamp_taken_again_forgets_the_earlier_one(cl_kit: ClKit) -> None:
-    backend, query = cl_kit.backend, cl_kit.timestamp()
+    backend, query = cl_kit.backend, cl_kit.query(QueryKind.TIMESTAMP)
     backend.write_query(query)
     backend.signal(1)
     backend.wait(1, PATIENCE)
@@ -105,9 +106,8 @@ def test_a_command_that_failed_is_reported_and_not_waited_for() -> None:
     class Failed:
         command_execution_status = -5
 
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(DeviceError, match=r"^\[device-lost\]") as caught:
         is_done(Failed())  # type: ignore[arg-type]
-    assert caught.value.rule.id == "device-lost"
     assert "-5" in caught.value.given
 
 
@@ -130,9 +130,8 @@ def test_a_lost_queue_is_told_of_by_whoever_asks_and_the_device_can_be_closed(
             lambda: device.completed, lambda: device.wait(value), lambda: device.wait(value, 0.1), device.finish,
         ]  # fmt: skip
         for ask in asks:
-            with pytest.raises(DeviceError) as caught:
+            with pytest.raises(DeviceError, match=r"^\[device-lost\]") as caught:
                 ask()
-            assert caught.value.rule.id == "device-lost"
             assert "create a new one" in caught.value.tip
     monkeypatch.undo()
     with rhi.create_device("cl") as device:

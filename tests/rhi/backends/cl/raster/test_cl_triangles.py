@@ -9,6 +9,7 @@ import pytest
 import rhi
 from rhi import CullMode, DepthBias, DepthFunction, DepthWrite, Device, Format, PolygonOffset, Scissor
 from rhi.conformance import triangles as exam
+from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import FlatColored
 from rhi.conformance.shapes import corners, rectangle
 from rhi.conformance.triangles import CUT, WHOLE, Family, examine, make_triangles
@@ -39,10 +40,7 @@ def test_the_magnitude_of_w_changes_nothing(device: Device, family: Family, scal
 
 def draw(device: Device, rows: np.ndarray, format: Format, *states: rhi.State) -> np.ndarray:
     """Return the depth that triangles leave; the largest one passes."""
-    with device.texture(SIZE, format) as depth, device.mesh(rows) as mesh:
-        with device.render_pass(depth=depth, clear_depth=0.0), device.states(CullMode.NONE, *states):
-            device.draw(device.program(FlatColored), mesh)
-        return depth.read().astype(np.float64)
+    return draw_once(device, SIZE, format, rows, CullMode.NONE, *states, shader=FlatColored).astype(np.float64)
 
 
 @pytest.mark.parametrize("family", [exam.slivers, exam.through_the_near_plane])
