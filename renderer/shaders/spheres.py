@@ -7,10 +7,11 @@ The sphere shines as strongly as the point does from afar, I / d². Seen over an
   replaced by the cosine-weighted area that is above it. In and on the sphere σ counts as 1, and d as the radius.
 - **Mirrored light** comes from a representative point (Karis, Real Shading in Unreal Engine 4, 2013): the one of the
   sphere that is nearest to the mirrored direction. So a highlight is flat over the sphere's image, and falls off
-  around it. It has to be weaker for that, by the area of such a lobe over that of the point's: with the half angle q
-  of the sphere, which turns halfway vectors by half as much as light, and a lobe of width a, both small, it is
-  `(a² + k a q + q²) / a²`. k is π/2 for GGX with a = α, and √π for Blinn-Phong with a = √(2 / s). Karis's 2 makes both
-  too dark, by up to a tenth.
+  around it. It has to be weaker for that, by the area of such a lobe over that of the point's: for a lobe of width a
+  and a sphere that turns halfway vectors by up to q = σ / 2, both small, `(a² + k a q + q²) / a²`. k is π/2 for GGX
+  with a = α, and √π for Blinn-Phong with a = √(2 / s). Where light comes at an angle of cosine c, halfway vectors
+  turn by q / c to the sides, so q² is q² / c, and q in the second term the mean of both. Karis has 2 for k, and leaves
+  c out: what his highlights have is up to 1.6 times as bright at 60°.
 
 A radius of 0 gives what a point gives, so lamps of both sorts are lit by one shader.
 """
@@ -65,9 +66,10 @@ def nearest_direction(surface: SurfacePoint, to_center: sl.vec3, sine: float) ->
 
 
 @sl.function
-def lobe_share(widening: float, tail: float) -> float:
-    """Return by what a lobe is weaker if it is flat over a sphere, `widening` times as wide as itself."""
-    return 1.0 / (1.0 + widening * (tail + widening))
+def lobe_share(widening: float, slant: float, tail: float) -> float:
+    """Return by what a lobe is weaker if it is flat over a sphere that is `widening` times as wide as itself, and by
+    the cosine `slant` wider in one direction."""
+    return 1.0 / (1.0 + widening * (0.5 * tail * (1.0 + 1.0 / slant) + widening / slant))
 
 
 class SourceReader(sl.Shader):

@@ -200,11 +200,12 @@ class ReflectingShader(sl.Shader):
         if cosine <= -sine:
             return sl.vec3(0.0)
         toward = nearest_direction(surface, to_center, sine)
+        slant = sl.sqrt(sl.max(0.5 + 0.5 * sl.dot(toward, surface.to_eye), 1e-4))
         mirrored = sl.saturate(sl.dot(surface.normal, toward))
         if self.has_metals and (not self.has_both_models or surface.shininess < 0.0):
-            mirrored *= lobe_share(0.5 * sine / (surface.shininess * surface.shininess), GGX_TAIL)
+            mirrored *= lobe_share(0.5 * sine / (surface.shininess * surface.shininess), slant, GGX_TAIL)
         else:
-            mirrored *= lobe_share(0.5 * sine * sl.sqrt(0.5 * surface.shininess), PHONG_TAIL)
+            mirrored *= lobe_share(0.5 * sine * sl.sqrt(0.5 * surface.shininess), slant, PHONG_TAIL)
         terms = self.find_terms(surface, toward)
         return terms * sl.vec3(sphere_cosine(cosine, seen), mirrored, mirrored) / sl.max(size, 1.0)
 
