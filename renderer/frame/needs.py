@@ -280,9 +280,8 @@ def find_needs(
         ranges = some["range"].astype(np.float64)
         rows = find_lights_in_view(planes, some["position"], ranges) if reached else none
         in_view[effect] = rows
-        is_sphere = some["source_radius"] > 0.0
-        counts[kind.spheres] = int(np.count_nonzero(is_sphere))
-        in_view[kind.spheres] = rows[is_sphere[rows]]
+        counts[kind.spheres] = int(np.count_nonzero(some["source_radius"]))
+        in_view[kind.spheres] = rows[some["source_radius"][rows] > 0.0]
         in_view[kind.shadows] = rows[some["casts_shadow"][rows]] if counts[kind.shadows] else none
     in_view[Effect.HEIGHT_FIELDS] = fields
     if len(fields):

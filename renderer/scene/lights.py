@@ -10,7 +10,7 @@ No light casts shadows unless it says so (`casts_shadow`, or `Lights.cast_shadow
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -28,14 +28,10 @@ DIRECTIONAL: Final = np.dtype(
 
 POINT: Final = np.dtype(
     [
-        ("position", "<f8", 3),
-        ("range", "<f4"),
-        ("color", "<f4", 3),
-        ("intensity", "<f4"),
-        ("casts_shadow", "?"),
+        ("position", "<f8", 3), ("range", "<f4"), ("color", "<f4", 3), ("intensity", "<f4"), ("casts_shadow", "?"),
         ("source_radius", "<f4"),
     ]
-)
+)  # fmt: skip
 SPOT: Final = np.dtype(
     [
         *((name, POINT[name]) for name in POINT.names or ()),
@@ -129,8 +125,7 @@ class Lights:
     ) -> int:
         """Add a point light, `position`, `range` and `source_radius` <= range in metres; returns its index."""
         given = {"position": position, "range": range, "color": color, "intensity": intensity}
-        given["source_radius"] = source_radius
-        return int(self._add("point", "add_point", 1, casts_shadow, **given)[0])
+        return int(self._add("point", "add_point", 1, casts_shadow, **given, source_radius=source_radius)[0])
 
     def add_points(
         self,
@@ -146,8 +141,8 @@ class Lights:
         `range`, `intensity` and `source_radius` are (k,) or one for all, `color` is (k, 3) or one for all.
         """
         given = {"position": position, "range": range, "color": color, "intensity": intensity}
-        given["source_radius"] = source_radius
-        return self._add("point", "add_points", _count("add_points", position), casts_shadow, **given)
+        count = _count("add_points", position)
+        return self._add("point", "add_points", count, casts_shadow, **given, source_radius=source_radius)
 
     def add_spot(
         self,
@@ -192,10 +187,7 @@ class Lights:
         before: NDArray[Any] = getattr(self, kind)
         lights = np.zeros(count, before.dtype)
         values = {name: _numbers(call, name, one, lights[name].shape) for name, one in given.items()}
-        if "inner" in values:
-            _check_angles(call, values["inner"], values["outer"])
-        if "source_radius" in values:
-            _check_radii(call, values["source_radius"], values["range"])
+        _check_pairs(call, values, values)
         for name, numbers in values.items():
             lights[name] = _units(call, numbers) if name == "direction" else numbers
         lights["casts_shadow"] = casts_shadow
@@ -221,10 +213,7 @@ def check_lights(call: str, lights: NDArray[Any]) -> None:
     for name in _AMOUNTS:
         if name in fields:
             _numbers(call, name, lights[name], lights[name].shape)
-    if "inner" in fields:
-        _check_angles(call, lights["inner"], lights["outer"])
-    if "source_radius" in fields:
-        _check_radii(call, lights["source_radius"], lights["range"])
+    _check_pairs(call, fields, lights)
     if "direction" in fields:
         directions = lights["direction"].astype(np.float64)
         allowed = np.abs(np.linalg.norm(directions, axis=1) - 1.0) <= _OFF_UNIT
@@ -233,20 +222,21 @@ def check_lights(call: str, lights: NDArray[Any]) -> None:
             refuse(rules.BAD_LIGHT, f"{call}: direction", shown, "a unit vector", "divide it by its length")
 
 
-def _check_angles(call: str, low: Floats, high: Floats) -> None:
-    """Refuse half angles (k,) unless 0 <= inner <= outer <= pi."""
-    allowed = (low >= 0.0) & (low <= high) & (high <= np.float32(np.pi))
-    if not allowed.all():
-        shown = _describe(allowed, lambda row: f"inner={low[row]}, outer={high[row]}")
-        refuse(rules.BAD_LIGHT, call, shown, "0 <= inner <= outer <= pi")
-
-
-def _check_radii(call: str, radii: Floats, ranges: Floats) -> None:
-    """Refuse radii of sources (k,) that are above the lights' ranges: a light ends at its range from the centre."""
-    allowed = radii <= ranges
-    if not allowed.all():
-        shown = _describe(allowed, lambda row: f"source_radius={radii[row]}, range={ranges[row]}")
-        refuse(rules.BAD_LIGHT, call, shown, "source_radius <= range", "a source is a small part of what it lights")
+def _check_pairs(call: str, fields: Container[str], given: Any) -> None:
+    """Refuse half angles (k,) unless 0 <= inner <= outer <= pi, and radii of sources (k,) above the ranges: a light
+    ends at its range from the centre."""
+    if "source_radius" in fields:
+        radii, ranges = given["source_radius"], given["range"]
+        if not (allowed := radii <= ranges).all():
+            shown = _describe(allowed, lambda row: f"source_radius={radii[row]}, range={ranges[row]}")
+            refuse(
+                rules.BAD_LIGHT, call, shown, "source_radius <= range", "let the light reach farther than its source"
+            )
+    if "inner" in fields:
+        low, high = given["inner"], given["outer"]
+        if not (allowed := (low >= 0.0) & (low <= high) & (high <= np.float32(np.pi))).all():
+            shown = _describe(allowed, lambda row: f"inner={low[row]}, outer={high[row]}")
+            refuse(rules.BAD_LIGHT, call, shown, "0 <= inner <= outer <= pi")
 
 
 def _count(call: str, position: ArrayLike) -> int:

@@ -32,14 +32,8 @@ PHONG_TAIL: Final = 1.77245385
 
 
 @sl.function
-def sphere_size(to_center: sl.vec3, radius: float) -> float:
-    """Return the square of a sphere's radius over its distance: above 1 in the sphere. A point has 0."""
-    return radius * radius / sl.max(sl.dot(to_center, to_center), 1e-4)  # where attenuation is bounded
-
-
-@sl.function
 def sphere_cosine(cosine: float, size: float) -> float:
-    """Return what n·l is for a sphere of a `size` up to 1, given that of its centre."""
+    """Return what n·l is for a sphere with this square of the sine of its angle, given that of its centre."""
     above = size - cosine * cosine
     if above <= 0.0:
         return sl.saturate(cosine)
@@ -81,6 +75,8 @@ class SourceReader(sl.Shader):
 
     source_radii: sl.Texture2D
 
-    def find_radii(self, row: int) -> sl.vec2:
-        """Return the radii of the sources of the point light and of the spot light of a row."""
-        return self.source_radii.load(sl.ivec2(row % TABLE_WIDTH, row // TABLE_WIDTH)).xy
+    def find_sizes(self, to_center: sl.vec3, row: int) -> sl.vec2:
+        """Return the squares of radius / distance, 0 for a point and above 1 in a sphere, that the point light and the
+        spot light of a row have where `to_center` leads to it."""
+        radii = self.source_radii.load(sl.ivec2(row % TABLE_WIDTH, row // TABLE_WIDTH)).xy
+        return radii * radii / sl.max(sl.dot(to_center, to_center), 1e-4)  # where attenuation is bounded

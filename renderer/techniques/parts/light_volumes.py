@@ -30,7 +30,7 @@ from renderer.frame.passes import NEARER
 from renderer.lights.hulls import make_cone, make_sphere
 from renderer.shaders.lighting import is_near, point_incidence, spot_incidence
 from renderer.shaders.pixels import PixelRays
-from renderer.shaders.spheres import SourceReader, sphere_size
+from renderer.shaders.spheres import SourceReader
 from renderer.shaders.structs import Incidence, ViewConstants
 from renderer.shadows import ShadowReceiver
 from renderer.techniques.parts.full_screen import BEHIND, find_far
@@ -104,7 +104,7 @@ class VolumeShader(SourceReader, ShadowReceiver):
         return Incidence(direction=sl.vec3(0.0), irradiance=sl.vec3(0.0))
 
     def find_size(self, position: sl.vec3, light: int) -> float:
-        """Return the `sphere_size` of the light of this row at a position."""
+        """Return what `find_sizes` does of the light of this row at a position."""
         return 0.0
 
     def unblocked(self, light: sl.vec3, position: sl.vec3, plane: sl.vec3, row: int) -> sl.vec3:
@@ -129,7 +129,7 @@ class PointVolumes(VolumeShader):
         return point_incidence(position, self.point_lights[light])
 
     def find_size(self, position: sl.vec3, light: int) -> float:
-        return sphere_size(self.point_lights[light].position - position, self.find_radii(light).x)
+        return self.find_sizes(self.point_lights[light].position - position, light).x
 
     def unblocked(self, light: sl.vec3, position: sl.vec3, plane: sl.vec3, row: int) -> sl.vec3:
         return self.unblocked_point(light, position, plane, row)
@@ -160,7 +160,7 @@ class SpotVolumes(VolumeShader):
         return spot_incidence(position, self.spot_lights[light])
 
     def find_size(self, position: sl.vec3, light: int) -> float:
-        return sphere_size(self.spot_lights[light].position - position, self.find_radii(light).y)
+        return self.find_sizes(self.spot_lights[light].position - position, light).y
 
     def unblocked(self, light: sl.vec3, position: sl.vec3, plane: sl.vec3, row: int) -> sl.vec3:
         return self.unblocked_spot(light, position, plane, row)

@@ -34,15 +34,7 @@ from renderer.shaders.metals import (
     reflected_by_metal,
     shininess_of_metal,
 )
-from renderer.shaders.spheres import (
-    GGX_TAIL,
-    PHONG_TAIL,
-    SourceReader,
-    lobe_share,
-    nearest_direction,
-    sphere_cosine,
-    sphere_size,
-)
+from renderer.shaders.spheres import GGX_TAIL, PHONG_TAIL, SourceReader, lobe_share, nearest_direction, sphere_cosine
 from renderer.shaders.structs import (
     Ambient,
     DirectionalLight,
@@ -192,8 +184,8 @@ class ReflectingShader(sl.Shader):
         return reflected_light(surface, light)
 
     def find_sphere_terms(self, surface: SurfacePoint, to_center: sl.vec3, size: float) -> sl.vec3:
-        """Return what `find_terms` does, each times its n·l, for light from a sphere of this `sphere_size`, where it is
-        less than that of a point."""
+        """Return what `find_terms` does, each times its n·l, for light from a sphere that is as large as
+        `SourceReader.find_sizes` says, in which it is less than that of a point."""
         seen = sl.min(size, 1.0)
         sine = sl.sqrt(seen)
         cosine = sl.dot(surface.normal, to_center)
@@ -317,30 +309,22 @@ class LampShader(ReflectingShader, SourceReader, ShadowReceiver):
         """Return the light of the point light of a row."""
         if not in_range(surface, self.point_lights[row].position, self.point_lights[row].range):
             return sl.vec3(0.0)
-        light = (
-            self.reflect_sphere(
-                surface,
-                point_incidence(surface.position, self.point_lights[row]),
-                sphere_size(self.point_lights[row].position - surface.position, self.find_radii(row).x),
-            )
-            if self.has_point_spheres
-            else self.reflect_light(surface, point_incidence(surface.position, self.point_lights[row]))
-        )
+        if self.has_point_spheres:
+            size = self.find_sizes(self.point_lights[row].position - surface.position, row).x
+            sphere = self.reflect_sphere(surface, point_incidence(surface.position, self.point_lights[row]), size)
+            return self.unblocked_point(sphere, surface.position, surface.plane, row)
+        light = self.reflect_light(surface, point_incidence(surface.position, self.point_lights[row]))
         return self.unblocked_point(light, surface.position, surface.plane, row)
 
     def spotlight(self, surface: SurfacePoint, row: int) -> sl.vec3:
         """Return the light of the spot light of a row."""
         if not in_range(surface, self.spot_lights[row].position, self.spot_lights[row].range):
             return sl.vec3(0.0)
-        light = (
-            self.reflect_sphere(
-                surface,
-                spot_incidence(surface.position, self.spot_lights[row]),
-                sphere_size(self.spot_lights[row].position - surface.position, self.find_radii(row).y),
-            )
-            if self.has_spot_spheres
-            else self.reflect_light(surface, spot_incidence(surface.position, self.spot_lights[row]))
-        )
+        if self.has_spot_spheres:
+            size = self.find_sizes(self.spot_lights[row].position - surface.position, row).y
+            sphere = self.reflect_sphere(surface, spot_incidence(surface.position, self.spot_lights[row]), size)
+            return self.unblocked_spot(sphere, surface.position, surface.plane, row)
+        light = self.reflect_light(surface, spot_incidence(surface.position, self.spot_lights[row]))
         return self.unblocked_spot(light, surface.position, surface.plane, row)
 
 

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from frames import draw, find_difference, find_eye, make_boxes
-from numpy.typing import NDArray
 
 import rhi
 from renderer.content import BUILT_IN
@@ -45,7 +44,7 @@ def test_scattered_light_is_within_a_level_of_that_of_all_parts_of_the_sphere(
         assert find_difference(draw(drawing_device, stage(0.0, height=height, **MATT), size=SIZE), exact) > 10
 
 
-def measure_light(device: rhi.Device, scene: Scene, size: tuple[int, int] = SIZE) -> tuple[NDArray[Any], NDArray[Any]]:
+def measure_light(device: rhi.Device, scene: Scene, size: tuple[int, int] = SIZE) -> tuple[Any, Any]:
     """Return the red light (h, w) of the lamps, as drawn and as judged."""
     watched, eye = Watched(Deferred(), "light"), find_eye(scene)
     draw(device, scene, watched, size=size)
