@@ -380,7 +380,7 @@ class _GltfWriter:
                         "innerConeAngle": float(row["inner"]),
                         "outerConeAngle": float(row["outer"]),
                     }
-                own = {"casts_shadow": True} if row["casts_shadow"] else {}
+                own: dict[str, Any] = {"casts_shadow": True} if row["casts_shadow"] else {}
                 if kind != "directional" and row["source_radius"] > 0.0:
                     own["source_radius"] = float(row["source_radius"])
                 if own:
