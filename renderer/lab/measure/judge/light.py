@@ -47,8 +47,7 @@ class LitSurfaces:
         reach = float(lamp["range"])
         to_light = normalize(away)
         window = np.clip(1.0 - (distance / max(reach, 1e-10)) ** 4, 0.0, 1.0)
-        nearest = max(float(lamp["source_radius"]), 0.01)
-        strength = float(lamp["intensity"]) * window**2 / np.maximum(distance, nearest) ** 2
+        strength = float(lamp["intensity"]) * window**2 / np.maximum(distance, max(0.01, lamp["source_radius"])) ** 2
         if "outer" in lamp.dtype.names:
             cosine = -to_light @ lamp["direction"].astype(np.float64)
             outer, inner = (np.cos(float(lamp[name])) for name in ("outer", "inner"))
