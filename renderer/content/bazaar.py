@@ -33,17 +33,20 @@ _VARIANTS: Final = 2  # surfaces of each kind
 _TEXELS: Final = 256  # width and height of a surface's images
 
 
-def make_bazaar(instances: int, materials: int, meshes: int, lights: int, detail: int, seed: int) -> Scene:
-    """Make a bazaar of `instances` objects with `materials` materials and `meshes` meshes, lit by `lights` lights."""
+def make_bazaar(
+    instances: int, materials: int, meshes: int, lights: int, detail: int, seed: int, radius: float = 0.0
+) -> Scene:
+    """Make a bazaar of `instances` objects with `materials` materials and `meshes` meshes, lit by `lights` lights:
+    points, or spheres of a `radius`."""
     rng = np.random.default_rng([seed, 21])
     name = f"bazaar:instances={instances},materials={materials},meshes={meshes},lights={lights}"
-    builder = SceneBuilder(f"{name},detail={detail},seed={seed}")
+    builder = SceneBuilder(f"{name},detail={detail},seed={seed}" + (f",radius={radius:g}" if radius else ""))
     builder.background = (0.012, 0.014, 0.022)
     side = max(2, int(np.ceil(np.sqrt(instances / (_PER_ROOM + 4.0)))))
     used = _add_materials(builder, rng, materials, seed)
     walls = _add_walls(builder, rng, side, used, instances)
     _add_things(builder, rng, side, used, meshes, instances - walls, detail)
-    _add_lights(builder, rng, side, lights)
+    _add_lights(builder, rng, side, lights, radius)
     _add_cameras(builder, side)
     return builder.build()
 
@@ -58,6 +61,7 @@ BAZAAR: Final = Generator(
         Option("lights", 256, "coloured point lights, each with a bulb", 0, 65_536),
         Option("detail", 12, "how finely things are divided", 4, 64),
         SEED,
+        Option("radius", 0.0, "radius of the spheres that the lights are, metres; 0: points", 0.0, 1.0),
     ),
     make_bazaar,
 )
@@ -181,7 +185,7 @@ def _make_thing(rng: np.random.Generator, detail: int) -> MeshGeometry:
     return shapes.lathe(profile, detail)
 
 
-def _add_lights(builder: SceneBuilder, rng: np.random.Generator, side: int, count: int) -> None:
+def _add_lights(builder: SceneBuilder, rng: np.random.Generator, side: int, count: int, radius: float) -> None:
     lights = builder.lights
     lights.sky, lights.ground = (0.045, 0.05, 0.07), (0.03, 0.027, 0.024)
     if not count:
@@ -191,11 +195,11 @@ def _add_lights(builder: SceneBuilder, rng: np.random.Generator, side: int, coun
     places = rng.uniform((-half, 1.4, -half), (half, _HEIGHT - 0.2, half), (count, 3))
     colors = _hues(rng.random(count))
     reach = float(np.clip(2.2 * side * ROOM / np.sqrt(count), 2.5, 9.0))
-    lights.add_points(places, reach, colors, 0.16 * reach**2)
+    lights.add_points(places, reach, colors, 0.16 * reach**2, source_radius=radius)
     bulb = builder.add_mesh(shapes.sphere(8), "bulb")
     glows = _hues(np.arange(8) / 8.0)
     glow = [builder.add_material(base_color=tuple(color), emission=1.6) for color in glows.tolist()]
-    nodes = builder.add_nodes(multiply(translation(places), scaling((0.12, 0.12, 0.12))))
+    nodes = builder.add_nodes(multiply(translation(places), scaling(np.full(3, 2.0 * radius or 0.12))))
     nearest = np.abs(colors[:, None] - glows).sum(-1).argmin(1)
     builder.add_objects(nodes, bulb, np.array(glow)[nearest], casts_shadow=False)
 

@@ -16,12 +16,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame.mirrors import MirroredArray, MirroredValue, split_doubles
+from renderer.frame.mirrors import MirroredArray, MirroredTable, MirroredValue, split_doubles
 from renderer.scene.arrays import Floats
 from renderer.scene.lights import Lights
 from renderer.shaders import PointLight, SpotLight
 from renderer.visibility.repeated import RepeatedCommands
-from rhi import Device, Encoder
+from rhi import Device, Encoder, Format
 from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, function, global_id, vec3
 
 EYES: Final = 2
@@ -97,7 +97,7 @@ class _Kind:
 
 
 class Lamps:
-    """The lights of a scene that have a position, on a device."""
+    """The lights of a scene that have a position, on a device; `radii` has those of sources, if there are any."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -110,6 +110,8 @@ class Lamps:
         with ExitStack() as made:
             for kind in self._kinds:
                 made.callback(kind.destroy)
+            self.radii = MirroredTable(device, Format.RG32F, "source radii")
+            made.callback(self.radii.destroy)
             self._eyes: MirroredValue[EyePlaces] | None = None  # made for kernels
             self._commands = RepeatedCommands(device, "")
             made.callback(self._stop_kernels)
@@ -140,6 +142,7 @@ class Lamps:
                 self._stop_kernels()
             self._runs = runs
             self._pack(lights, kinds)
+            self._write_radii(kinds)
             self._state = state
             self._placed.clear()
         moved = [eye for eye, place in enumerate(eyes) if self._placed.get(eye) != place.tobytes()]
@@ -176,6 +179,16 @@ class Lamps:
                 places = np.zeros(len(some), ExactPlace.dtype)
                 places["high"], places["low"] = split_doubles(some["position"])
                 kind.places.write(places)
+
+    def _write_radii(self, kinds: tuple[NDArray[Any], ...]) -> None:
+        """Upload the radii of sources: rows of points and spots share texels."""
+        radii = np.zeros((max(map(len, kinds)), len(kinds)), np.float32)
+        for column, some in enumerate(kinds):
+            radii[: len(some), column] = some["source_radius"]
+        if radii.any():
+            self.radii.write(radii)
+        else:
+            self.radii.destroy()
 
     def _run(self, eyes: Sequence[Floats], *, is_new: bool) -> None:
         """Run the kernels that place the lights for both eyes. What `is_new` is uploaded first."""

@@ -1,4 +1,4 @@
-"""Buffers that mirror what the CPU has, and are written only where they differ from it."""
+"""Buffers and textures that mirror what the CPU has, and are written only where they differ from it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi import Device, StorageBuffer, UniformBuffer
+from renderer.shaders.structs import TABLE_WIDTH
+from rhi import Device, Format, StorageBuffer, Texture, UniformBuffer
 from rhi.shading import Struct
 
 
@@ -81,6 +82,35 @@ class MirroredArray(Generic[T]):
         if self.buffer is not None:
             self.buffer.destroy()
             self.buffer = None
+
+
+class MirroredTable:
+    """A texture that mirrors an array, `TABLE_WIDTH` rows of it in a line of texels: for shaders that have no storage
+    buffer left. There is no texture before the first `write`; it grows by lines."""
+
+    def __init__(self, device: Device, form: Format, label: str) -> None:
+        self.texture: Texture | None = None
+        self._device = device
+        self._form = form
+        self._label = label
+
+    def write(self, rows: NDArray[Any]) -> None:
+        """Make the texture hold rows (n,), or (n, k) with one of the k channels in each column."""
+        height = max(-(-len(rows) // TABLE_WIDTH), 1)
+        texels = np.zeros((height * TABLE_WIDTH, *rows.shape[1:]), rows.dtype)
+        texels[: len(rows)] = rows
+        texels = texels.reshape(height, TABLE_WIDTH, *rows.shape[1:])
+        if self.texture is not None and self.texture.size == (TABLE_WIDTH, height):
+            self.texture.write(texels)
+            return
+        self.destroy()
+        self.texture = self._device.texture(texels, self._form, label=self._label)
+
+    def destroy(self) -> None:
+        """Destroy the texture."""
+        if self.texture is not None:
+            self.texture.destroy()
+            self.texture = None
 
 
 def join_runs(begins: NDArray[np.int64], sizes: NDArray[np.int64] | int, gap: int = 0) -> list[tuple[int, int]]:

@@ -33,6 +33,8 @@ class Effect(Enum):
     DIRECTIONAL_LIGHTS = "directional lights"
     POINT_LIGHTS = "point lights"
     SPOT_LIGHTS = "spot lights"
+    POINT_SPHERES = "point lights with a radius"
+    SPOT_SPHERES = "spot lights with a radius"
     IMAGES = "images"
     EMISSION = "emission"
     HAZE = "haze"
@@ -67,15 +69,16 @@ SHADOW_EFFECTS: Final = (Effect.SUN_SHADOWS, Effect.POINT_SHADOWS, Effect.SPOT_S
 
 
 class LampKind(NamedTuple):
-    """A kind of lights that have a range: their rows in a scene's lights, and their shadows."""
+    """A kind of lights that have a range: their rows in a scene's lights, their shadows, and those that are spheres."""
 
     find_rows: Callable[[Lights], NDArray[Any]]
     shadows: Effect
+    spheres: Effect
 
 
 LAMPS: Final = {
-    Effect.POINT_LIGHTS: LampKind(attrgetter("point"), Effect.POINT_SHADOWS),
-    Effect.SPOT_LIGHTS: LampKind(attrgetter("spot"), Effect.SPOT_SHADOWS),
+    Effect.POINT_LIGHTS: LampKind(attrgetter("point"), Effect.POINT_SHADOWS, Effect.POINT_SPHERES),
+    Effect.SPOT_LIGHTS: LampKind(attrgetter("spot"), Effect.SPOT_SHADOWS, Effect.SPOT_SPHERES),
 }
 """The lights that have a range, point lights first."""
 
@@ -127,6 +130,8 @@ _NOUNS: Final = {
     Effect.DIRECTIONAL_LIGHTS: ("directional light", "directional lights"),
     Effect.POINT_LIGHTS: ("point light", "point lights"),
     Effect.SPOT_LIGHTS: ("spot light", "spot lights"),
+    Effect.POINT_SPHERES: ("point light with a radius", "point lights with a radius"),
+    Effect.SPOT_SPHERES: ("spot light with a radius", "spot lights with a radius"),
     Effect.IMAGES: ("image", "images"),
     Effect.EMISSION: ("material that emits light", "materials that emit light"),
     Effect.METALS: ("metallic-roughness material", "metallic-roughness materials"),
@@ -161,8 +166,8 @@ class Needs:
         effects: those that are needed. counts: of each effect, how many of its causes the scene has.
         material_count: the number of materials.
         in_view: the rows of the point and of the spot lights whose light may reach something in view; as their shadows,
-            the rows of those of them that cast some, none if no object does; and of the transparent objects and of the
-            height fields in view, or that cast shadows.
+            the rows of those of them that cast some, none if no object does; as spheres, those that have a radius; and
+            of the transparent objects and of the height fields in view, or that cast shadows.
         blending: how transparent objects are put together. glow: how glow is made.
         has_glow: whether the scene has glow, whatever shines in it.
         shaders: those that the scene's materials have of their own.
@@ -283,6 +288,8 @@ def find_needs(
         ranges = some["range"].astype(np.float64)
         rows = find_lights_in_view(planes, some["position"], ranges) if reached else none
         in_view[effect] = rows
+        counts[kind.spheres] = int(np.count_nonzero(some["source_radius"]))
+        in_view[kind.spheres] = rows[some["source_radius"][rows] > 0.0]
         in_view[kind.shadows] = rows[some["casts_shadow"][rows]] if counts[kind.shadows] else none
     in_view[Effect.HEIGHT_FIELDS] = fields
     if len(fields):

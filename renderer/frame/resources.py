@@ -93,6 +93,7 @@ class SceneResources:
         images: the scene's images; None if no material reads any.
         objects, places, materials, directional, point, spot, light_rows: the arrays that shaders read; point and spot
             lights are left out if none of them reaches an object.
+        source_radii: the radii of lamps' sources, two channels: point lights, spot lights.
         ambient: the constants of ambient light.
         simulator: runs the simulations of what is drawn.
     """
@@ -142,6 +143,7 @@ class SceneResources:
         self.directional = keep(MirroredArray(device, shaders.DirectionalLight, "directional lights"))
         self._lamps = keep(Lamps(device))
         self.point, self.spot = self._lamps.find(0)
+        self.source_radii = self._lamps.radii
         self.light_rows = keep(MirroredArray(device, int, "light rows"))
         self._listed_from: object = None  # the contents of the lights that are listed
         self._lit: tuple[NDArray[Any], ...] = ()  # the state that the light lists were made from

@@ -1,15 +1,16 @@
 """Lights: a structured array for each kind, with positions in float64, which shaders read relative to the eye.
 
 A point or spot light of intensity i gives i / d² at d metres, windowed to reach exactly 0 at its range,
-so that a light has a volume outside which it can be ignored. A spot fades from its inner to its
-outer half angle. Ambient light is a hemisphere: sky colour from above, ground colour from below.
+so that a light has a volume outside which it can be ignored. Its light comes from a point, or from a sphere of
+`source_radius` metres around it. A spot fades from its inner to its outer half angle. Ambient light is a hemisphere:
+sky colour from above, ground colour from below.
 
 No light casts shadows unless it says so (`casts_shadow`, or `Lights.cast_shadows` for all of them).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -26,11 +27,14 @@ DIRECTIONAL: Final = np.dtype(
 """32 bytes. `direction` is the unit vector along which the light travels; `casts_shadow` is 0 or 1."""
 
 POINT: Final = np.dtype(
-    [("position", "<f8", 3), ("range", "<f4"), ("color", "<f4", 3), ("intensity", "<f4"), ("casts_shadow", "?")]
-)
+    [
+        ("position", "<f8", 3), ("range", "<f4"), ("color", "<f4", 3), ("intensity", "<f4"), ("casts_shadow", "?"),
+        ("source_radius", "<f4"),
+    ]
+)  # fmt: skip
 SPOT: Final = np.dtype(
     [
-        *((name, POINT[name]) for name in ("position", "range", "color", "intensity", "casts_shadow")),
+        *((name, POINT[name]) for name in POINT.names or ()),
         ("direction", "<f4", 3),
         ("inner", "<f4"),  # half angles in radians, inner <= outer
         ("outer", "<f4"),
@@ -53,7 +57,7 @@ RELATIVE_SPOT: Final = np.dtype(
 
 _ROUNDED: Final = 2.0**-23  # of a unit vector's components in float32
 _OFF_UNIT: Final = 1e-3  # by so much the light of a direction may be off before it shows
-_AMOUNTS: Final = ("range", "color", "intensity")  # 0 or more
+_AMOUNTS: Final = ("range", "color", "intensity", "source_radius")  # 0 or more
 _LARGEST: Final = float(np.finfo(np.float32).max)
 
 
@@ -117,10 +121,11 @@ class Lights:
         color: Sequence[float] = (1, 1, 1),
         intensity: float = 1.0,
         casts_shadow: bool = False,
+        source_radius: float = 0.0,
     ) -> int:
-        """Add a point light, `position` and `range` in metres; returns its index."""
+        """Add a point light, `position`, `range` and `source_radius` <= range in metres; returns its index."""
         given = {"position": position, "range": range, "color": color, "intensity": intensity}
-        return int(self._add("point", "add_point", 1, casts_shadow, **given)[0])
+        return int(self._add("point", "add_point", 1, casts_shadow, **given, source_radius=source_radius)[0])
 
     def add_points(
         self,
@@ -129,13 +134,15 @@ class Lights:
         color: ArrayLike = (1, 1, 1),
         intensity: ArrayLike = 1.0,
         casts_shadow: bool = False,
+        source_radius: ArrayLike = 0.0,
     ) -> Rows:
         """Add point lights at positions (k, 3); returns their indices (k,).
 
-        `range` and `intensity` are (k,) or one for all, `color` is (k, 3) or one for all.
+        `range`, `intensity` and `source_radius` are (k,) or one for all, `color` is (k, 3) or one for all.
         """
         given = {"position": position, "range": range, "color": color, "intensity": intensity}
-        return self._add("point", "add_points", _count("add_points", position), casts_shadow, **given)
+        count = _count("add_points", position)
+        return self._add("point", "add_points", count, casts_shadow, **given, source_radius=source_radius)
 
     def add_spot(
         self,
@@ -147,10 +154,11 @@ class Lights:
         color: Sequence[float] = (1, 1, 1),
         intensity: float = 1.0,
         casts_shadow: bool = False,
+        source_radius: float = 0.0,
     ) -> int:
         """Add a spot light with half angles 0 <= inner <= outer <= pi radians; returns its index."""
         given = {"position": position, "range": range, "color": color, "intensity": intensity}
-        given |= {"direction": direction, "inner": inner, "outer": outer}
+        given |= {"direction": direction, "inner": inner, "outer": outer, "source_radius": source_radius}
         return int(self._add("spot", "add_spot", 1, casts_shadow, **given)[0])
 
     def add_spots(
@@ -163,13 +171,14 @@ class Lights:
         color: ArrayLike = (1, 1, 1),
         intensity: ArrayLike = 1.0,
         casts_shadow: bool = False,
+        source_radius: ArrayLike = 0.0,
     ) -> Rows:
         """Add spot lights at positions (k, 3); returns their indices (k,).
 
         `direction` and `color` are (k, 3) or one for all, all else is (k,) or one for all.
         """
         given = {"position": position, "range": range, "color": color, "intensity": intensity}
-        given |= {"direction": direction, "inner": inner, "outer": outer}
+        given |= {"direction": direction, "inner": inner, "outer": outer, "source_radius": source_radius}
         return self._add("spot", "add_spots", _count("add_spots", position), casts_shadow, **given)
 
     def _add(self, kind: str, call: str, count: int, casts_shadow: bool, **given: ArrayLike) -> Rows:
@@ -178,8 +187,7 @@ class Lights:
         before: NDArray[Any] = getattr(self, kind)
         lights = np.zeros(count, before.dtype)
         values = {name: _numbers(call, name, one, lights[name].shape) for name, one in given.items()}
-        if "inner" in values:
-            _check_angles(call, values["inner"], values["outer"])
+        _check_pairs(call, values, values)
         for name, numbers in values.items():
             lights[name] = _units(call, numbers) if name == "direction" else numbers
         lights["casts_shadow"] = casts_shadow
@@ -205,8 +213,7 @@ def check_lights(call: str, lights: NDArray[Any]) -> None:
     for name in _AMOUNTS:
         if name in fields:
             _numbers(call, name, lights[name], lights[name].shape)
-    if "inner" in fields:
-        _check_angles(call, lights["inner"], lights["outer"])
+    _check_pairs(call, fields, lights)
     if "direction" in fields:
         directions = lights["direction"].astype(np.float64)
         allowed = np.abs(np.linalg.norm(directions, axis=1) - 1.0) <= _OFF_UNIT
@@ -215,12 +222,21 @@ def check_lights(call: str, lights: NDArray[Any]) -> None:
             refuse(rules.BAD_LIGHT, f"{call}: direction", shown, "a unit vector", "divide it by its length")
 
 
-def _check_angles(call: str, low: Floats, high: Floats) -> None:
-    """Refuse half angles (k,) unless 0 <= inner <= outer <= pi."""
-    allowed = (low >= 0.0) & (low <= high) & (high <= np.float32(np.pi))
-    if not allowed.all():
-        shown = _describe(allowed, lambda row: f"inner={low[row]}, outer={high[row]}")
-        refuse(rules.BAD_LIGHT, call, shown, "0 <= inner <= outer <= pi")
+def _check_pairs(call: str, fields: Container[str], given: Any) -> None:
+    """Refuse half angles (k,) unless 0 <= inner <= outer <= pi, and radii of sources (k,) above the ranges: a light
+    ends at its range from the centre."""
+    if "source_radius" in fields:
+        radii, ranges = given["source_radius"], given["range"]
+        if not (allowed := radii <= ranges).all():
+            shown = _describe(allowed, lambda row: f"source_radius={radii[row]}, range={ranges[row]}")
+            refuse(
+                rules.BAD_LIGHT, call, shown, "source_radius <= range", "let the light reach farther than its source"
+            )
+    if "inner" in fields:
+        low, high = given["inner"], given["outer"]
+        if not (allowed := (low >= 0.0) & (low <= high) & (high <= np.float32(np.pi))).all():
+            shown = _describe(allowed, lambda row: f"inner={low[row]}, outer={high[row]}")
+            refuse(rules.BAD_LIGHT, call, shown, "0 <= inner <= outer <= pi")
 
 
 def _count(call: str, position: ArrayLike) -> int:

@@ -57,6 +57,10 @@ DRAW_LISTS: Final = 4
 """The parts of a list of draws: objects of one part are drawn with the same states."""
 
 
+TABLE_WIDTH: Final = 64
+"""The width in texels of textures that have numbers of lamps."""
+
+
 class ObjectPosition(Struct):
     """An object's world position, `high` + `low` (two floats for each double), and its mesh.
 

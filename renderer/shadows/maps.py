@@ -35,7 +35,7 @@ from renderer.frame import (
     choose_program,
     find_states,
 )
-from renderer.frame.mirrors import MirroredValue, split_doubles
+from renderer.frame.mirrors import MirroredTable, MirroredValue, split_doubles
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
 from renderer.shaders.depth import DepthOnly
@@ -47,7 +47,6 @@ from renderer.shadows.receiver import (
     DARK,
     MOST_CASCADES,
     NO_MAPS,
-    TABLE_WIDTH,
     LampTable,
     SunMap,
     SunTable,
@@ -166,7 +165,10 @@ class ShadowMaps:
         self._kept: Texture | None = None  # the second texture
         self._triangle = device.mesh(3, label="shadow tile")
         self._lamp_table: MirroredValue[LampTable] | None = None
-        self._lamp_textures: dict[str, Texture] = {}  # slots and maps, by what binds them
+        self._lamp_textures = {  # by what binds them
+            "lamp_slots": MirroredTable(device, Format.R32I, "lamp slots"),
+            "lamp_maps": MirroredTable(device, Format.RGBA32F, "lamp maps"),
+        }
         self._placements = 0  # how often a tile was given to a map
         self._written: tuple[object, ...] = ()  # what the table of lamps was written from
         self._frame = 0
@@ -202,7 +204,7 @@ class ShadowMaps:
             case "lamps":
                 return self._lamp_table.buffer if self._lamp_table is not None else None
             case "lamp_slots" | "lamp_maps":
-                return self._lamp_textures.get(name)
+                return self._lamp_textures[name].texture
             case "shadow_compare":
                 return self.atlas.sampled(_COMPARING)
         return self.atlas
@@ -295,22 +297,8 @@ class ShadowMaps:
         if self._lamp_table is None:
             self._lamp_table = MirroredValue(self._device, table)
         self._lamp_table.write(table)
-        self._write_table("lamp_slots", slots, Format.R32I)
-        self._write_table("lamp_maps", _describe_maps(maps), Format.RGBA32F)
-
-    def _write_table(self, name: str, rows: NDArray[Any], form: Format) -> None:
-        """Write the rows (n,) or (n, 4) of a table to its texture, which grows by rows of texels."""
-        height = max(-(-len(rows) // TABLE_WIDTH), 1)
-        texels = np.zeros((height * TABLE_WIDTH, *rows.shape[1:]), rows.dtype)
-        texels[: len(rows)] = rows
-        texels = texels.reshape(height, TABLE_WIDTH, *rows.shape[1:])
-        texture = self._lamp_textures.get(name)
-        if texture is not None and texture.size == (TABLE_WIDTH, height):
-            texture.write(texels)
-            return
-        if texture is not None:
-            texture.destroy()
-        self._lamp_textures[name] = self._device.texture(texels, form, label=name.replace("_", " "))
+        self._lamp_textures["lamp_slots"].write(slots)
+        self._lamp_textures["lamp_maps"].write(_describe_maps(maps))
 
     def _forget_lights(self, scene: Scene) -> bool:
         """Forget the maps of lights that cast no shadows any more; return whether there were any."""
@@ -504,7 +492,6 @@ class ShadowMaps:
             self._lamp_table.destroy()
         for texture in self._lamp_textures.values():
             texture.destroy()
-        self._lamp_textures.clear()
         self._lamp_table = None
         self._written = ()
 

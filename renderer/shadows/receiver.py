@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading as sl
-from renderer.shaders.structs import PointLight, SpotLight
+from renderer.shaders.structs import TABLE_WIDTH, PointLight, SpotLight
 from renderer.shadows.lamps import NEAR
 from renderer.shadows.settings import ShadowFilter
 
@@ -38,9 +38,6 @@ NO_MAPS: Final = -1
 DARK: Final = -2
 """The slots of lamps without maps: those that nothing blocks, and those for whose maps there is no room. The latter
 light nothing, so that no wall is lit through."""
-
-TABLE_WIDTH: Final = 64
-"""The width of the textures of slots and of maps in texels."""
 
 _STEEPEST: Final = 0.005
 """The cosine of the steepest slope that a plane is followed to: 89.7°."""

@@ -8,7 +8,8 @@ never says twice what glTF says, so that a file that another program has changed
 - of a material of the specular model: its four parameters, and emission as a multiple of the base colour. What glTF can
   say is written beside it as a likeness for other programs.
 - of a camera: that its far plane only stands for none.
-- of a light: whether it casts a shadow. Of a node: that it only holds a light or a camera, and is none of the scene's.
+- of a light: whether it casts a shadow, and the radius of its source. Of a node: that it only holds a light or a
+  camera, and is none of the scene's.
 """
 
 from __future__ import annotations

@@ -147,6 +147,7 @@ class LightRows:
             faint = float(np.sqrt(row["intensity"] * color.max() / _FAINT))
             row["position"] = world[:3, 3]
             row["range"] = fields.real("range", min(max(faint, 1e-3), _FARTHEST), 1e-30)
+            row["source_radius"] = 0.0 if held is None else held.real("source_radius", 0.0, 0.0, row["range"])
         if kind == "spot":
             spot = fields.child("spot")
             row["outer"] = spot.real("outerConeAngle", np.pi / 4.0, 0.0, np.pi)

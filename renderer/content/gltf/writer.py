@@ -380,8 +380,11 @@ class _GltfWriter:
                         "innerConeAngle": float(row["inner"]),
                         "outerConeAngle": float(row["outer"]),
                     }
-                if row["casts_shadow"]:
-                    held["extras"] = {KEY: {"casts_shadow": True}}
+                own: dict[str, Any] = {"casts_shadow": True} if row["casts_shadow"] else {}
+                if kind != "directional" and row["source_radius"] > 0.0:
+                    own["source_radius"] = float(row["source_radius"])
+                if own:
+                    held["extras"] = {KEY: own}
                 self._lights.append(held)
                 position = np.zeros(3) if kind == "directional" else row["position"].astype(np.float64)
                 axes = np.eye(3) if kind == "point" else _look_along(row["direction"].astype(np.float64))

@@ -94,6 +94,7 @@ def list_values() -> Iterator[tuple[str, Callable[..., object]]]:
     yield "add_point.range", lambda x: Lights().add_point((0, 0, 0), x)
     yield "add_point.color", lambda x: Lights().add_point((0, 0, 0), 1.0, color=(1, x, 1))
     yield "add_point.intensity", lambda x: Lights().add_point((0, 0, 0), 1.0, intensity=x)
+    yield "add_point.source_radius", lambda x: Lights().add_point((0, 0, 0), 1.0, source_radius=x)
     yield "add_spot.direction", lambda x: Lights().add_spot((0, 0, 0), (0, x, 0), 1.0, 0.1, 0.2)
     yield "add_spot.inner", lambda x: Lights().add_spot((0, 0, 0), (0, 1, 0), 1.0, x, 0.2)
     yield "add_spot.outer", lambda x: Lights().add_spot((0, 0, 0), (0, 1, 0), 1.0, 0.1, x)

@@ -115,6 +115,10 @@ def _switch_lamp_shadows(renderer: Renderer, _: int, is_on: bool) -> None:
     renderer.scene.lights.spot["casts_shadow"] = is_on
 
 
+def _switch_sphere(renderer: Renderer, _: int, is_on: bool) -> None:
+    renderer.scene.lights.point["source_radius"] = 0.25 if is_on else 0.0
+
+
 def _place_textured(builder: SceneBuilder) -> int:
     rows, columns = np.indices((64, 64)) // 8
     image = np.full((64, 64, 4), 255, np.uint8)
@@ -262,6 +266,12 @@ LADDER: Final = (
         "both lamps cast shadows",
         Footprint("lamp shadows", bindings=("lamps", "lamp_*"), resources=("LampTable", "lamp slots", "lamp maps")),
         switch=_switch_lamp_shadows,
+    ),
+    Rung(
+        "sphere",
+        "the point light is a sphere",
+        Footprint("sphere", words=("sphere_cosine",), bindings=("source_radii",), resources=("source radii",)),
+        switch=_switch_sphere,
     ),
     Rung(
         "texture",

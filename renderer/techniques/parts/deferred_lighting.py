@@ -39,6 +39,10 @@ class LightingShader(VolumeShader, GeometryReader):
             return sl.vec4(0.0)
         row = self.material.load(place)
         surface = self.read_surface(row, texel, place, position)
+        if self.has_spheres:
+            size = self.find_size(position, v.light)
+            sphere = self.reflect_sphere(surface, self.find_incidence(position, v.light), size)
+            return sl.vec4(self.unblocked(sphere, position, surface.plane, v.light), 0.0)
         light = self.reflect_light(surface, self.find_incidence(position, v.light))
         return sl.vec4(self.unblocked(light, position, surface.plane, v.light), 0.0)
 

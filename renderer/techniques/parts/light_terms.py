@@ -98,10 +98,15 @@ class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
             occlusion=1.0,
             emissive=sl.vec3(1.0),
         )
-        facing = sl.dot(surface.normal, incidence.direction)
+        # The terms of spheres have their n·l.
+        facing = 1.0 if self.has_spheres else sl.dot(surface.normal, incidence.direction)
         if facing <= 0.0:
             return LightTerms(diffuse=sl.vec4(0.0), specular=sl.vec4(0.0), grazing=sl.vec4(0.0))
-        terms = self.find_terms(surface, incidence.direction)
+        terms = (
+            self.find_sphere_terms(surface, incidence.direction, self.find_size(position, light))
+            if self.has_spheres
+            else self.find_terms(surface, incidence.direction)
+        )
         light_in = self.unblocked(incidence.irradiance * facing, position, surface.plane, light)
         specular = light_in * terms.y
         return LightTerms(

@@ -30,6 +30,7 @@ from renderer.frame.passes import NEARER
 from renderer.lights.hulls import make_cone, make_sphere
 from renderer.shaders.lighting import is_near, point_incidence, spot_incidence
 from renderer.shaders.pixels import PixelRays
+from renderer.shaders.spheres import SourceReader
 from renderer.shaders.structs import Incidence, ViewConstants
 from renderer.shadows import ShadowReceiver
 from renderer.techniques.parts.full_screen import BEHIND, find_far
@@ -84,9 +85,11 @@ def project_volume(center: sl.vec3, offset: sl.vec3, reach: float, view: ViewCon
     return clip
 
 
-class VolumeShader(ShadowReceiver):
+class VolumeShader(SourceReader, ShadowReceiver):
     """The base of shaders that draw light volumes; `rows` are the rows of the lights to be drawn. A technique's
-    fragment stage is combined with the volumes of one kind of lights."""
+    fragment stage is combined with the volumes of one kind of lights, of which some may be spheres."""
+
+    has_spheres = False
 
     view: sl.Uniform[ViewConstants]
     rays: sl.Uniform[PixelRays]
@@ -99,6 +102,10 @@ class VolumeShader(ShadowReceiver):
     def find_incidence(self, position: sl.vec3, light: int) -> Incidence:
         """Return what arrives at a position of the light of this row."""
         return Incidence(direction=sl.vec3(0.0), irradiance=sl.vec3(0.0))
+
+    def find_size(self, position: sl.vec3, light: int) -> float:
+        """Return what `find_sizes` does of the light of this row at a position."""
+        return 0.0
 
     def unblocked(self, light: sl.vec3, position: sl.vec3, plane: sl.vec3, row: int) -> sl.vec3:
         """Return what arrives of the light of this row at a surface."""
@@ -120,6 +127,9 @@ class PointVolumes(VolumeShader):
 
     def find_incidence(self, position: sl.vec3, light: int) -> Incidence:
         return point_incidence(position, self.point_lights[light])
+
+    def find_size(self, position: sl.vec3, light: int) -> float:
+        return self.find_sizes(self.point_lights[light].position - position, light).x
 
     def unblocked(self, light: sl.vec3, position: sl.vec3, plane: sl.vec3, row: int) -> sl.vec3:
         return self.unblocked_point(light, position, plane, row)
@@ -148,6 +158,9 @@ class SpotVolumes(VolumeShader):
 
     def find_incidence(self, position: sl.vec3, light: int) -> Incidence:
         return spot_incidence(position, self.spot_lights[light])
+
+    def find_size(self, position: sl.vec3, light: int) -> float:
+        return self.find_sizes(self.spot_lights[light].position - position, light).y
 
     def unblocked(self, light: sl.vec3, position: sl.vec3, plane: sl.vec3, row: int) -> sl.vec3:
         return self.unblocked_spot(light, position, plane, row)
@@ -246,6 +259,7 @@ def draw_volumes(
         states: states instead of those that light what is in a volume.
     """
     device = frame.device
+    switches = {**switches, "has_spheres": LAMPS[effect].spheres in frame.needs.effects}
     program: Any = frame.program(find_variant(frame, shader, VOLUMES[effect], **switches))
     mask: Any = device.program(VOLUMES[effect]) if is_masked else None
     behind, nearer = (table[frame.camera.projection.depth] for table in (BEHIND, NEARER))

@@ -34,6 +34,7 @@ from renderer.shaders.metals import (
     reflected_by_metal,
     shininess_of_metal,
 )
+from renderer.shaders.spheres import GGX_TAIL, PHONG_TAIL, SourceReader, lobe_share, nearest_direction, sphere_cosine
 from renderer.shaders.structs import (
     Ambient,
     DirectionalLight,
@@ -182,6 +183,30 @@ class ReflectingShader(sl.Shader):
             return reflected_by_metal(surface, light)
         return reflected_light(surface, light)
 
+    def find_sphere_terms(self, surface: SurfacePoint, to_center: sl.vec3, size: float) -> sl.vec3:
+        """Return what `find_terms` does, each times its n·l, for light from a sphere that is as large as
+        `SourceReader.find_sizes` says, in which it is less than that of a point."""
+        seen = sl.min(size, 1.0)
+        sine = sl.sqrt(seen)
+        cosine = sl.dot(surface.normal, to_center)
+        if cosine <= -sine:
+            return sl.vec3(0.0)
+        toward = nearest_direction(surface, to_center, sine)
+        slant = sl.sqrt(sl.max(0.5 + 0.5 * sl.dot(toward, surface.to_eye), 1e-4))
+        mirrored = sl.saturate(sl.dot(surface.normal, toward))
+        if self.has_metals and (not self.has_both_models or surface.shininess < 0.0):
+            mirrored *= lobe_share(0.5 * sine / (surface.shininess * surface.shininess), slant, GGX_TAIL)
+        else:
+            mirrored *= lobe_share(0.5 * sine * sl.sqrt(0.5 * surface.shininess), slant, PHONG_TAIL)
+        terms = self.find_terms(surface, toward)
+        return terms * sl.vec3(sphere_cosine(cosine, seen), mirrored, mirrored) / sl.max(size, 1.0)
+
+    def reflect_sphere(self, surface: SurfacePoint, light: Incidence, size: float) -> sl.vec3:
+        """Return the light of a sphere that the surface reflects to the eye."""
+        terms = self.find_sphere_terms(surface, light.direction, size)
+        color = surface.base_color * terms.x + surface.specular_color * terms.y + terms.z
+        return color * light.irradiance
+
     def reflect_ambient(self, surface: SurfacePoint, ambient: Ambient, material: Material) -> sl.vec3:
         """Return the ambient light that the surface sends to the eye."""
         if self.has_metals and (not self.has_both_models or surface.shininess < 0.0):
@@ -249,7 +274,7 @@ class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver):
         return self.unblocked_sun(light, surface.position, surface.plane, row)
 
 
-class LampShader(ReflectingShader, ShadowReceiver):
+class LampShader(ReflectingShader, SourceReader, ShadowReceiver):
     """The base of shaders that light surfaces by lamps, point and spot lights."""
 
     has_point_lights = False
@@ -284,6 +309,10 @@ class LampShader(ReflectingShader, ShadowReceiver):
         """Return the light of the point light of a row."""
         if not in_range(surface, self.point_lights[row].position, self.point_lights[row].range):
             return sl.vec3(0.0)
+        if self.has_point_spheres:
+            size = self.find_sizes(self.point_lights[row].position - surface.position, row).x
+            sphere = self.reflect_sphere(surface, point_incidence(surface.position, self.point_lights[row]), size)
+            return self.unblocked_point(sphere, surface.position, surface.plane, row)
         light = self.reflect_light(surface, point_incidence(surface.position, self.point_lights[row]))
         return self.unblocked_point(light, surface.position, surface.plane, row)
 
@@ -291,6 +320,10 @@ class LampShader(ReflectingShader, ShadowReceiver):
         """Return the light of the spot light of a row."""
         if not in_range(surface, self.spot_lights[row].position, self.spot_lights[row].range):
             return sl.vec3(0.0)
+        if self.has_spot_spheres:
+            size = self.find_sizes(self.spot_lights[row].position - surface.position, row).y
+            sphere = self.reflect_sphere(surface, spot_incidence(surface.position, self.spot_lights[row]), size)
+            return self.unblocked_spot(sphere, surface.position, surface.plane, row)
         light = self.reflect_light(surface, spot_incidence(surface.position, self.spot_lights[row]))
         return self.unblocked_spot(light, surface.position, surface.plane, row)
 

@@ -102,6 +102,7 @@ SOURCES: Final[dict[str, Callable[[Frame], Any]]] = {
     "directional_lights": lambda frame: frame.resources.directional.buffer,
     "point_lights": lambda frame: frame.resources.point.buffer,
     "spot_lights": lambda frame: frame.resources.spot.buffer,
+    "source_radii": lambda frame: frame.resources.source_radii.texture,
     "light_rows": lambda frame: frame.resources.light_rows.buffer,
     "textures": lambda frame: _images_of(frame).table,
     "fog": bind_fog,

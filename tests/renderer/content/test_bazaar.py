@@ -37,6 +37,15 @@ def test_each_material_has_three_textures_of_its_own_surface(small):
     assert not small.textures["is_color"][metals["normal_texture"]].any()
 
 
+def test_its_lights_are_as_large_as_their_bulbs_if_they_have_a_radius(small):
+    spheres = load_scene(f"{SMALL},seed=0,radius=0.25")
+    assert spheres.name == f"{small.name},radius=0.25"
+    assert not small.lights.point["source_radius"].any()
+    assert (spheres.lights.point["source_radius"] == 0.25).all()
+    size = (spheres.objects.upper - spheres.objects.lower)[spheres.objects.mesh == spheres.meshes.names.index("bulb")]
+    assert np.allclose(size[:, 1], 0.5, atol=0.01)
+
+
 def test_few_instances_are_all_floors_and_walls():
     assert len(load_scene("bazaar:instances=16,materials=1,meshes=1,lights=0,detail=4").objects) == 16
 

@@ -146,6 +146,7 @@ def make_rich_scene():
     builder.lights.add_directional((0.3, -0.7, 0.1), (0.1, 0.7, 0.3), 1.7, casts_shadow=True)
     builder.lights.add_points(rng.normal(size=(20, 3)) * 1e5, 7.3, rng.random((20, 3)), rng.random(20) * 90)
     builder.lights.add_spots(rng.normal(size=(20, 3)), rng.normal(size=(20, 3)), 3.1, 0.2, 0.7, (1, 0.9, 0.3), 5.5)
+    builder.lights.point["source_radius"][::2] = builder.lights.spot["source_radius"][1::2] = 0.3
     builder.views["first"] = Camera.look_at(rng.normal(size=3), rng.normal(size=3))
     builder.views["flat"] = Camera.look_at((1, 2, 3), (0, 0, 0), projection=Orthographic(4.0, 1.5, 0.5, 9.0))
     builder.background, builder.haze = (0.1, 0.2, 0.3), 0.01

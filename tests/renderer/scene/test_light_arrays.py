@@ -20,6 +20,8 @@ WRITTEN: dict[str, tuple[str, str, Any]] = {
     "a sun's direction half as long": ("directional", "direction", (0.0, -0.5, 0.0)),
     "a negative range of a point": ("point", "range", -3.0),
     "a negative range of a spot": ("spot", "range", -1e-3),
+    "a negative radius": ("point", "source_radius", -0.1),
+    "a radius above the range": ("point", "source_radius", 3.001),
     "a negative color": ("point", "color", (1.0, -0.1, 1.0)),
     "a negative intensity": ("directional", "intensity", -1.0),
     "a cone that is wider inside": ("spot", "inner", 0.7),
@@ -29,6 +31,7 @@ WRITTEN: dict[str, tuple[str, str, Any]] = {
 FINE: dict[str, tuple[str, str, Any]] = {
     "a direction that is rounded": ("spot", "direction", (0.0, -0.9995, 0.0)),
     "a range of 0": ("point", "range", 0.0),
+    "a sphere of the whole range": ("point", "source_radius", 3.0),
     "no light": ("point", "intensity", 0.0),
     "a ball": ("spot", "outer", np.pi),
     "a sharp cone": ("spot", "inner", 0.6),

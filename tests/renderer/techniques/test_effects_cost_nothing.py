@@ -248,6 +248,17 @@ def test_glow_needs_something_that_is_brighter_than_white() -> None:
     assert "tones" in list_passes(scene, "forward")
 
 
+@pytest.mark.parametrize("name", TECHNIQUES)
+@pytest.mark.parametrize("kind", ["point", "spot"])
+def test_lamps_that_are_points_leave_no_trace_of_spheres_and_spheres_add_no_draw(name: str, kind: str) -> None:
+    trace = Trace("source radii", r"\bsphere_cosine\b", "source_radii")
+    points, spheres = (make({Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}) for _ in range(2))
+    getattr(spheres.lights, kind)["source_radius"] = 0.1
+    assert not find_traces(points, name, trace)
+    assert {one.partition(" ")[0] for one in find_traces(spheres, name, trace)} == {"text", "label", "binding"}
+    assert measure(spheres, name) == measure(points, name)
+
+
 @dataclass(frozen=True)
 class Measured:
     """The passes of a frame, its draws and the bytes of its textures."""

@@ -102,6 +102,16 @@ def test_random_lights_give_the_picture_of_forward_shading(
     check_all(drawing_device, builder.build())
 
 
+def test_spheres_give_the_picture_of_forward_shading(drawing_device: rhi.Device) -> None:
+    builder = stage()
+    metal = builder.add_material(base_color=(0.9, 0.8, 0.5), metallic=1.0, roughness=0.3)
+    builder.add_objects(builder.add_node(translation((0, 1, 3))), 1, metal)
+    add_random_lights(builder, 40, 6)
+    for some in (builder.lights.point, builder.lights.spot):
+        some["source_radius"] = some["range"] * np.random.default_rng(7).uniform(0.0, 0.3, len(some))
+    check_all(drawing_device, builder.build())
+
+
 @pytest.mark.nightly
 def test_what_every_webgpu_has_suffices_for_all_but_packed_lists(monkeypatch: pytest.MonkeyPatch) -> None:
     """Light is added up in half floats there; the lists of `light_indexed` are numbers that need 32 bits."""

@@ -4,6 +4,7 @@ documents that the scene's own refer to, in another form where there is one.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -18,6 +19,8 @@ _AWAY: Final = 1e-6
 which float64 rounds."""
 _SMOOTHEST: Final = 0.1
 """The roughness below which the metallic-roughness model counts as that."""
+_RINGS: Final = 24
+"""Rings of directions to a lamp that is a sphere, of twice as many directions each."""
 
 
 class LitSurfaces:
@@ -44,7 +47,7 @@ class LitSurfaces:
         reach = float(lamp["range"])
         to_light = normalize(away)
         window = np.clip(1.0 - (distance / max(reach, 1e-10)) ** 4, 0.0, 1.0)
-        strength = float(lamp["intensity"]) * window**2 / np.maximum(distance, 0.01) ** 2
+        strength = float(lamp["intensity"]) * window**2 / np.maximum(distance, max(0.01, lamp["source_radius"])) ** 2
         if "outer" in lamp.dtype.names:
             cosine = -to_light @ lamp["direction"].astype(np.float64)
             outer, inner = (np.cos(float(lamp[name])) for name in ("outer", "inner"))
@@ -52,17 +55,21 @@ class LitSurfaces:
         return self._reflect(seen, to_light, np.where(distance < reach, strength, 0.0), distance, lamp)
 
     def _reflect(self, seen: Surfaces, to_light: Floats, strength: Floats, distance: Any, lamp: Any) -> Floats:
-        """Return the light that surfaces reflect of a lamp in the direction `to_light`, at a distance."""
-        facing = _dot(seen.normal, to_light)
-        lit = np.flatnonzero((facing > 0.0) & (strength > 0.0))
+        """Return the light that surfaces reflect of a lamp in the direction `to_light`, at a distance. Shadows of a
+        sphere are those of its centre."""
+        radius = float(lamp["source_radius"]) if "source_radius" in lamp.dtype.names else 0.0
+        sine = np.minimum(radius / np.broadcast_to(np.maximum(distance, 1e-9), strength.shape), 1.0)
+        lit = np.flatnonzero((_dot(seen.normal, to_light) > -sine) & (strength > 0.0))
         color = np.zeros(seen.normal.shape)
         if len(lit) and lamp["casts_shadow"] and self._has_shadows:
-            far = np.broadcast_to(distance, facing.shape)[lit]
+            far = np.broadcast_to(distance, strength.shape)[lit]
             lit = lit[~self._are_dark(seen.position[lit], seen.plane[lit], to_light[lit], far)]
         if len(lit):
             some = _take(seen, lit)
-            arriving = lamp["color"].astype(np.float64) * (strength * facing)[lit, None]
-            color[lit] = reflect(some, to_light[lit]) * arriving
+            arriving = lamp["color"].astype(np.float64) * strength[lit, None]
+            for direction, share in _list_directions(to_light[lit], sine[lit]):
+                facing = np.maximum(_dot(some.normal, direction), 0.0)
+                color[lit] += reflect(some, direction) * arriving * (share * facing)[:, None]
         return color
 
     def _are_dark(self, position: Floats, plane: Floats, to_light: Floats, distance: Floats) -> NDArray[np.bool_]:
@@ -95,6 +102,22 @@ class LitSurfaces:
         blunt = np.where(is_metal, rough**2, 0.0)[:, None]
         beyond = beyond * (1.0 - blunt) + seen.normal * blunt
         return np.asarray((diffuse * arrive(seen.normal) + mirrored * arrive(beyond)) * seen.occlusion[:, None])
+
+
+def _list_directions(to_light: Floats, sine: Floats) -> Iterator[tuple[Floats, Any]]:
+    """Yield directions (k, 3) that stand for equal solid angles of spheres with centres in the directions `to_light`,
+    and the shares of their light: a part of the sphere's radiance, which is 1 / (π sine²) of what a point gives."""
+    if not sine.any():
+        yield to_light, 1.0
+        return
+    cosine = np.sqrt(1.0 - sine**2)
+    aside = normalize(np.cross(to_light, np.eye(3)[np.abs(to_light).argmin(axis=1)]))
+    up = np.cross(to_light, aside)
+    for i, turn in np.ndindex(_RINGS, 2 * _RINGS):
+        along = (1.0 - (1.0 - cosine) * (i + 0.5) / _RINGS)[:, None]
+        angle = np.pi * (turn + 0.5) / _RINGS
+        around = aside * np.cos(angle) + up * np.sin(angle)
+        yield to_light * along + around * np.sqrt(1.0 - along**2), 1.0 / (1.0 + cosine) / _RINGS**2
 
 
 def reflect(seen: Surfaces, to_light: Floats) -> Floats:

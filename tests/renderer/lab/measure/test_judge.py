@@ -57,6 +57,19 @@ def test_a_lamp_lights_by_the_square_of_its_distance_and_the_cosine() -> None:
     assert see_light(builder, (3, 2, 0), (0, 0, 0)) == pytest.approx(want, rel=1e-6)
 
 
+@pytest.mark.parametrize("height", [2.0, 0.4, -0.3])
+def test_a_sphere_lights_as_the_points_of_its_surface_do(height: float) -> None:
+    builder, radius = make_floor(base_color=(1, 1, 1)), 0.8
+    builder.lights.add_point((0, height, 0), 1e6, intensity=2.0, source_radius=radius)
+    outward = np.random.default_rng(0).normal(size=(400_000, 3))
+    outward /= np.linalg.norm(outward, axis=1)[:, None]
+    way = np.array((0, height, 0)) + radius * outward - (1.0, 0.0, 0.0)
+    squared = (way**2).sum(1)
+    seen = np.maximum(-(way * outward).sum(1), 0.0) * np.maximum(way[:, 1], 0.0) / squared**2
+    want = 4.0 * 2.0 * seen.mean()  # of radiance 2 / (π radius²) from 4 π radius²
+    assert see_light(builder, (1, 2, 0.5), (1, 0, 0))[0] == pytest.approx(want, rel=0.01)
+
+
 @pytest.mark.parametrize(("angle", "share"), [(0.1, 1.0), (0.3, 1.0), (0.4, 0.3127), (0.5, 0.0), (0.6, 0.0)])
 def test_a_spot_fades_between_its_angles(angle: float, share: float) -> None:
     builder = make_floor(base_color=(1, 1, 1))
