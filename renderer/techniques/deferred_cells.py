@@ -232,33 +232,18 @@ class TiledDeferred:
         `ClusteredDeferred` without lights to test."""
         if not list_lamps(needs):
             return cluster_passes(needs, self.samples)
-        if self.samples > 1:
-            return self._declare_samples(needs)
-        reads = list_contents(needs)
-        return (
-            geometry_pass(needs),
-            Pass("tiles", light_tiles, explain_lamps(needs), reads=reads, writes=(Target("light", LIGHT_FORMAT),)),
-            resolve_pass(
-                needs,
-                partial(resolve, lights=("light",)),
-                "lights surfaces by what reaches all of them",
-                (*reads, "light"),
-            ),
-            *finish_image(needs, FORWARD),
-        )
-
-    def _declare_samples(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the passes that shade the samples in `tiles`."""
-        reads = list_samples(self.samples, *list_contents(needs))
-        light = partial(light_samples, samples=self.samples)
-        passes = (
-            geometry_pass(needs, samples=self.samples),
-            Pass("tiles", light, explain_lamps(needs), reads=reads, writes=(Target("lit", LIGHT_FORMAT),)),
-            resolve_pass(
-                needs, lambda frame: draw_full_screen(frame, LitPixels, frame.image), "shows what was shaded", ("lit",)
-            ),
-        )
-        return frame_samples(needs, *passes, samples=self.samples)
+        samples = self.samples
+        reads, geometry = list_samples(samples, *list_contents(needs)), geometry_pass(needs, samples=samples)
+        if samples == 1:
+            light = Pass(
+                "tiles", light_tiles, explain_lamps(needs), reads=reads, writes=(Target("light", LIGHT_FORMAT),)
+            )
+            add, because = partial(resolve, lights=("light",)), "lights surfaces by what reaches all of them"
+            return geometry, light, resolve_pass(needs, add, because, (*reads, "light")), *finish_image(needs, FORWARD)
+        run = partial(light_samples, samples=samples)
+        light = Pass("tiles", run, explain_lamps(needs), reads=reads, writes=(Target("lit", LIGHT_FORMAT),))
+        shown = resolve_pass(needs, _show, "shows what was shaded", ("lit",))
+        return frame_samples(needs, geometry, light, shown, samples=samples)
 
 
 class ClusteredDeferred:
@@ -284,6 +269,10 @@ def light_tiles(frame: Frame) -> None:
 def light_samples(frame: Frame, *, samples: int) -> None:
     """Shade the samples of all pixels, and store their means in `lit`."""
     dispatch_tiles(frame, frame.targets["lit"], SampledTiles, own=bind_samples(frame), samples=samples)
+
+
+def _show(frame: Frame) -> None:
+    draw_full_screen(frame, LitPixels, frame.image)
 
 
 def dispatch_tiles(frame: Frame, lit: Texture, *bases: type[Any], own: Mapping[str, Any] = {}, **switches: int) -> None:

@@ -43,7 +43,7 @@ from renderer.techniques.parts.material_rectangles import (
 )
 from renderer.techniques.parts.packed_geometry import UNPACKED, PackedReader, can_pack, find_packed, packed_pass
 from renderer.techniques.parts.resolve import LIGHT_FORMAT, LitPixels, resolve_pass
-from renderer.techniques.parts.samples import PackedSamples, bind_samples, frame_samples, list_samples
+from renderer.techniques.parts.samples import PackedSamples, SampleMean, bind_samples, frame_samples, list_samples
 from renderer.techniques.parts.scene_shader import ShadingShader
 from renderer.techniques.parts.variants import FORWARD, bind, draw_full_screen, find_variant, list_lamps, list_shaders
 from rhi import DepthFunction, Program, refuse
@@ -115,13 +115,6 @@ class PackedBins(PackedLight):
             self.lit.store(self.find_pixel(), color)
 
 
-class PackedMean(PackedSamples, PackedShading):
-    """Shades the surfaces of a pixel's samples."""
-
-    def fragment(self) -> sl.vec4:
-        return self.mix_samples()
-
-
 def check_passes(multi_pass: bool, binned: bool, samples: int, call: str) -> None:
     """Refuse two ways at once to shade pixels by their materials, and either of them for several samples."""
     if multi_pass and binned:
@@ -183,7 +176,8 @@ class DeferredPlus:
         switches = {**UNPACKED, "has_lamps": has_lamps}
         if self.samples > 1:
             own |= bind_samples(frame)
-            draw_full_screen(frame, PackedMean, frame.image, own, switches={**switches, "samples": self.samples})
+            bases = SampleMean, PackedSamples, PackedShading
+            draw_full_screen(frame, bases, frame.image, own, switches={**switches, "samples": self.samples})
             return
         if self.binned:
             _shade_bins(frame, own, switches)

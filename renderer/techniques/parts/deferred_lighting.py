@@ -21,7 +21,7 @@ from renderer.techniques.parts.geometry_buffer import (
 )
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, declare_lights, draw_volumes
 from renderer.techniques.parts.resolve import EXACT_BITS, resolve_pass
-from renderer.techniques.parts.samples import GeometrySamples, bind_samples, frame_samples, list_samples
+from renderer.techniques.parts.samples import GeometrySamples, SampleMean, bind_samples, frame_samples, list_samples
 from renderer.techniques.parts.scene_shader import ShadingShader
 from renderer.techniques.parts.variants import FORWARD, draw_full_screen, list_lamps
 from rhi import Format
@@ -73,20 +73,6 @@ class LitByLists(CellReader, GeometryResolve):
 
     def local_light(self, surface: SurfacePoint, pixel: sl.ivec2, distance: float) -> sl.vec3:
         return self.celllight(surface, distance)
-
-
-class SampledResolve(GeometrySamples, GeometryResolve):
-    """Makes the image from a geometry buffer of several samples."""
-
-    def fragment(self) -> sl.vec4:
-        return self.mix_samples()
-
-
-class SampledLists(GeometrySamples, LitByLists):
-    """Makes the image from a geometry buffer of several samples, lit by the lights of clusters."""
-
-    def fragment(self) -> sl.vec4:
-        return self.mix_samples()
 
 
 def volume_passes(needs: Needs, *, stencil: bool = False, light_bits: int = EXACT_BITS) -> tuple[Pass[Frame], ...]:
@@ -142,8 +128,7 @@ def resolve(frame: Frame, *, lights: Sequence[str] = (), samples: int = 1) -> No
         lights: the name of the contents with the collected light, the last of its passes; empty without any.
     """
     own = {"light": frame.targets[lights[0]]} if lights else {}
-    shader = GeometryResolve if samples == 1 else SampledResolve
-    resolve_geometry(frame, shader, own, samples=samples, has_light=bool(lights))
+    resolve_geometry(frame, GeometryResolve, own, samples=samples, has_light=bool(lights))
 
 
 def resolve_geometry(
@@ -155,11 +140,10 @@ def resolve_geometry(
         depth, clear = frame.targets["depth"], frame.background
         draw_full_screen(frame, shader, frame.image, own, depth=depth, clear=clear, switches=contents)
     else:
-        given = {**own, **bind_samples(frame)}
-        draw_full_screen(frame, shader, frame.image, given, switches={**contents, "samples": samples})
+        bases, given = (SampleMean, GeometrySamples, shader), {**own, **bind_samples(frame)}
+        draw_full_screen(frame, bases, frame.image, given, switches={**contents, "samples": samples})
 
 
 def light_clusters(frame: Frame, *, samples: int = 1) -> None:
     """Make the image: shade each pixel of the geometry buffer by the light of everything and of its cluster."""
-    shader = LitByLists if samples == 1 else SampledLists
-    resolve_geometry(frame, shader, bind_lists(frame, CLUSTERS), samples=samples)
+    resolve_geometry(frame, LitByLists, bind_lists(frame, CLUSTERS), samples=samples)

@@ -76,6 +76,13 @@ class SampleReader(PixelShader):
         return sl.vec4(seen, 1.0)
 
 
+class SampleMean(SampleReader):
+    """The first base of shaders that make the image of what other bases read and light."""
+
+    def fragment(self) -> sl.vec4:
+        return self.mix_samples()
+
+
 class GeometrySamples(SampleReader, GeometryReader):
     """Reads a geometry buffer of several samples."""
 
