@@ -194,7 +194,8 @@ PLAN_CIRCLE: Final = Rule("plan-circle", "the passes of a frame don't wait for e
 ONE_SAMPLE: Final = Rule(
     "technique-one-sample",
     "this technique draws one sample per pixel",
-    "smooth its image with --fxaa, or use --technique forward, forward_plus or clustered",
+    "smooth its image with --fxaa, or use --technique forward, forward_plus, clustered, tiled_deferred, "
+    "clustered_deferred or deferred_plus",
 )
 MANY_MATERIALS: Final = Rule(
     "technique-many-materials",

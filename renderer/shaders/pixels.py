@@ -62,6 +62,10 @@ class PixelShader(sl.Shader):
         """Return the pixel."""
         return sl.ivec2(sl.fragment_coordinate().xy)
 
+    def light_sample(self, sample: int) -> sl.vec4:
+        """Return the colour of a sample of the pixel that has a surface; of the pixel if it has one."""
+        return sl.vec4(0.0)
+
 
 class BackgroundScreen(sl.FullScreen):
     """The base of shaders whose fragments are all pixels of a view, at the depth of its background. So a depth test

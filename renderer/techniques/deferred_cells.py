@@ -10,6 +10,7 @@ Without point and spot lights in view, both are deferred shading.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, Final
 
@@ -22,7 +23,7 @@ from renderer.lights.culling.sphere_tests import overlaps_hybrid
 from renderer.lights.culling.uploads import LightUploads
 from renderer.lights.culling.volumes import WORD
 from renderer.shaders.structs import SurfacePoint
-from renderer.techniques.parts.deferred_lighting import cluster_passes, resolve, volume_passes
+from renderer.techniques.parts.deferred_lighting import cluster_passes, resolve
 from renderer.techniques.parts.finish import finish_image
 from renderer.techniques.parts.geometry_buffer import (
     GeometryReader,
@@ -30,9 +31,10 @@ from renderer.techniques.parts.geometry_buffer import (
     geometry_pass,
     list_contents,
 )
-from renderer.techniques.parts.resolve import LIGHT_FORMAT, resolve_pass
-from renderer.techniques.parts.scene_shader import LampShader
-from renderer.techniques.parts.variants import FORWARD, bind, explain_lamps, find_variant, list_lamps
+from renderer.techniques.parts.resolve import LIGHT_FORMAT, LitPixels, resolve_pass
+from renderer.techniques.parts.samples import GeometrySamples, bind_samples, frame_samples, list_samples
+from renderer.techniques.parts.scene_shader import LampShader, ShadingShader
+from renderer.techniques.parts.variants import FORWARD, bind, draw_full_screen, explain_lamps, find_variant, list_lamps
 from rhi import Texture
 
 TILE: Final = 16
@@ -68,53 +70,66 @@ class TiledLighting(GeometryReader, LampShader):
         if inside:
             depth = self.depth.load(pixel).r
         has_surface = depth != self.grid.background
-        cell = self.find_cell(lane, tile, depth, has_surface)
+        cell = self.find_cell(lane, tile, depth, depth, has_surface)
 
         texel = sl.uvec4(0)
         row = sl.uvec4(0)
         if has_surface:
-            texel = self.surface.load(pixel)
-            row = self.material.load(pixel)
+            texel = self.load_surface(pixel, 0)
+            row = self.load_material(pixel, 0)
         position = self.find_place(texel, pixel)
-        surface = self.read_surface(row, texel, pixel, position)
+        surface = self.read_surface(row, texel, pixel, 0, position)
         color = sl.vec3(0.0)
-        words = self.lights.words
-        for base in range(0, words, _CHUNK):
-            if lane < _CHUNK:
-                self.kept[lane] = sl.uint(0)
-            sl.barrier()
-            if cell.near <= cell.far:
-                for k in range(lane, WORD * sl.min(words - base, _CHUNK), _GROUP):
-                    if self.reaches(WORD * base + k, cell):
-                        sl.atomic_or(self.kept[k // WORD], sl.uint(1) << sl.uint(k % WORD))
-            sl.barrier()
+        for base in range(0, self.lights.words, _CHUNK):
+            self.keep_lights(lane, base, cell)
             if has_surface:
-                for w in range(sl.min(words - base, _CHUNK)):
-                    bits = self.kept[w]
-                    while bits != sl.uint(0):
-                        light = WORD * (base + w) + sl.find_lsb(bits)
-                        bits = bits & (bits - sl.uint(1))
-                        color += self.light_of(surface, light)
+                color += self.kept_light(surface, base)
             sl.barrier()
         if inside:
             self.lit.store(pixel, self.encode_light(color))
 
+    def keep_lights(self, lane: int, base: int, cell: Cell) -> None:
+        """Keep those of the lights from word `base` on that may reach a cell, as many as a tile holds at a time."""
+        if lane < _CHUNK:
+            self.kept[lane] = sl.uint(0)
+        sl.barrier()
+        if cell.near <= cell.far:
+            for k in range(lane, WORD * sl.min(self.lights.words - base, _CHUNK), _GROUP):
+                if self.reaches(WORD * base + k, cell):
+                    sl.atomic_or(self.kept[k // WORD], sl.uint(1) << sl.uint(k % WORD))
+        sl.barrier()
+
+    def kept_light(self, surface: SurfacePoint, base: int) -> sl.vec3:
+        """Return the light of those that are kept, from word `base` on."""
+        color = sl.vec3(0.0)
+        for w in range(sl.min(self.lights.words - base, _CHUNK)):
+            bits = self.kept[w]
+            while bits != sl.uint(0):
+                light = WORD * (base + w) + sl.find_lsb(bits)
+                bits = bits & (bits - sl.uint(1))
+                color += self.light_of(surface, light)
+        return color
+
     def encode_light(self, color: sl.vec3) -> sl.vec4:
         return sl.vec4(color, 0.0)
 
-    def find_cell(self, lane: int, tile: sl.ivec2, depth: float, has_surface: bool) -> Cell:
-        """Return the tile's cell between its nearest and its farthest surface; it is empty without any."""
+    def find_cell(self, lane: int, tile: sl.ivec2, low: float, high: float, has_surface: bool) -> Cell:
+        """Return the tile's cell between its nearest and its farthest surface; it is empty without any. Those of a
+        pixel lie between two depths, of which none is below 0."""
         if lane == 0:
             self.least = sl.uint(0x7F7FFFFF)  # the largest float: as long as no depth is below it, there is none
             self.greatest = sl.uint(0)
         sl.barrier()
         if has_surface:
-            bits = sl.float_bits_to_uint(depth)  # ordered as the depths are, none of which is below 0
-            sl.atomic_min(self.least, bits)
-            sl.atomic_max(self.greatest, bits)
+            sl.atomic_min(self.least, sl.float_bits_to_uint(low))  # bits are ordered as the depths are
+            sl.atomic_max(self.greatest, sl.float_bits_to_uint(high))
         sl.barrier()
-        ends = range_of(self.grid, sl.uint_bits_to_float(self.least), sl.uint_bits_to_float(self.greatest))
+        ends = self.find_ends(sl.uint_bits_to_float(self.least), sl.uint_bits_to_float(self.greatest))
         return block_cell(self.grid, tile, 1, ends.x, ends.y)
+
+    def find_ends(self, low: float, high: float) -> sl.vec2:
+        """Return the least and the greatest distance of the tile's surfaces, given their depths."""
+        return range_of(self.grid, low, high)
 
     def reaches(self, light: int, cell: Cell) -> bool:
         """Return whether a light may reach a cell that isn't empty."""
@@ -142,6 +157,63 @@ class TiledLighting(GeometryReader, LampShader):
         return sl.vec3(0.0)
 
 
+class SampledTiles(GeometrySamples, TiledLighting, ShadingShader):
+    """Shades the samples of each pixel, each surface once, and stores their mean colour."""
+
+    def compute(self) -> None:
+        pixel = self.find_pixel()
+        inside = pixel.x < self.grid.size.x and pixel.y < self.grid.size.y
+        near = self.rays.far
+        far = 0.0
+        colors = sl.array(sl.vec3, self.samples)
+        if inside:
+            for sample in range(self.samples):
+                if self.is_covered(sample):
+                    distance = self.find_distance(sample)
+                    near = sl.min(near, distance)
+                    far = sl.max(far, distance)
+                    if self.is_new(sample):
+                        row = int(self.load_material(pixel, sample).x)
+                        colors[sample] = self.shade(self.find_surface(sample), self.materials[row])
+        lane = sl.local_index()
+        cell = self.find_cell(lane, sl.group_id().xy, near, far, near <= far)
+        for base in range(0, self.lights.words, _CHUNK):
+            self.keep_lights(lane, base, cell)
+            if near <= far:
+                for sample in range(self.samples):
+                    if self.is_covered(sample) and self.is_new(sample):
+                        colors[sample] += self.kept_light(self.find_surface(sample), base)
+            sl.barrier()
+        total = sl.vec4(0.0)
+        color = sl.vec4(0.0)
+        if inside:
+            for sample in range(self.samples):
+                if self.is_new(sample):
+                    color = self.find_backdrop()
+                    if self.is_covered(sample):
+                        position = self.find_place(self.load_surface(pixel, sample), pixel)
+                        color = self.finish(colors[sample], position)
+                total += color
+            self.lit.store(pixel, total / float(self.samples))
+
+    def find_pixel(self) -> sl.ivec2:
+        return sl.global_id().xy
+
+    def find_distance(self, sample: int) -> float:
+        """Return the distance along the view of a sample's surface."""
+        return sl.max(sl.uint_bits_to_float(self.load_surface(self.find_pixel(), sample).y), 0.0)
+
+    def find_surface(self, sample: int) -> SurfacePoint:
+        """Return the surface of a sample."""
+        pixel = self.find_pixel()
+        texel = self.load_surface(pixel, sample)
+        row = self.load_material(pixel, sample)
+        return self.read_surface(row, texel, pixel, sample, self.find_place(texel, pixel))
+
+    def find_ends(self, low: float, high: float) -> sl.vec2:
+        return sl.vec2(low, high) if low <= high else sl.vec2(1.0, 0.0)  # surfaces store distances
+
+
 _make_uploads: Final = partial(LightUploads, tile=TILE)
 """Makes the lights of a frame, for tiles as large as the work-groups of `TiledLighting`."""
 
@@ -151,22 +223,27 @@ class TiledDeferred:
 
     name: Final = "tiled_deferred"
 
+    def __init__(self, samples: int = 1) -> None:
+        """Choose the number of samples per pixel, as for `Forward`."""
+        self.samples = samples
+
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the passes `geometry`, `tiles` and `resolve`; those of `Deferred` without lights to test."""
+        """Return the passes `geometry`, `tiles` and `resolve`, with several samples also `depth` before them; those of
+        `ClusteredDeferred` without lights to test."""
         if not list_lamps(needs):
-            return volume_passes(needs)
-        reads = list_contents(needs)
-        return (
-            geometry_pass(needs),
-            Pass("tiles", light_tiles, explain_lamps(needs), reads=reads, writes=(Target("light", LIGHT_FORMAT),)),
-            resolve_pass(
-                needs,
-                partial(resolve, lights=("light",)),
-                "lights surfaces by what reaches all of them",
-                (*reads, "light"),
-            ),
-            *finish_image(needs, FORWARD),
-        )
+            return cluster_passes(needs, self.samples)
+        samples = self.samples
+        reads, geometry = list_samples(samples, *list_contents(needs)), geometry_pass(needs, samples=samples)
+        if samples == 1:
+            light = Pass(
+                "tiles", light_tiles, explain_lamps(needs), reads=reads, writes=(Target("light", LIGHT_FORMAT),)
+            )
+            add, because = partial(resolve, lights=("light",)), "lights surfaces by what reaches all of them"
+            return geometry, light, resolve_pass(needs, add, because, (*reads, "light")), *finish_image(needs, FORWARD)
+        run = partial(light_samples, samples=samples)
+        light = Pass("tiles", run, explain_lamps(needs), reads=reads, writes=(Target("lit", LIGHT_FORMAT),))
+        shown = resolve_pass(needs, _show, "shows what was shaded", ("lit",))
+        return frame_samples(needs, geometry, light, shown, samples=samples)
 
 
 class ClusteredDeferred:
@@ -174,9 +251,14 @@ class ClusteredDeferred:
 
     name: Final = "clustered_deferred"
 
+    def __init__(self, samples: int = 1) -> None:
+        """Choose the number of samples per pixel, as for `Forward`."""
+        self.samples = samples
+
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the passes `geometry`, `light lists` and `resolve`; those of `Deferred` without lights to list."""
-        return cluster_passes(needs)
+        """Return the passes `geometry`, `light lists` and `resolve`, with several samples also `depth` before them;
+        those of `Deferred` without lights to list."""
+        return cluster_passes(needs, self.samples)
 
 
 def light_tiles(frame: Frame) -> None:
@@ -184,12 +266,21 @@ def light_tiles(frame: Frame) -> None:
     dispatch_tiles(frame, frame.targets["light"], TiledLighting)
 
 
-def dispatch_tiles(frame: Frame, lit: Texture, *bases: type[Any]) -> None:
-    """Run the compute shader with these bases for all tiles."""
+def light_samples(frame: Frame, *, samples: int) -> None:
+    """Shade the samples of all pixels, and store their means in `lit`."""
+    dispatch_tiles(frame, frame.targets["lit"], SampledTiles, own=bind_samples(frame), samples=samples)
+
+
+def _show(frame: Frame) -> None:
+    draw_full_screen(frame, LitPixels, frame.image)
+
+
+def dispatch_tiles(frame: Frame, lit: Texture, *bases: type[Any], own: Mapping[str, Any] = {}, **switches: int) -> None:
+    """Run the compute shader with these bases for all tiles, with bindings of its own and its switches."""
     uploads = frame.view.workspace(_make_uploads)
     uploads.write(frame.camera, frame.targets.size, frame.resources.scene.lights)
     count = uploads.layout.count
-    program: Any = frame.program(find_variant(frame, *bases, **find_contents(frame.needs)))
+    program: Any = frame.program(find_variant(frame, *bases, **find_contents(frame.needs), **switches))
     cones = uploads.cones if Effect.SPOT_LIGHTS in frame.needs.effects else {}
-    own = {"lit": lit.image(0), **uploads.bindings, **cones}
+    own = {**own, "lit": lit.image(0), **uploads.bindings, **cones}
     frame.device.dispatch(program, (count.x, count.y), **bind(frame, program, own))

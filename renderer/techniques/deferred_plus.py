@@ -30,10 +30,9 @@ import rhi.shading as sl
 from renderer import rules
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.encodings import material_depth
-from renderer.shaders.pixels import BackgroundScreen, distance_at, nearness_of, place_pixel
+from renderer.shaders.pixels import BackgroundScreen, place_pixel
 from renderer.techniques.parts.cell_lists import CLUSTERS, CellReader, bind_lists, by_cells, list_pass
 from renderer.techniques.parts.deferred_lighting import cluster_passes
-from renderer.techniques.parts.finish import finish_image
 from renderer.techniques.parts.full_screen import Color
 from renderer.techniques.parts.material_bins import LANES, DispatchGroups, PixelBins, PixelRange, bins_pass
 from renderer.techniques.parts.material_rectangles import (
@@ -42,8 +41,9 @@ from renderer.techniques.parts.material_rectangles import (
     ids_pass,
     rectangles_pass,
 )
-from renderer.techniques.parts.packed_geometry import UNPACKED, PackedReader, can_pack, packed_pass
-from renderer.techniques.parts.resolve import LIGHT_FORMAT, resolve_pass
+from renderer.techniques.parts.packed_geometry import UNPACKED, PackedReader, can_pack, find_packed, packed_pass
+from renderer.techniques.parts.resolve import LIGHT_FORMAT, LitPixels, resolve_pass
+from renderer.techniques.parts.samples import PackedSamples, SampleMean, bind_samples, frame_samples, list_samples
 from renderer.techniques.parts.scene_shader import ShadingShader
 from renderer.techniques.parts.variants import FORWARD, bind, draw_full_screen, find_variant, list_lamps, list_shaders
 from rhi import DepthFunction, Program, refuse
@@ -54,12 +54,11 @@ class PackedLight(PackedReader, CellReader, ShadingShader):
 
     has_lamps = False
 
-    def light_pixel(self) -> sl.vec4:
-        """Return the colour of the pixel's surface."""
+    def light_sample(self, sample: int) -> sl.vec4:
         place = sl.vec2(self.find_pixel()) + 0.5
-        distance = distance_at(self.rays, nearness_of(self.rays, self.depth.load(self.find_pixel()).x))
+        distance = self.find_distance(sample)
         position = place_pixel(self.rays, place, distance)
-        at = self.read_input(position)
+        at = self.read_input(position, sample)
         material = self.materials[at.material]
         described = self.describe(at)
         surface = self.make_surface(position, at.normal, described, material)
@@ -73,7 +72,7 @@ class PackedShading(BackgroundScreen, PackedLight):
     """Shades pixels where they lie."""
 
     def fragment(self) -> sl.vec4:
-        return self.light_pixel()
+        return self.light_sample(0)
 
 
 class PackedShaders(PackedShading):
@@ -91,7 +90,7 @@ class PackedRectangles(RectangleShader, PackedLight):
     def fragment(self) -> sl.vec4:
         if self.depth.load(self.find_pixel()).x == self.rays.farthest:
             sl.discard()
-        return self.light_pixel()
+        return self.light_sample(0)
 
 
 class PackedBins(PackedLight):
@@ -111,24 +110,18 @@ class PackedBins(PackedLight):
 
     def compute(self) -> None:
         # Lanes of no pixel shade another one: what lanes do together must be done by all.
-        color = self.light_pixel()
+        color = self.light_sample(0)
         if self.ranges[self.shader].begin + sl.uint(sl.global_id().x) < self.ranges[self.shader].end:
             self.lit.store(self.find_pixel(), color)
 
 
-class LitPixels(BackgroundScreen):
-    """Shows what was shaded elsewhere."""
-
-    lit: sl.Texture2D
-
-    def fragment(self) -> sl.vec4:
-        return sl.vec4(self.lit.load(sl.ivec2(sl.fragment_coordinate().xy)).rgb, 1.0)
-
-
-def check_passes(multi_pass: bool, binned: bool, call: str) -> None:
-    """Refuse two ways at once to shade pixels by their materials."""
+def check_passes(multi_pass: bool, binned: bool, samples: int, call: str) -> None:
+    """Refuse two ways at once to shade pixels by their materials, and either of them for several samples."""
     if multi_pass and binned:
         refuse(rules.BAD_TECHNIQUE, f"{call}(multi_pass=..., binned=...)", "True and True", "one of them")
+    if samples > 1 and (multi_pass or binned):
+        given = f"{'multi_pass' if multi_pass else 'binned'} with samples={samples}"
+        refuse(rules.BAD_TECHNIQUE, f"{call}(samples=...)", given, "samples=1")
 
 
 class DeferredPlus:
@@ -136,18 +129,21 @@ class DeferredPlus:
 
     name: Final = "deferred_plus"
 
-    def __init__(self, *, multi_pass: bool = False, binned: bool = False) -> None:
-        """With `multi_pass`, the pixels of a material are found by a depth test, and shaded in draws of their own. If
-        they are `binned`, they are listed by material, and shaded by compute shaders. Not both."""
-        check_passes(multi_pass, binned, "DeferredPlus")
-        self.multi_pass, self.binned = multi_pass, binned
+    def __init__(self, samples: int = 1, *, multi_pass: bool = False, binned: bool = False) -> None:
+        """Choose the number of samples per pixel, as for `Forward`. With `multi_pass`, the pixels of a material are
+        found by a depth test, and shaded in draws of their own. If they are `binned`, they are listed by material, and
+        shaded by compute shaders. Not both, and neither with several samples."""
+        check_passes(multi_pass, binned, samples, "DeferredPlus")
+        self.samples, self.multi_pass, self.binned = samples, multi_pass, binned
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `geometry`, `light lists` if there are lights to list, and `shading`; with `multi_pass`
         also `material ids` and `rectangles`, if `binned` also `bins` and `resolve`; and those of transparent
-        surfaces."""
-        if not can_pack(needs):
-            return cluster_passes(needs)
+        surfaces. With several samples, `depth` comes before, and shaders of materials are evaluated as by
+        `ClusteredDeferred`: the samples of a pixel may have several."""
+        samples = self.samples
+        if not can_pack(needs) or (samples > 1 and Effect.MATERIAL_SHADERS in needs.effects):
+            return cluster_passes(needs, samples)
         lists = (list_pass(needs, CLUSTERS),) if list_lamps(needs) else ()
         found: dict[str, Pass[Frame]] = {}  # what finds the pixels of materials, by its contents
         if self.binned:
@@ -156,24 +152,33 @@ class DeferredPlus:
             found = {"material ids": ids_pass(), "rectangles": rectangles_pass()}
         elif Effect.MATERIAL_SHADERS in needs.effects:
             found = {"material ids": ids_pass(by_shader=True)}
-        colors = ("vertex_colors",) if Effect.VERTEX_COLORS in needs.effects else ()
         # A pass can't read the depth that it tests. Others test `material ids`.
-        copied = () if found else (Target("depth copy", DEPTH_FORMAT),)
+        copied = () if found or samples > 1 else (Target("depth copy", DEPTH_FORMAT),)
         shading = Pass(
             "shading",
             self._shade,
             "evaluates each pixel's material and its light",
-            reads=("packed", "depth", *colors, *(("light lists",) if lists else ()), *found),
+            reads=(
+                *list_samples(samples, *find_packed(needs, samples), "depth"),
+                *(("light lists",) if lists else ()),
+                *found,
+            ),
             writes=(Target("lit", LIGHT_FORMAT),) if self.binned else (needs.image, *copied),
         )
         shown = (resolve_pass(needs, _show, "shows what was shaded", ("lit", "depth")),) if self.binned else ()
         lighting = by_cells(CLUSTERS) if lists else FORWARD
-        return (packed_pass(needs), *lists, *found.values(), shading, *shown, *finish_image(needs, lighting))
+        passes = packed_pass(needs, samples=samples), *lists, *found.values(), shading, *shown
+        return frame_samples(needs, *passes, samples=samples, lighting=lighting)
 
     def _shade(self, frame: Frame) -> None:
         targets, has_lamps = frame.targets, bool(list_lamps(frame.needs))
         own: dict[str, Any] = bind_lists(frame, CLUSTERS) if has_lamps else {}
         switches = {**UNPACKED, "has_lamps": has_lamps}
+        if self.samples > 1:
+            own |= bind_samples(frame)
+            bases = SampleMean, PackedSamples, PackedShading
+            draw_full_screen(frame, bases, frame.image, own, switches={**switches, "samples": self.samples})
+            return
         if self.binned:
             _shade_bins(frame, own, switches)
             return

@@ -9,7 +9,7 @@ from inspect import signature
 from renderer import rules
 from renderer.scene import Scene
 from renderer.techniques.auto import CANDIDATES, AutoTechnique
-from renderer.techniques.deferred_plus import check_passes
+from renderer.techniques.deferred_plus import DeferredPlus, check_passes
 from renderer.techniques.forward import Forward
 from renderer.techniques.inferred import check_scale
 from renderer.techniques.light_pre_pass import check_channels
@@ -27,8 +27,8 @@ class TechniqueSettings:
 
     Attributes:
         name: of `TECHNIQUES`, or `auto`.
-        samples: samples per pixel, of `forward`, `forward_plus` and `clustered`; more than one is refused for others.
-            `auto` is then `forward`.
+        samples: samples per pixel, of `forward`, `forward_plus`, `clustered`, `tiled_deferred`, `clustered_deferred`
+            and `deferred_plus`; more than one is refused for others. `auto` is then `forward`.
         fxaa: whether the edges of the image are smoothed.
         tiles: the tiles of `forward_plus`. clusters: those of `clustered`.
         scale: the size of the light buffers of `inferred`, in that of the image. stippled: whether it draws transparent
@@ -70,7 +70,8 @@ class TechniqueSettings:
         check_scale(self.scale, "TechniqueSettings")
         check_channels(self.specular_channels, "TechniqueSettings")
         check_bits(self.light_bits, "TechniqueSettings")
-        check_passes(self.multi_pass, self.binned, "TechniqueSettings")
+        samples = self.samples if self.name == DeferredPlus.name else 1
+        check_passes(self.multi_pass, self.binned, samples, "TechniqueSettings")
 
     def find_cells(self, name: str) -> LightCells | None:
         """Return the cells of lights that the setting of this name has; None for all but `tiles` and `clusters`."""

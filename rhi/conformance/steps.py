@@ -66,7 +66,7 @@ STEPS: Final = (
     Step(
         "texture reads",
         ("bind_texture",),
-        ("operation · textured draws", "operation · sampling", "operation · compressed textures",
+        ("operation · textured draws", "operation · sampling", "operation · samples", "operation · compressed textures",
          "operation · fragments"),
     ),
     Step(

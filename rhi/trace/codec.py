@@ -37,7 +37,7 @@ LANGUAGES: Final = ("glsl", "opencl1", "opencl4", "opencl8", "opencl16")
 _PLATFORM_MODULES: Final = {"gl": "rhi.backends.gl.platform_states"}
 """The modules that are imported for the states of a platform: ours only, whatever a file says."""
 _ATTRIBUTE_TYPES: Final[dict[str, object]] = {str(type): type for type in (FLOAT, INT, UINT, *VECTORS.values())}
-_TEXTURE_TYPE: Final = re.compile(r"(?:Depth|Int|Uint)?(?:Texture|Image)(2D|2DArray|3D|Cube)(?:\[(\w+)\])?")
+_TEXTURE_TYPE: Final = re.compile(r"(?:Depth|Int|Uint)?(?:Texture|Image)(2D|2DArray|3D|Cube)(Samples)?(?:\[(\w+)\])?")
 _STATES: Final = {state_type.__name__: state_type for state_type in STATE_TYPES}
 
 
@@ -170,13 +170,14 @@ def _decode_attribute(given: Any, where: str) -> Attribute:
     return dataclasses.replace(attribute, type=found)
 
 
-def read_image_type(text: str) -> tuple[TextureKind, Format | None] | None:
-    """Return the kind of a texture or image that a binding's type names, and the format of an image, None if it isn't
-    written; None if the text isn't the name of such a type."""
+def read_image_type(text: str) -> tuple[TextureKind, bool, Format | None] | None:
+    """Return the kind of a texture or image that a binding's type names, whether it has several samples, and the format
+    of an image, None if it isn't written; None if the text isn't the name of such a type."""
     match = _TEXTURE_TYPE.fullmatch(text)
     if match is None:
         return None
-    return TextureKind(match[1].lower().replace("array", "_array")), Format.__members__.get(match[2] or "")
+    kind = TextureKind(match[1].lower().replace("array", "_array"))
+    return kind, bool(match[2]), Format.__members__.get(match[3] or "")
 
 
 def _decode_change(given: Any, where: str) -> StateChange:

@@ -456,12 +456,14 @@ def binding_faults(context: StreamContext) -> Faults:
         if isinstance(made, TextureDescriptor):
             layered = binding.kind is BindingKind.TEXTURE or bound[2] < 0
             kind, wanted = made.kind if layered else TextureKind.D2, read_image_type(str(binding.type))
-            if wanted is not None and (wanted[0] is not kind or wanted[1] not in (None, made.format)):
+            if wanted is not None and (wanted[0] is not kind or wanted[2] not in (None, made.format)):
                 yield Fault(
                     rules.BINDING_TYPE, f"{kind.value} of {made.format.name}", f"{binding.name}: {binding.type}"
                 )
-            if made.samples != 1:
-                yield Fault(rules.BINDING_TYPE, f"{made.samples} samples", f"{binding.name}: 1")
+            several = wanted is not None and wanted[1]
+            if (made.samples > 1) != several:
+                allowed = f"{binding.name}: {'several' if several else 1}"
+                yield Fault(rules.BINDING_TYPE, f"{made.samples} samples", allowed)
         elif binding.kind is BindingKind.UNIFORM and bound[2] < binding.size:
             yield Fault(rules.BINDING_SIZE, f"{bound[2]} bytes", f"{binding.name}: {binding.size}")
 

@@ -196,7 +196,7 @@ KNOBS: Final[dict[str, Knob]] = {
             "samples a pixel",
             "technique.samples",
             _same(1, 2, 4, 8),
-            "only forward, forward_plus and clustered have more than one",
+            "only forward, forward_plus, clustered and the deferred ones with lists have more than one",
             truth=SUPER_SAMPLED,
         ),
         _picture(

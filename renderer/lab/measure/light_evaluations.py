@@ -154,11 +154,11 @@ def find_count(technique: Technique) -> Pass[Frame] | None:
             return _declare_fragments(by_cells(technique.cells), after_depth=True)
         case LightIndexed():
             return _declare_fragments(BY_INDICES, after_depth=True)
-        case ClusteredDeferred():
+        case ClusteredDeferred(samples=1):
             return _declare(_count_pixels, "light lists", "surface", "material", "depth")
-        case DeferredPlus():
+        case DeferredPlus(samples=1):
             return _declare(_count_places, "light lists", "depth")
-        case TiledDeferred():
+        case TiledDeferred(samples=1):
             return _declare(_count_tiles, "surface", "material", "depth", format=LIGHT_FORMAT)
         case Deferred() | LightPrePass():
             return _declare(partial(_count_volumes, stencil=technique.stencil, depth="depth"), "depth")

@@ -62,7 +62,7 @@ CLUSTERS: Final = LightCells(64, 24)
 """Clusters: tiles of 64 × 64 pixels in 24 depth slices (Olsson, Billeter and Assarsson 2012)."""
 
 
-class CellReader(LampShader, PixelShader):
+class CellReader(PixelShader, LampShader):
     """The base of shaders that are lit by the lights of a cell.
 
     Pixels that a device shades together, such as the lanes of a work-item, go through their cells, one after

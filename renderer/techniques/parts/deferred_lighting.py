@@ -21,6 +21,7 @@ from renderer.techniques.parts.geometry_buffer import (
 )
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, declare_lights, draw_volumes
 from renderer.techniques.parts.resolve import EXACT_BITS, resolve_pass
+from renderer.techniques.parts.samples import GeometrySamples, SampleMean, bind_samples, frame_samples, list_samples
 from renderer.techniques.parts.scene_shader import ShadingShader
 from renderer.techniques.parts.variants import FORWARD, draw_full_screen, list_lamps
 from rhi import Format
@@ -33,12 +34,12 @@ class LightingShader(VolumeShader, GeometryReader):
 
     def fragment(self, v: VolumeVarying) -> sl.vec4:
         place = sl.ivec2(sl.fragment_coordinate().xy)
-        texel = self.surface.load(place)
+        texel = self.load_surface(place, 0)
         position = self.find_place(texel, place)
         if not self.is_reached(position, v.light):
             return sl.vec4(0.0)
-        row = self.material.load(place)
-        surface = self.read_surface(row, texel, place, position)
+        row = self.load_material(place, 0)
+        surface = self.read_surface(row, texel, place, 0, position)
         if self.has_spheres:
             size = self.find_size(position, v.light)
             sphere = self.reflect_sphere(surface, self.find_incidence(position, v.light), size)
@@ -54,12 +55,15 @@ class GeometryResolve(BackgroundScreen, GeometryReader, ShadingShader):
     light: sl.Texture2D
 
     def fragment(self) -> sl.vec4:
-        place = sl.ivec2(sl.fragment_coordinate().xy)
-        texel = self.surface.load(place)
-        row = self.material.load(place)
+        return self.light_sample(0)
+
+    def light_sample(self, sample: int) -> sl.vec4:
+        place = self.find_pixel()
+        texel = self.load_surface(place, sample)
+        row = self.load_material(place, sample)
         position = self.find_place(texel, place)
         material = self.materials[int(row.x)]
-        surface = self.read_surface(row, texel, place, position)
+        surface = self.read_surface(row, texel, place, sample, position)
         color = self.shade(surface, material)
         color += self.local_light(surface, place, sl.uint_bits_to_float(texel.y))
         return self.finish(color, position)
@@ -94,22 +98,24 @@ def volume_passes(needs: Needs, *, stencil: bool = False, light_bits: int = EXAC
     )
 
 
-def cluster_passes(needs: Needs) -> tuple[Pass[Frame], ...]:
-    """Return the passes that draw a geometry buffer, and light it by the lists of clusters; those of `volume_passes`
-    without lights to list."""
-    if not list_lamps(needs):
-        return volume_passes(needs)
-    reads = list_contents(needs)
-    return (
-        geometry_pass(needs),
-        list_pass(needs, CLUSTERS),
+def cluster_passes(needs: Needs, samples: int = 1) -> tuple[Pass[Frame], ...]:
+    """Return the passes that draw a geometry buffer of so many samples, and light it by the lists of clusters; without
+    lights to list, by what reaches all surfaces."""
+    reads, has_lamps = list_samples(samples, *list_contents(needs)), bool(list_lamps(needs))
+    because = "lights surfaces by what reaches all of them"
+    because += " and by their clusters' lights" if has_lamps else ""
+    return frame_samples(
+        needs,
+        geometry_pass(needs, samples=samples),
+        *([list_pass(needs, CLUSTERS)] if has_lamps else []),
         resolve_pass(
             needs,
-            light_clusters,
-            "lights surfaces by what reaches all of them and by their clusters' lights",
-            (*reads, "light lists"),
+            partial(light_clusters if has_lamps else resolve, samples=samples),
+            because,
+            (*reads, *(["light lists"] if has_lamps else [])),
         ),
-        *finish_image(needs, by_cells(CLUSTERS)),
+        samples=samples,
+        lighting=by_cells(CLUSTERS) if has_lamps else FORWARD,
     )
 
 
@@ -119,23 +125,29 @@ def light_geometry(frame: Frame, *, effect: Effect, targets: Sequence[str], clea
     draw_volumes(frame, effect, LightingShader, targets, switches=switches, clears=clears, is_masked=stencil)
 
 
-def resolve(frame: Frame, *, lights: Sequence[str]) -> None:
+def resolve(frame: Frame, *, lights: Sequence[str] = (), samples: int = 1) -> None:
     """Make the image: shade each pixel of the geometry buffer and add the light that was collected, if any was.
 
     Args:
         lights: the name of the contents with the collected light, the last of its passes; empty without any.
     """
     own = {"light": frame.targets[lights[0]]} if lights else {}
-    resolve_geometry(frame, GeometryResolve, own, has_light=bool(lights))
+    resolve_geometry(frame, GeometryResolve, own, samples=samples, has_light=bool(lights))
 
 
-def resolve_geometry(frame: Frame, shader: type[GeometryResolve], own: Mapping[str, Any], **switches: bool) -> None:
+def resolve_geometry(
+    frame: Frame, shader: type[GeometryResolve], own: Mapping[str, Any], *, samples: int = 1, **switches: bool
+) -> None:
     """Make the image with a shader, bindings of its own, and its switches."""
-    targets, switches = frame.targets, find_contents(frame.needs) | switches
-    depth, clear = targets["depth"], frame.background
-    draw_full_screen(frame, shader, frame.image, own, depth=depth, clear=clear, switches=switches)
+    contents = find_contents(frame.needs) | switches
+    if samples == 1:
+        depth, clear = frame.targets["depth"], frame.background
+        draw_full_screen(frame, shader, frame.image, own, depth=depth, clear=clear, switches=contents)
+    else:
+        bases, given = (SampleMean, GeometrySamples, shader), {**own, **bind_samples(frame)}
+        draw_full_screen(frame, bases, frame.image, given, switches={**contents, "samples": samples})
 
 
-def light_clusters(frame: Frame) -> None:
+def light_clusters(frame: Frame, *, samples: int = 1) -> None:
     """Make the image: shade each pixel of the geometry buffer by the light of everything and of its cluster."""
-    resolve_geometry(frame, LitByLists, bind_lists(frame, CLUSTERS))
+    resolve_geometry(frame, LitByLists, bind_lists(frame, CLUSTERS), samples=samples)

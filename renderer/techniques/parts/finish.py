@@ -64,16 +64,19 @@ def draw_once(
     return *passes, *finish_image(needs, transparent, samples=samples)
 
 
-def finish_image(needs: Needs, lighting: Lighting, *, samples: int = 1) -> tuple[Pass[Frame], ...]:
+def finish_image(
+    needs: Needs, lighting: Lighting, *, samples: int = 1, has_sky: bool = False
+) -> tuple[Pass[Frame], ...]:
     """Return the passes that make `image` of the contents `needs.image`, in which opaque surfaces have been drawn.
 
     Args:
         lighting: how transparent surfaces are lit.
         samples: how many samples a pixel has. With more than one, surfaces are in contents that `name_samples` names.
+        has_sky: whether fog before the background has been drawn, too.
     """
     image = needs.image.name
     if samples == 1:
-        passes = [*_sky_passes(needs, image, "depth")]
+        passes = [] if has_sky else [*_sky_passes(needs, image, "depth")]
         passes += declare_transparency(needs, lighting, image=find_last(passes, image))
     else:
         drawn, depth = name_samples(image, samples), name_samples("depth", samples)

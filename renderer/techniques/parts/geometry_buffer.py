@@ -27,10 +27,10 @@ from __future__ import annotations
 import rhi.shading as sl
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.encodings import decode_normal, encode_normal
-from renderer.shaders.pixels import PixelRays, place_pixel
+from renderer.shaders.pixels import PixelRays, PixelShader, place_pixel
 from renderer.shaders.structs import Material, SurfaceInput, SurfaceParameters, SurfacePoint, SurfaceVarying
 from renderer.techniques.parts.scene_shader import ReflectingShader, SceneShader
-from renderer.techniques.parts.variants import scene_pass
+from renderer.techniques.parts.variants import name_samples, scene_pass
 from rhi import Format
 
 
@@ -157,7 +157,7 @@ def find_contents(needs: Needs) -> dict[str, bool]:
     return {"has_texels": texels, "has_details": details is not None, "has_emissive_texels": emissive}
 
 
-class SurfaceReader(sl.Shader):
+class SurfaceReader(PixelShader):
     """The base of shaders that light what is in `surface`. If that `is_shrunk`, it has every so many pixels only."""
 
     lean = True
@@ -166,6 +166,10 @@ class SurfaceReader(sl.Shader):
 
     rays: sl.Uniform[PixelRays]
     surface: sl.UintTexture2D
+
+    def load_surface(self, place: sl.ivec2, sample: int) -> sl.uvec4:
+        """Return the texel of `surface`: of a sample, if pixels have several."""
+        return self.surface.load(place)
 
     def find_place(self, texel: sl.uvec4, place: sl.ivec2) -> sl.vec3:
         """Return the position of the surface whose texel, at `place`, was loaded."""
@@ -190,7 +194,17 @@ class GeometryReader(SurfaceReader, ReflectingShader):
     details: sl.UintTexture2D
     materials: sl.Storage[Material]
 
-    def read_surface(self, row: sl.uvec4, texel: sl.uvec4, place: sl.ivec2, position: sl.vec3) -> SurfacePoint:
+    def load_material(self, place: sl.ivec2, sample: int) -> sl.uvec4:
+        """Return the texel of `material`: of a sample, if pixels have several."""
+        return self.material.load(place)
+
+    def load_details(self, place: sl.ivec2, sample: int) -> sl.uvec4:
+        """Return the texel of `details`: of a sample, if pixels have several."""
+        return self.details.load(place)
+
+    def read_surface(
+        self, row: sl.uvec4, texel: sl.uvec4, place: sl.ivec2, sample: int, position: sl.vec3
+    ) -> SurfacePoint:
         """Return the surface at a place of the buffer, whose texels of `material` and `surface` were loaded."""
         material = self.materials[int(row.x)]
         normal = decode_normal(texel.x)
@@ -201,7 +215,7 @@ class GeometryReader(SurfaceReader, ReflectingShader):
         if self.has_texels:
             color = decode_texel(row.y)
         if self.has_details:
-            bits = self.details.load(place)
+            bits = self.load_details(place, sample)
             details = decode_details(bits.x)
             metal = details.xy
             occlusion = details.z
@@ -218,18 +232,22 @@ class GeometryReader(SurfaceReader, ReflectingShader):
         return self.make_surface(position, self.read_plane(texel, normal), described, material)
 
 
-def geometry_pass(needs: Needs, depth_format: Format = DEPTH_FORMAT) -> Pass[Frame]:
-    """Return the pass that draws the geometry buffer: `surface`, `material`, `details` if it has any, and `depth`."""
+def geometry_pass(needs: Needs, depth_format: Format = DEPTH_FORMAT, *, samples: int = 1) -> Pass[Frame]:
+    """Return the pass that draws the geometry buffer: `surface`, `material`, `details` if it has any, and `depth`. With
+    several samples, `name_samples` names them."""
     formats = find_formats(needs)
+    names = [name_samples(name, samples) for name in formats]
+    depth = Target(name_samples("depth", samples), depth_format, samples=samples)
 
     def draw(frame: Frame) -> None:
         shader = DetailedGeometry if "details" in formats else GeometryShader
-        color = [frame.targets[name] for name in formats]
-        frame.draw_visible(scene_pass(frame, shader, color=color, switches=find_contents(needs)))
+        color, switches = [frame.targets[name] for name in names], find_contents(needs)
+        frame.draw_visible(scene_pass(frame, shader, color=color, depth=frame.targets[depth.name], switches=switches))
 
-    targets = (Target(name, format) for name, format in formats.items())
-    because = "stores the nearest surface of each pixel"
-    return Pass("geometry", draw, because, writes=(*targets, Target("depth", depth_format)))
+    targets = (Target(name, format, samples=samples) for name, format in zip(names, formats.values(), strict=True))
+    because = f"stores the nearest surface of each {'pixel' if samples == 1 else 'sample'}"
+    reads = ("depth",) if samples > 1 else ()
+    return Pass("geometry", draw, because, reads=reads, writes=(*targets, depth))
 
 
 def list_contents(needs: Needs) -> tuple[str, ...]:

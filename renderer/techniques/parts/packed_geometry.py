@@ -21,6 +21,7 @@ The encodings are those of `renderer.shaders.encodings`.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Final
 
 import rhi.shading as sl
@@ -40,11 +41,11 @@ from renderer.shaders.encodings import (
 )
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.materials import MaterialShader
-from renderer.shaders.pixels import PixelRays, PixelShader
+from renderer.shaders.pixels import PixelRays, PixelShader, distance_at, nearness_of
 from renderer.shaders.structs import SurfaceInput, SurfaceVarying
 from renderer.techniques.parts.geometry_buffer import decode_texel, encode_texel
 from renderer.techniques.parts.scene_shader import SceneShader
-from renderer.techniques.parts.variants import scene_pass
+from renderer.techniques.parts.variants import name_samples, scene_pass
 from rhi import Format, refuse
 
 MOST_MATERIALS: Final = 1 << 16
@@ -67,6 +68,14 @@ class ColoredWords(sl.Struct):
     """The texels that `PackedColors` writes."""
 
     packed: sl.uvec4
+    vertex_colors: sl.uvec4
+
+
+class SampledWords(sl.Struct):
+    """The texels that `PackedDistances` writes."""
+
+    packed: sl.uvec4
+    distances: float
     vertex_colors: sl.uvec4
 
 
@@ -133,6 +142,20 @@ class PackedColors(PackedTextures):
         return ColoredWords(packed=self.pack(v), vertex_colors=colors)
 
 
+class PackedDistances(PackedTextures):
+    """Writes the packed geometry buffer of several samples, of which no depth is that at the pixel's centre."""
+
+    rays: sl.Uniform[PixelRays]
+
+    def fragment(self, v: SurfaceVarying) -> SampledWords:  # type: ignore[override]  # more targets
+        color = encode_texel(v.color.rgb) if self.has_vertex_colors else sl.uint(0)
+        return SampledWords(
+            packed=self.pack(v),
+            distances=sl.dot(v.position, self.rays.forward),
+            vertex_colors=sl.uvec4(color, sl.uint(0), sl.uint(0), sl.uint(0)),
+        )
+
+
 class PackedReader(MaterialShader, PixelShader):
     """The base of shaders that evaluate the materials of the packed geometry buffer, pixel by pixel. Textures are
     filtered as they would have been when the geometry was drawn."""
@@ -142,9 +165,21 @@ class PackedReader(MaterialShader, PixelShader):
     vertex_colors: sl.UintTexture2D
     depth: sl.Texture2D
 
-    def read_input(self, position: sl.vec3) -> SurfaceInput:
-        """Return the point of the pixel's surface, which is at `position`."""
-        words = self.packed.load(self.find_pixel())
+    def load_words(self, sample: int) -> sl.uvec4:
+        """Return the texel of `packed`: of a sample, if pixels have several."""
+        return self.packed.load(self.find_pixel())
+
+    def load_vertex_color(self, sample: int) -> sl.uint:
+        """Return the texel of `vertex_colors`: of a sample, if pixels have several."""
+        return self.vertex_colors.load(self.find_pixel()).x
+
+    def find_distance(self, sample: int) -> float:
+        """Return the distance along the view of the pixel's surface, or a sample's."""
+        return distance_at(self.rays, nearness_of(self.rays, self.depth.load(self.find_pixel()).x))
+
+    def read_input(self, position: sl.vec3, sample: int) -> SurfaceInput:
+        """Return the point of the pixel's surface, or a sample's, which is at `position`."""
+        words = self.load_words(sample)
         frame = self.decode_directions(words.x)
         right = decode_change(words.w & 0xFFFFFF)
         below = decode_change(words.w >> 24 | words.y >> 16 << 8)
@@ -156,13 +191,13 @@ class PackedReader(MaterialShader, PixelShader):
             changes=sl.vec4(right, below),
             changes2=sl.vec4(0.0),
             tangent=sl.vec4(frame.tangent, frame.side),
-            color=self.find_vertex_color(),
+            color=self.find_vertex_color(sample),
             material=int(words.y & 65535),
         )
 
-    def find_vertex_color(self) -> sl.vec4:
+    def find_vertex_color(self, sample: int) -> sl.vec4:
         if self.has_vertex_colors:
-            return sl.vec4(decode_texel(self.vertex_colors.load(self.find_pixel()).x), 1.0)
+            return sl.vec4(decode_texel(self.load_vertex_color(sample)), 1.0)
         return sl.vec4(1.0)
 
     def decode_directions(self, bits: sl.uint) -> TangentFrame:
@@ -183,34 +218,40 @@ def _has_textures(needs: Needs) -> bool:
     return not needs.effects.isdisjoint((own, *maps))
 
 
-def packed_pass(needs: Needs) -> Pass[Frame]:
+def packed_pass(needs: Needs, *, samples: int = 1) -> Pass[Frame]:
     """Return the pass that draws the packed geometry buffer: `packed`, `vertex_colors` if there are any, and
-    `depth`."""
-    has_colors = Effect.VERTEX_COLORS in needs.effects
-    is_wide = has_colors or _has_textures(needs)
+    `depth`. With several samples, `distances` too, and `name_samples` names them."""
+    formats = find_packed(needs, samples) | {"depth": DEPTH_FORMAT}
     return Pass(
         "geometry",
-        draw_packed,
-        "stores the nearest surface of each pixel, without its material",
-        writes=(
-            Target("packed", Format.RGBA32UI if is_wide else Format.RG32UI),
-            *([Target("vertex_colors", Format.R32UI)] if has_colors else []),
-            Target("depth", DEPTH_FORMAT),
-        ),
+        partial(draw_packed, samples=samples),
+        f"stores the nearest surface of each {'pixel' if samples == 1 else 'sample'}, without its material",
+        reads=("depth",) if samples > 1 else (),
+        writes=tuple(Target(name_samples(name, samples), one, samples=samples) for name, one in formats.items()),
     )
 
 
-def draw_packed(frame: Frame) -> None:
+def find_packed(needs: Needs, samples: int) -> dict[str, Format]:
+    """Return the formats of the packed geometry buffer's contents but `depth`."""
+    has_colors = Effect.VERTEX_COLORS in needs.effects
+    formats = {"packed": Format.RGBA32UI if has_colors or _has_textures(needs) else Format.RG32UI}
+    formats |= {"distances": Format.R32F} if samples > 1 else {}
+    return formats | ({"vertex_colors": Format.R32UI} if has_colors else {})
+
+
+def draw_packed(frame: Frame, *, samples: int = 1) -> None:
     """Draw the visible objects to the packed geometry buffer."""
     count = len(frame.resources.scene.materials)
     if count > MOST_MATERIALS:
         refuse(rules.MANY_MATERIALS, "render", f"{count:,} materials", f"at most {MOST_MATERIALS:,}")
     shader: type[SceneShader] = PackedTextures if _has_textures(frame.needs) else PackedPlain
-    color = [frame.targets["packed"]]
-    if Effect.VERTEX_COLORS in frame.needs.effects:
+    if samples > 1:
+        shader = PackedDistances
+    elif Effect.VERTEX_COLORS in frame.needs.effects:
         shader = PackedColors
-        color.append(frame.targets["vertex_colors"])
-    frame.draw_visible(scene_pass(frame, shader, color=color))
+    color = [frame.targets[name_samples(name, samples)] for name in find_packed(frame.needs, samples)]
+    depth = frame.targets[name_samples("depth", samples)]
+    frame.draw_visible(scene_pass(frame, shader, color=color, depth=depth))
 
 
 UNPACKED: Final = {"has_masks": False, "has_second_uvs": False, "has_changes": True, "is_placed": True}

@@ -41,6 +41,15 @@ class LightSum(BackgroundScreen, FinishShader):
         return self.finish(self.light.load(ivec2(place)).rgb, position)
 
 
+class LitPixels(BackgroundScreen):
+    """Shows what was shaded elsewhere."""
+
+    lit: Texture2D
+
+    def fragment(self) -> vec4:
+        return vec4(self.lit.load(ivec2(fragment_coordinate().xy)).rgb, 1.0)
+
+
 def check_bits(light_bits: int, call: str) -> None:
     """Refuse a number of bits in which light can't be added up."""
     if type(light_bits) is not int or light_bits not in SUM_FORMATS:

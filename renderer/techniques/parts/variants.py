@@ -123,7 +123,7 @@ def find_binding(frame: Frame, name: str) -> Any:
         kind, number = _IMAGES[name]
         images = _images_of(frame)
         return (images.colors if kind == "images" else images.data)[number]
-    return frame.targets[name]
+    return frame.targets[name.replace("_samples", " samples")]  # see `name_samples`
 
 
 def _images_of(frame: Frame) -> SceneImages:

@@ -216,7 +216,7 @@ class BoundResources:
                 view = self._textures.sampled_view(texture)
                 if slot in copies:
                     view = copies[slot].create_view(dimension=DIMENSIONS[type.kind])
-                filters = type.scalar is FLOAT and slot not in layout.unfiltered
+                filters = type.scalar is FLOAT and not type.samples and slot not in layout.unfiltered
                 entries.append({"binding": 2 * slot, "resource": view})
                 sampler_object = self._samplers.find(sampler, filters, type.compare)
                 entries.append({"binding": 2 * slot + 1, "resource": sampler_object})

@@ -76,7 +76,9 @@ class GpuProgram:
         self.written = tuple(s for s in self.storages if self._access.get((1, s)) == "read_write")
         self.written_images = tuple(s for s in self.images if self._access.get((3, s)) != "read")
         types = {slot: self.texture_type(slot) for slot in self.textures}
-        self.float_textures = tuple(s for s, type in types.items() if type.scalar is FLOAT and not type.compare)
+        self.float_textures = tuple(
+            s for s, type in types.items() if type.scalar is FLOAT and not (type.compare or type.samples)
+        )
 
     def _compile(self, stage: Stage) -> None:
         descriptor = self.descriptor
@@ -153,11 +155,11 @@ class GpuProgram:
                 sample, sampler = "depth", "comparison"
             elif type.scalar is not FLOAT:
                 sample, sampler = "sint" if type.scalar is INT else "uint", "non-filtering"
-            elif slot in unfiltered:
+            elif slot in unfiltered or type.samples:
                 sample, sampler = "unfilterable-float", "non-filtering"
             else:
                 sample, sampler = "float", "filtering"
-            texture = {"sample_type": sample, "view_dimension": DIMENSIONS[type.kind]}
+            texture = {"sample_type": sample, "view_dimension": DIMENSIONS[type.kind], "multisampled": type.samples}
             entries.append(self._entry(BindingKind.TEXTURE, 2 * slot, texture=texture))
             entries.append(self._entry(BindingKind.TEXTURE, 2 * slot + 1, sampler={"type": sampler}))
         return entries

@@ -293,12 +293,13 @@ class Program(Generic[P]):
         self.core.check_usable(texture, call)
         self._check_feedback(texture, call)
         wanted: Any = binding.type
-        if texture.samples != 1:
-            given, tip = (
-                f"{texture!r} of {texture.samples} samples",
-                "resolve it first: texture.resolve_to(…)",
-            )
-            self.core.refuse(rules.BINDING_TYPE, call, given, "a single-sampled texture", tip)
+        if (texture.samples > 1) != wanted.samples:
+            given = f"{texture!r} of {texture.samples} samples"
+            allowed, tip = "a texture of several samples", "give the binding a type of one sample, such as Texture2D"
+            if texture.samples > 1:
+                allowed = "a single-sampled texture"
+                tip = "resolve it first: texture.resolve_to(…); or read each sample of a Texture2DSamples"
+            self.core.refuse(rules.BINDING_TYPE, call, given, allowed, tip)
         if texture.kind is not wanted.kind:
             self.core.refuse(rules.BINDING_TYPE, call, f"{texture!r}, {texture.kind.name}", _wanted(binding))
         compares = self.core.sampler_descriptors[value.sampler].compare is not None

@@ -23,7 +23,7 @@ from rhi.shading.language.function import ShadingFunction
 from rhi.shading.language.shader import Shader, StorageClass
 from rhi.shading.language.source import FORGOTTEN
 from rhi.shading.language.structs import Struct
-from rhi.shading.language.types import ImageType, StorageType, TextureType
+from rhi.shading.language.types import ImageType, StorageType, TextureType, stored_kind
 from rhi.shading.lowering.components import all_kinds, words_of
 from rhi.shading.lowering.functions import lower_function
 from rhi.shading.numpy.kernel import LaneFunction, NumpyKernel, load_module
@@ -275,7 +275,7 @@ def host_texture(type: TextureType | ImageType, value: Any, call: str) -> HostTe
     Raises:
         ValidationError `shading-arguments`: `value` is not a `HostTexture` of the binding's kind and format.
     """
-    if not isinstance(value, HostTexture) or value.kind is not type.kind:
+    if not isinstance(value, HostTexture) or value.kind is not stored_kind(type):
         refuse(rules.WRONG_ARGUMENTS, call, repr(value), f"a HostTexture for a {type}")
     if isinstance(type, ImageType):
         if value.format is not type.format:

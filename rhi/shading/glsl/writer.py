@@ -50,8 +50,9 @@ class Writer(TextWriter):
                     lengths += f"[{element.length}]"
                     element = element.element
                 return self.type(element) + lengths
-            case TextureType(kind=kind, scalar=scalar, compare=compare):
-                return f"{_PREFIX[scalar]}sampler{_SHAPES[kind.value]}{'Shadow' if compare else ''}"
+            case TextureType(kind=kind, scalar=scalar, compare=compare, samples=samples):
+                end = "Shadow" if compare else "MS" if samples else ""
+                return f"{_PREFIX[scalar]}sampler{_SHAPES[kind.value]}{end}"
             case ImageType(kind=kind):
                 return f"{_PREFIX[type.scalar]}image{_SHAPES[kind.value]}"
         return str(type)

@@ -102,6 +102,15 @@ _COMPARED: Final = (
         "in texels",
     ),
 )
+_SEVERAL: Final = (
+    (
+        "load",
+        _FLAT,
+        {"VALUE(texel: TEXEL, sample: int)": "texelFetch({0}, {1}, {2})"},
+        "one sample of a texel, from 0 on",
+    ),
+    ("size", _FLAT, {"SIZE()": "textureSize({0})"}, "in texels"),
+)
 _STORED: Final = (
     ("load", _NOT_CUBE, {"VALUE(texel: TEXEL)": "imageLoad({0}, {1})"}, "one texel"),
     (
@@ -119,7 +128,10 @@ _FRAGMENT_ONLY: Final = frozenset({"sample_bias"})
 @cache
 def methods_of(type: TextureType | ImageType) -> dict[str, Builtin]:
     """Return the methods of a texture or image type by name. Their first parameter is the texture."""
-    rows = _STORED if isinstance(type, ImageType) else _COMPARED if type.compare else _SAMPLED
+    if isinstance(type, ImageType):
+        rows: Any = _STORED
+    else:
+        rows = _SEVERAL if type.samples else _COMPARED if type.compare else _SAMPLED
     plane = type.kind is _D2
     names: dict[str, Type] = {
         "COORD": VECTORS[FLOAT, 2 if plane else 3],
@@ -185,6 +197,10 @@ def _create_classes() -> Iterator[type]:
             doc = f"A {shape} texture, read as {scalar.name}s through a sampler."
             space: dict[str, Any] = {"shading_type": TextureType(kind, scalar), "__doc__": doc}
             yield type(f"{prefix}Texture{shape}", (SampledTexture,), space)
+            if kind is _D2:
+                doc = f"A 2D texture of several samples, each read as {scalar.name}s."
+                space = {"shading_type": TextureType(kind, scalar, samples=True), "__doc__": doc}
+                yield type(f"{prefix}Texture2DSamples", (SampledTexture,), space)
             if kind in _NOT_CUBE:
                 doc = f"One mip level of a {shape} texture, loaded and stored as {scalar.name}s."
                 space = {"kind": kind, "scalar": scalar, "__doc__": doc}

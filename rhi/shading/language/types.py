@@ -44,16 +44,18 @@ VOID: Final = VoidType()
 
 @dataclass(frozen=True, slots=True)
 class TextureType:
-    """A sampled texture. With `compare`, a depth texture whose samples are results of a depth comparison."""
+    """A sampled texture. With `compare`, a depth texture whose samples are results of a depth comparison. With
+    `samples`, a texture of several samples, which are read one by one."""
 
     kind: TextureKind
     scalar: ScalarType = FLOAT
     compare: bool = False
+    samples: bool = False
 
     def __str__(self) -> str:
         shape = {"2d": "2D", "2d_array": "2DArray", "3d": "3D", "cube": "Cube"}[self.kind.value]
         prefix = "Depth" if self.compare else {FLOAT: "", INT: "Int", UINT: "Uint"}[self.scalar]
-        return f"{prefix}Texture{shape}"
+        return f"{prefix}Texture{shape}{'Samples' if self.samples else ''}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +87,12 @@ class StorageType:
 
 
 Type: TypeAlias = HostType | VoidType | TextureType | ImageType | StorageType
+
+
+def stored_kind(type: TextureType | ImageType) -> TextureKind:
+    """Return the kind of a texture in memory, where samples are the layers of an array."""
+    several = isinstance(type, TextureType) and type.samples
+    return TextureKind.D2_ARRAY if several else type.kind
 
 
 def is_value(type: Type) -> bool:

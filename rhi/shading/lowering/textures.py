@@ -1,6 +1,7 @@
 """The lowering of the methods of textures and images.
 
-- Coordinates always have three components. The third is 0 for a 2D texture and the layer for an array.
+- Coordinates always have three components. The third is 0 for a 2D texture and the layer for an array. A texture of
+  several samples is an array whose layers are the samples.
 - Where GLSL computes the mip level implicitly, the access (`sample_across`) is given the differences between the pixels
   of a quad: the sampler decides which texels a pixel covers. In vertex and compute stages there are no differences, and
   the level is 0.
@@ -23,7 +24,7 @@ from rhi.shading.ir.lanes import (
     literal,
     number,
 )
-from rhi.shading.language.types import ImageType, TextureType
+from rhi.shading.language.types import ImageType, TextureType, stored_kind
 from rhi.shading.lowering.components import all_kinds
 from rhi.shading.lowering.context import Lowering
 from rhi.shading.lowering.memory import check_index, check_race
@@ -47,6 +48,9 @@ def lower_texture(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
     at = [*at, literal(0, at[0].kind)][:3]
     if isinstance(type, ImageType):
         return lower_image(lowering, name, memory, type, at, arguments[1:])
+    if type.samples:
+        place = check_texel(lowering, memory, [*at[:2], *arguments[1]], number(0))
+        return access(lowering, "load", memory, place, type.scalar, 4)
     if name == "load":
         level = arguments[1] if len(arguments) > 1 else [number(0)]
         return access(lowering, "load", memory, check_texel(lowering, memory, at, *level), type.scalar, 4)
@@ -121,7 +125,8 @@ def texture_region(lowering: Lowering, source: tree.BindingRead) -> MemoryRegion
     if known is None:
         assert isinstance(source.type, TextureType | ImageType)
         space = AddressSpace.IMAGE if isinstance(source.type, ImageType) else AddressSpace.TEXTURE
-        known = MemoryRegion(name, space, writable=space is AddressSpace.IMAGE, shape=source.type.kind)
+        shape = stored_kind(source.type)
+        known = MemoryRegion(name, space, writable=space is AddressSpace.IMAGE, shape=shape)
         lowering.memories[name] = known
     return known
 

@@ -85,8 +85,9 @@ class WgslWriter(TextWriter):
                 return self.globals.get(type, name)
             case layout.ArrayType(element=element, length=length):
                 return f"array<{self.type(element)}, {length}>"
-            case TextureType(kind=kind, scalar=scalar, compare=compare):
-                return f"texture_depth_{SHAPES[kind]}" if compare else f"texture_{SHAPES[kind]}<{SCALARS[scalar]}>"
+            case TextureType(kind=kind, scalar=scalar, compare=compare, samples=samples):
+                shape = f"multisampled_{SHAPES[kind]}" if samples else SHAPES[kind]
+                return f"texture_depth_{shape}" if compare else f"texture_{shape}<{SCALARS[scalar]}>"
         raise TypeError(f"no {self.language} for {type}")
 
     def constant(self, node: tree.Constant) -> str:
@@ -396,10 +397,11 @@ class WgslWriter(TextWriter):
         type, texts = source.type, ["", *self.sequence(rest)]
         assert isinstance(type, TextureType | ImageType)
         image = isinstance(type, ImageType)
+        whole_level = image or type.samples  # type: ignore[union-attr]
         texture, sampler = (self.expression(source), "") if image else self.halves(source)
         layered = type.kind is TextureKind.D2_ARRAY
         if name == "size":
-            level = "" if image else f", {texts[1]}" if len(texts) > 1 else ", 0"
+            level = "" if whole_level else f", {texts[1]}" if len(texts) > 1 else ", 0"
             size = f"textureDimensions({texture}{level})"
             return (
                 f"vec3<i32>(vec3<u32>({size}, textureNumLayers({texture})))"
@@ -415,7 +417,7 @@ class WgslWriter(TextWriter):
         if name == "load":
             level = "" if image else f", {texts[2] if len(texts) > 2 else '0'}"
             loaded = f"textureLoad({texture}, {at}{level})"
-            if len(rest) < 2 or isinstance(rest[1], tree.Constant):
+            if len(rest) < 2 or isinstance(rest[1], tree.Constant) or whole_level:
                 return loaded
             if tree.has_effect(rest[1]):
                 self.refuse(rest[1], "a level with a side effect", "assign it to a variable first")

@@ -199,6 +199,12 @@ def test_pixels_are_shaded_in_one_way() -> None:
         DeferredPlus(multi_pass=True, binned=True)
     with pytest.raises(rhi.ValidationError, match="one of them"):
         TechniqueSettings(multi_pass=True, binned=True)
+    for choice in ({"multi_pass": True}, {"binned": True}):
+        with pytest.raises(rhi.ValidationError, match="samples=1"):
+            DeferredPlus(4, **choice)
+        with pytest.raises(rhi.ValidationError, match="samples=1"):
+            TechniqueSettings("deferred_plus", samples=4, **choice)
+        assert TechniqueSettings("forward", samples=4, **choice).samples == 4
 
 
 def test_materials_come_back_from_the_packed_buffer(drawing_device: rhi.Device) -> None:

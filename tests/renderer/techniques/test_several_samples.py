@@ -4,18 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Final
 
 import numpy as np
 import pytest
-from frames import count_draws, draw_each, find_difference, list_passes, make_boxes, make_lit_boxes
+from frames import count_draws, draw, draw_each, find_difference, list_passes, make_boxes, make_lit_boxes
 
 import rhi
+import rhi.shading as sl
 from renderer.content import load_scene
+from renderer.frame import Blending
 from renderer.scene import scaling, translation
-from renderer.techniques import TECHNIQUES, Clustered, Forward, ForwardPlus, Technique, TechniqueSettings
+from renderer.techniques import (
+    TECHNIQUES,
+    Clustered,
+    ClusteredDeferred,
+    DeferredPlus,
+    Forward,
+    ForwardPlus,
+    Technique,
+    TechniqueSettings,
+    TiledDeferred,
+    deferred_cells,
+    deferred_plus,
+)
+from renderer.techniques.parts import deferred_lighting, variants
+from renderer.techniques.parts.scene_shader import ForwardShader
 
 SIZE = (96, 64)
-LISTED: tuple[Callable[[int], Technique], ...] = (ForwardPlus, Clustered, partial(Clustered, depth_first=True))
+DEFERRED: tuple[Callable[[int], Technique], ...] = (TiledDeferred, ClusteredDeferred, DeferredPlus)
+LISTED = (ForwardPlus, Clustered, partial(Clustered, depth_first=True), *DEFERRED)
 
 
 @pytest.mark.parametrize("samples", [2, 4, 8])
@@ -49,6 +67,9 @@ def test_what_covers_no_centre_is_lit_by_what_reaches_nothing_else(drawing_devic
         (ForwardPlus, ["depth", "light lists", "depth samples", "forward", "resolve"]),
         (Clustered, ["depth", "light lists", "forward", "resolve"]),
         (partial(Clustered, depth_first=True), ["depth", "light lists", "depth samples", "forward", "resolve"]),
+        (TiledDeferred, ["depth", "geometry", "tiles", "resolve"]),
+        (ClusteredDeferred, ["depth", "geometry", "light lists", "resolve"]),
+        (DeferredPlus, ["depth", "geometry", "light lists", "shading"]),
     ],
 )
 def test_geometry_is_drawn_once_for_culling_and_as_often_as_the_technique_says_with_all_samples(
@@ -56,18 +77,69 @@ def test_geometry_is_drawn_once_for_culling_and_as_often_as_the_technique_says_w
 ) -> None:
     scene, dark = make_lit_boxes(points=2), make_lit_boxes()
     assert list_passes(null, scene, make(4)) == listed
-    drawn = len(listed) - len(["light lists", "resolve"])
+    not_drawn = ["light lists", "tiles", *(["resolve"] if "forward" in listed else [])]
+    drawn = sum(name not in not_drawn for name in listed)
     assert count_draws(null, scene, make(4)) == (drawn, drawn)
-    assert list_passes(null, dark, make(4)) == ["depth", "forward", "resolve"]
-    assert "resolve" not in list_passes(null, scene, make(1))
+    of_lamps = ("light lists", "tiles", "depth samples")
+    assert list_passes(null, dark, make(4)) == [name for name in listed if name not in of_lamps]
+    assert len(list_passes(null, scene, make(1))) < len(listed)
 
 
 @pytest.mark.parametrize("name", TECHNIQUES)
 def test_settings_refuse_samples_that_a_technique_lacks(null: rhi.Device, name: str) -> None:
     assert TechniqueSettings(name).samples == 1
-    if name in ("forward", "forward_plus", "clustered"):
+    if name in ("forward", "forward_plus", "clustered", "tiled_deferred", "clustered_deferred", "deferred_plus"):
         made = TechniqueSettings(name, samples=4).make(load_scene("grid:count=1"), null)
         assert (made.name, vars(made)["samples"]) == (name, 4)
         return
     with pytest.raises(rhi.ValidationError, match="technique-one-sample"):
         TechniqueSettings(name, samples=4)
+
+
+class CountedColors(sl.Shader):
+    """Counts the surfaces that are shaded."""
+
+    shaded: sl.StorageRW[sl.uint]
+
+    def finish(self, color: sl.vec3, position: sl.vec3) -> sl.vec4:
+        sl.atomic_add(self.shaded[0], sl.uint(1))
+        return super().finish(color, position)  # type: ignore[misc, no-any-return]
+
+
+def test_pixels_inside_a_triangle_are_shaded_once(drawing_device: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forward shading runs a fragment for each surface of a pixel; none of these is hidden."""
+    builder = make_boxes(scaling((5, 5, 5)), base_color=(1, 1, 1))
+    builder.lights.add_point((0, 8, 8), 30.0)
+    scene, counts = builder.build(), []
+    for owner in (deferred_cells.SampledTiles, deferred_lighting.SampleMean):
+        counting = type(owner.__name__, (CountedColors, owner), {"__module__": __name__})
+        for module in (deferred_cells, deferred_lighting, deferred_plus):
+            monkeypatch.setattr(module, owner.__name__, counting, raising=False)
+    with drawing_device.storage(sl.uint, 1) as shaded:
+        monkeypatch.setitem(variants.SOURCES, "shaded", lambda frame: shaded)
+        monkeypatch.setattr(Forward, "lighting", variants.Lighting(bases=(CountedColors, ForwardShader)))
+        for technique in (Forward(4), *(make(4) for make in DEFERRED)):
+            shaded.write(np.zeros(1, np.uint32))
+            seen = draw(drawing_device, scene, technique, size=SIZE)
+            counts.append(int(shaded.read()[0]))
+    forward, *deferred = counts
+    pixels = int((seen != seen[0, 0]).any(-1).sum())
+    assert deferred == [deferred[0]] * len(DEFERRED)
+    # Where samples of two surfaces alternate, one of them is shaded again.
+    assert 500 < pixels <= deferred[0] <= 1.05 * forward < 1.3 * pixels
+
+
+AIR: Final = "night:lights=64,blocks=8,fog=0.02,glow=0.3"
+THINGS: Final = "bazaar:instances=300,materials=20,meshes=10,lights=16"
+
+
+@pytest.mark.parametrize("name", [AIR, THINGS, "glass"])
+def test_sky_textures_and_weighted_surfaces_are_those_of_forward_shading(drawing_device: rhi.Device, name: str) -> None:
+    scene = load_scene(name)
+    techniques = Forward(4, all_lights=True), *(make(4) for make in DEFERRED)
+    camera = next(iter(scene.paths.values())).camera(100)
+    wanted, *drawn = draw_each(drawing_device, scene, *techniques, camera=camera, size=SIZE, blending=Blending.WEIGHTED)
+    assert (
+        np.ptp(wanted[..., :3]) > 50
+    )  # the packed buffer rounds textures' coordinates: it is within 3 with one sample, too
+    assert [find_difference(picture, wanted) <= 3 for picture in drawn] == [True] * len(DEFERRED)

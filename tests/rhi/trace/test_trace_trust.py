@@ -17,6 +17,9 @@ from trace_kit import VERSION_1, edit_line, record, record_draws, record_much, r
 import rhi
 from rhi import Format
 from rhi.backends.gl import DepthClamp
+from rhi.conformance.operation.test_samples import ReadSample, Sample
+from rhi.conformance.shaders import Loads
+from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
 from rhi.trace import diff, load, reduce, replay, save
 from rhi.trace.rules import TRACE_COMMAND, TRACE_REFERENCE, TRACE_TRUST
@@ -190,19 +193,42 @@ def test_a_binding_smaller_than_its_program_says_is_refused(tmp_path: Path) -> N
             replay(trace, on=device)
 
 
-def test_an_image_has_the_format_that_its_program_stores(tmp_path: Path) -> None:
-    file = record_draws(tmp_path / "t.zip")
-    image_id = load(file).stream.filter(rhi.Op.BIND_IMAGE)[0]["texture"]
+def edit_texture(file: Path, texture: int, **changes: object) -> Path:
+    """Change how a texture is created."""
 
     def edit(members: dict[str, bytes]) -> None:
         lines = [json.loads(line) for line in members["commands.jsonl"].splitlines()]
-        line = next(each for each in lines if each.get("arguments", {}).get("texture") == image_id)
-        line["arguments"]["descriptor"]["format"] = "R8"
+        line = next(each for each in lines if each.get("arguments", {}).get("texture") == texture)
+        line["arguments"]["descriptor"].update(changes)
         members["commands.jsonl"] = "".join(json.dumps(line) + "\n" for line in lines).encode()
 
-    changed = rewrite(file, edit)
+    return rewrite(file, edit)
+
+
+def test_an_image_has_the_format_that_its_program_stores(tmp_path: Path) -> None:
+    file = record_draws(tmp_path / "t.zip")
+    image_id = load(file).stream.filter(rhi.Op.BIND_IMAGE)[0]["texture"]
+    changed = edit_texture(file, image_id, format="R8")
     for backend in DRAWING:
         with rhi.create_device(backend) as device, refuses(TRACE_REFERENCE):
+            replay(load(changed, trusted=True), on=device)
+
+
+@drawing
+@pytest.mark.parametrize(("reader", "samples"), [(ReadSample, 4), (Loads, 1)], ids=["several", "one"])
+def test_a_texture_has_the_samples_that_its_program_reads(
+    tmp_path: Path, backend: str, reader: Any, samples: int
+) -> None:
+    file, more = tmp_path / "t.zip", {"sample": Sample(number=0, origin=(0, 0))} if samples > 1 else {}
+    with rhi.create_device("null", record=True) as device, device.mesh(rectangle()) as mesh:
+        source, target = (device.texture((4, 4), rhi.Format.RGBA8, samples=count) for count in (samples, 1))
+        with device.render_pass(target):
+            device.draw(device.program(reader), mesh, source=source, **more)
+        save(device.stream, file)
+    with rhi.create_device(backend) as device:
+        replay(load(file, trusted=True), on=device)
+        changed = edit_texture(file, source.id, samples=5 - samples)
+        with refuses(TRACE_REFERENCE):
             replay(load(changed, trusted=True), on=device)
 
 

@@ -36,7 +36,8 @@ class Samplers:
         if known is None:
             made, descriptor = texture.descriptor, self._samplers[sampler]
             levels = [_place(plane) for plane in texture.levels]
-            words = describe_texture(made.format, made.kind, levels, descriptor)
+            kind = TextureKind.D2_ARRAY if made.samples > 1 else made.kind  # samples are layers
+            words = describe_texture(made.format, kind, levels, descriptor)
             known = texture.words[sampler] = self._buffer(words)
         return known
 

@@ -10,7 +10,8 @@ from null_kit import Camera, hand_made_program
 from refused_shaders import Everything, Shift
 
 import rhi.shading as sl
-from rhi import Access, Comparison, Device, Format, SamplerDescriptor, TextureKind
+from rhi import Access, Comparison, Device, Format, SamplerDescriptor, Texture, TextureKind
+from rhi.conformance.operation.test_samples import ReadSample, Sample
 from rhi.conformance.shaders import Tint
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
@@ -119,6 +120,30 @@ def test_a_texture_must_have_the_shader_s_kind_and_type(kit: Kit) -> None:
                 kit.draw(albedo=texture)
         kit.draw(albedo=kit.depth)
     for texture in wrong:
+        texture.destroy()
+
+
+def test_samples_are_read_of_textures_that_have_several(recording: Device) -> None:
+    fitting = [recording.texture(SIZE, format, samples=2) for format in (Format.RGBA8, Format.D32F)]
+    single, whole = recording.texture(SIZE, Format.RGBA8), recording.texture(SIZE, Format.R32UI, samples=2)
+    with recording.mesh(rectangle()) as mesh:
+        program = recording.program(ReadSample)
+
+        def draw(source: Texture) -> None:
+            recording.draw(program, mesh, source=source, sample=Sample(number=0, origin=(0, 0)))
+
+        with recording.render_pass(single):
+            for texture in fitting:
+                draw(texture)
+            with refuses(rules.BINDING_TYPE, recording):
+                draw(whole)  # integers
+        with recording.render_pass(fitting[0]):
+            with refuses(rules.BINDING_TYPE, recording) as refusal:
+                draw(single)
+            assert "several samples" in str(refusal.error)
+            with refuses(rules.PASS_FEEDBACK, recording):
+                draw(fitting[0])
+    for texture in (*fitting, single, whole):
         texture.destroy()
 
 

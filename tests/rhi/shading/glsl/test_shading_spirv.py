@@ -57,6 +57,7 @@ class Textured(sl.Shader):
     layers: sl.Texture2DArray
     counts: sl.IntTexture2D
     shadow: sl.DepthTexture2D
+    several: sl.Texture2DSamples
     target: sl.Image2D = sl.image(Format.RGBA8)
 
     def vertex(self, v: Corner) -> Surface:
@@ -66,6 +67,7 @@ class Textured(sl.Shader):
     def fragment(self, s: Surface) -> sl.vec4:
         color = brighter(self.albedo, s.albedo) + self.layers.sample(sl.vec3(s.albedo, 1.0))
         color *= self.shadow.sample_compare(s.albedo, 0.5) * float(self.counts.size().x)
+        color += self.several.load(sl.ivec2(s.albedo), 3) * float(self.several.size().y)
         self.target.store(self.albedo.size(), color)
         return sl.vec4(self.turn.turn @ self.turn.tint, color.a)
 
@@ -90,6 +92,8 @@ def test_each_kind_of_binding_has_a_set_and_samplers_are_apart():
         "layout(set = 2, binding = 5) uniform sampler counts_sampler;",
         "layout(set = 2, binding = 6) uniform texture2D shadow_texture;",
         "layout(set = 2, binding = 7) uniform samplerShadow shadow_sampler;",
+        "layout(set = 2, binding = 8) uniform texture2DMS several_texture;",
+        "layout(set = 2, binding = 9) uniform sampler several_sampler;",
     ]
     assert "layout(rgba8, set = 3, binding = 0) writeonly uniform image2D target;" in fragment
 
@@ -181,7 +185,7 @@ def test_sets_bindings_and_rows_first_are_in_the_module():
         if decoration in (DESCRIPTOR_SET, BINDING):
             (sets if decoration == DESCRIPTOR_SET else bindings)[target] = values[0]
     places = sorted((sets[target], bindings[target]) for target in sets)
-    assert places == [(0, 0), *((2, binding) for binding in range(8)), (3, 0)]
+    assert places == [(0, 0), *((2, binding) for binding in range(10)), (3, 0)]
     members = [decoration for _, _, decoration, *_ in instructions(binary, MEMBER_DECORATE)]
     assert ROW_MAJOR in members
 

@@ -96,6 +96,8 @@ def sampled_types():
     for kind in TextureKind:
         for scalar in (FLOAT, INT, UINT):
             yield TextureType(kind, scalar)
+            if kind is TextureKind.D2:
+                yield TextureType(kind, scalar, samples=True)
         if kind is not TextureKind.D3:
             yield TextureType(kind, FLOAT, True)
 

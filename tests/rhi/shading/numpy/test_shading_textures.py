@@ -901,6 +901,31 @@ def test_a_checked_shader_reports_texels_outside(which: tuple[int, int, int], gi
         assert f".{line}(" in str(caught.value)
 
 
+class ReadSamples(sl.Shader):
+    """Reads a sample of a texel for each row of `which`."""
+
+    checked = True
+    source: sl.UintTexture2DSamples
+    which: sl.Storage[sl.ivec4]
+    results: sl.StorageRW[sl.uvec4]
+
+    def compute(self) -> None:
+        i = sl.global_id().x
+        self.results[i] = self.source.load(self.which[i].xy, self.which[i].z) + sl.uint(self.source.size().x)
+
+
+def test_samples_are_the_layers_of_a_host_texture() -> None:
+    texels = random_levels(Format.RGBA8UI, 5, 3, 4, ARRAY)[:1]
+    which = np.int32([(4, 2, 3, 0), (0, 1, 2, 0), (3, 0, 0, 0)])
+    given = {"source": sl.HostTexture(texels, Format.RGBA8UI, ARRAY), "results": 3}
+    expected = texels[0][which[:, 2], which[:, 1], which[:, 0]].astype(np.uint32) + 5
+    for run in (partial(run_opencl, ReadSamples, 1), partial(run_opencl, ReadSamples, 16),
+                partial(sl.run_compute, ReadSamples)):  # fmt: skip
+        np.testing.assert_array_equal(run(3, which=which, **given)["results"], expected)
+        with pytest.raises(ShaderError, match="index 4"):
+            run(3, which=np.int32([(4, 2, 4, 0)] * 3), **given)
+
+
 # -- HostTexture -------------------------------------------------------------------------------------------
 
 
@@ -910,6 +935,8 @@ def test_a_host_texture_of_another_shape_or_format_is_refused() -> None:
     sl.run_compute(Sample2D, 1, source=fitting, **given)
     with pytest.raises(ValidationError, match="shading-arguments"):
         sl.run_compute(Sample3D, 1, source=fitting, **given)
+    with pytest.raises(ValidationError, match="shading-arguments"):
+        sl.run_compute(ReadSamples, 1, source=fitting, which=np.zeros((1, 4), "i4"), results=1)
     with pytest.raises(ValidationError, match="shading-arguments"):
         sl.HostTexture(np.zeros((4, 4), "f4"), Format.R8)
     with pytest.raises(ValidationError, match="shading-arguments"):
