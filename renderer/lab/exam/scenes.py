@@ -19,6 +19,7 @@ from renderer.content.shapes import box, sphere
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Orthographic, Perspective, Scene, SceneBuilder
 from renderer.scene.arrays import Floats
+from renderer.scene.cloth import Cloths, Gust, Wind, make_sheet
 from renderer.visibility import NoCulling, VisibilityAlgorithm, VisibilitySettings, make_visibility
 from rhi import Device
 from rhi.math import multiply, scaling, translation
@@ -64,6 +65,23 @@ def make_boxes(
     return builder.build()
 
 
+def make_flag() -> Scene:
+    """Make a flag in gusts at (0, 0.4, -5), and beside it a wall that hides it from (6, 0, 0)."""
+    builder = SceneBuilder("flag")
+    x, y = np.meshgrid(np.linspace(0.0, 1.3, 9), np.linspace(0.0, -0.9, 7))
+    pinned = np.zeros(x.shape, bool)
+    pinned[:, 0] = True
+    sheet = make_sheet(np.stack([x, y, 0.0 * x], 2), pinned, sub_steps=4)
+    mesh = builder.add_mesh(sheet.make_mesh(), "flag", sheet.bounds)
+    red = builder.add_material(base_color=(0.8, 0.1, 0.1), double_sided=True)
+    flag = builder.add_objects(builder.add_node(translation((0.0, 0.4, -5.0))), mesh, red)
+    builder.simulate(flag, Cloths(1, sheet, Wind((3.0, 0.0, 0.6), (Gust((0.5, 0.0, 2.5), (1.2, 0.2, 0.0), 1.3),))))
+    wall = builder.add_node(multiply(translation((4.0, 0.0, -3.0)), scaling((7.9, 14.0, 0.2))))
+    builder.add_objects(wall, builder.add_mesh(box()), builder.add_material(base_color=(0.3, 0.4, 0.3)))
+    builder.lights.add_directional((-0.4, -1.0, -0.3), (1.0, 1.0, 1.0), 1.5)
+    return builder.build()
+
+
 def look(eye: ArrayLike, aim: ArrayLike, **lens: Any) -> Camera:
     """Create a perspective camera."""
     return Camera.look_at(eye, aim, projection=Perspective(**lens))
@@ -97,9 +115,18 @@ class Uncut:
         frames: of each shot. holds: what must be true of them, or no comparison says anything.
     """
 
-    def __init__(self, device: Device, scene: Scene, shots: Shots, size: tuple[int, int] = SIZE) -> None:
+    def __init__(
+        self,
+        device: Device,
+        scene: Scene,
+        shots: Shots,
+        size: tuple[int, int] = SIZE,
+        *,
+        simulates_unseen: bool = False,
+    ) -> None:
         self.scene, self.shots = scene, shots
         self._renderer = Renderer(device, scene, size=size)
+        self._renderer.simulates_unseen = simulates_unseen
         self.frames = self.draw(NoCulling(scene))
         self.holds = show_something(self.frames)
 

@@ -10,6 +10,7 @@ from occlusion_scenes import WAITING, Oracle, draw_with, need_algorithm
 import rhi
 from renderer.cli import main
 from renderer.content import load_scene
+from renderer.content.hall import SEGMENTS
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.visibility import ALGORITHMS, FrustumCulling, NoCulling, make_visibility
@@ -68,6 +69,23 @@ def test_what_an_algorithm_does_not_draw_takes_no_step(null: rhi.Device, hall: S
         if name != "conditional":
             assert returned.skipped_simulations == 0
             assert returned.simulation_steps == 2 + (len(sprays) - 2) * 8
+
+
+@pytest.mark.parametrize(("count", "steps"), [(22, 0), (23, 23)])
+def test_only_what_an_absence_would_change_is_simulated_unseen(null: rhi.Device, count: int, steps: int) -> None:
+    """Of 22 fountains each can take the 90 steps that it remembers in the frame in which all return."""
+    scene = load_scene(f"hall:columns=18,rows=2,flags=4,fountains={count}")
+    away = Camera.look_at((0.0, 500.0, 0.0), (0.0, 1000.0, 0.0))
+    taken = {}
+    with Renderer(null, scene, visibility=FrustumCulling(scene), size=(64, 36)) as renderer:
+        renderer.animation_lag = 0.0
+        for renderer.simulates_unseen in (False, True):
+            renderer.simulator = scene.make_simulator()
+            for frame in (0, 1):
+                counted = renderer.render(away, frame / 60).statistics
+            assert counted.skipped_simulations == len(renderer.simulator) == count + 4 * SEGMENTS
+            taken[renderer.simulates_unseen] = counted.simulation_steps
+    assert taken == {False: 0, True: steps}
 
 
 def test_uploads_are_those_of_what_is_seen(null: rhi.Device, hall: Scene) -> None:
