@@ -327,10 +327,10 @@ class SceneResources:
 
     def expect(self, camera: Camera, rows: NDArray[np.int64], others: NDArray[np.int64] | None = None) -> None:
         """Simulate those of the objects `rows` that `camera` may see, because they will probably be drawn, and all
-        `others`. In one call, so that what a frame's steps are divided among doesn't depend on what was drawn."""
+        `others` that are shown. It is one call, so that steps aren't divided by what was drawn."""
         rows = self.find_in_view(camera, rows) if len(rows) else rows
         if others is not None:
-            rows = np.union1d(rows, others)
+            rows = np.union1d(rows, self.scene.objects.find_shown(others))
         if len(rows):
             self.simulate(rows, is_drawn=False)
 
