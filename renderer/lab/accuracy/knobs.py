@@ -190,7 +190,7 @@ _inferred: Final = partial(Knob, unit=Unit.LEVELS, truth=FORWARD, within=_INFERR
 _lists: Final = partial(Knob, unit=Unit.LIGHTS, truth=IN_RANGE, within=_CLUSTERED, demand=Demand.LAMPS)
 _queries: Final = partial(Knob, unit=Unit.OVERDRAW, truth=SEEN, within=_CHC)
 _FOLDS: Final = "cloth falls into other folds after the least of changes, and then all are as wrong"
-_simulated: Final = partial(_picture, path="", truth=FINEST_STEPS, remembers=20)
+_cloth: Final = partial(_picture, path="", truth=FINEST_STEPS, demand=Demand.CLOTH, remembers=20, exception=_FOLDS)
 _encoding: Final = partial(Knob, unit=Unit.DEGREES, truth=VECTORS)
 
 KNOBS: Final[dict[str, Knob]] = {
@@ -428,34 +428,32 @@ KNOBS: Final[dict[str, Knob]] = {
             demand=Demand.HISTORY,
             remembers=60,
         ),
-        _simulated(
+        _cloth(
             "cloth_sub_steps",
             "sub-steps of a step of cloth",
             values=_same(1, 2, 4, 8, 16, 32),
             because="a period is right to a hundredth",
-            demand=Demand.CLOTH,
-            exception=_FOLDS,
             option="sub_steps",
         ),
-        _simulated(
+        _cloth(
             "cloth_step",
             "steps of cloth a second",
             values=_same(15, 30, 60, 120),
             because="one for each frame; smaller parts of it are sub-steps",
-            demand=Demand.CLOTH,
             option="cloth_rate",
         ),
-        _simulated(
+        _cloth(
             "cloth_grid",
             "parts of a banner between two of its rings",
             values=_same(1, 2, 4, 8),
             because="finer folds are hardly seen",
-            demand=Demand.CLOTH,
             option="cloth_detail",
         ),
-        _simulated(
+        _picture(
             "drops",
             "drops of a fountain, one of which is thrown in each step",
+            path="",
+            truth=FINEST_STEPS,
             values=_same(15, 30, 45, 90),
             because="a drop moves on in each frame",
             demand=Demand.FOUNTAINS,

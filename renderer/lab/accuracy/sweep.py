@@ -410,10 +410,8 @@ class KnobBench(Bench):
         super().__init__(device, scene, situation.size, best.change_all(knob.truth.changes), knob.truth.scale, rig,
                          knob.truth.rays)  # fmt: skip
         with ExitStack() as self._opened:  # closed if one of them can't be opened
-            self._renderers = {
-                value: self.open(settings, scene=self._load(situation, value))
-                for value, settings in self._settings.items()
-            }
+            scenes = {value: self._load(situation, value) for value in values}
+            self._renderers = {value: self.open(one, 1, scenes[value]) for value, one in self._settings.items()}
             if knob.unit is Unit.OVERDRAW:
                 self._exact = ExactVisibility(device, scene, situation.size)
                 self._opened.callback(self._exact.destroy)

@@ -10,7 +10,7 @@ from occlusion_scenes import WAITING, Oracle, draw_with, need_algorithm
 import rhi
 from renderer.cli import main
 from renderer.content import load_scene
-from renderer.content.hall import SEGMENTS
+from renderer.lab.exam.scenes import leave, make_flag
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.visibility import ALGORITHMS, FrustumCulling, NoCulling, make_visibility
@@ -83,9 +83,29 @@ def test_only_what_an_absence_would_change_is_simulated_unseen(null: rhi.Device,
             renderer.simulator = scene.make_simulator()
             for frame in (0, 1):
                 counted = renderer.render(away, frame / 60).statistics
-            assert counted.skipped_simulations == len(renderer.simulator) == count + 4 * SEGMENTS
             taken[renderer.simulates_unseen] = counted.simulation_steps
     assert taken == {False: 0, True: steps}
+
+
+@pytest.mark.parametrize(("name", "hidden"), [("frustum", slice(15, 27)), ("stop_and_wait", slice(4, 27))])
+def test_a_flag_that_rested_comes_back_otherwise_than_one_that_took_its_steps(
+    gl: rhi.Device, name: str, hidden: slice
+) -> None:
+    """The control of exam 77: by default nothing is stepped unseen, and a frame makes up for at most 240 steps."""
+    scene, films = make_flag(), []
+    for is_simulated in (False, True):
+        algorithm = make_visibility(name, scene, gl)
+        with Renderer(gl, scene, size=(97, 55), visibility=algorithm) as renderer:
+            renderer.simulates_unseen = is_simulated
+            frames = (renderer.render(*shot) for shot in leave(scene))
+            films.append([(one.image.read(), one.statistics.simulation_steps) for one in frames])
+        algorithm.destroy()
+    rested, always = ([steps for _, steps in film] for film in films)
+    assert always == [0, *[30] * 29]
+    assert set(rested[hidden]) == {0}
+    assert max(rested) == rested[27] == 241
+    differs = [bool((one != other).any()) for (one, _), (other, _) in zip(*films, strict=True)]
+    assert differs == [*[False] * 27, *[True] * 3]
 
 
 def test_uploads_are_those_of_what_is_seen(null: rhi.Device, hall: Scene) -> None:

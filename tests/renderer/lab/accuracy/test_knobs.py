@@ -77,7 +77,6 @@ def test_values_of_a_scene_s_option_are_allowed_and_what_the_hall_has_is_among_t
     (option,) = (one for one in GENERATORS["hall"].options if one.name == knob.option)
     parsed = [option.parse("test", value) for value in knob.values]
     assert parsed == list(knob.values.values())
-    assert not knob.is_encoding
     assert knob.values[str(knob.default)] == (option.default or 8 // 2)  # half of `detail`
     assert len({repr(knob.set(RenderSettings(), value)) for value in knob.values}) == 1
 

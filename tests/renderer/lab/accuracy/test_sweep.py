@@ -105,15 +105,11 @@ def test_a_knob_that_the_scene_has_no_use_for_has_no_rows() -> None:
 
 @pytest.mark.parametrize("name", ["cloth_sub_steps", "cloth_step", "cloth_grid", "drops"])
 def test_a_knob_of_the_scene_is_judged_by_the_scene_of_its_last_value(name: str) -> None:
-    knob = replace(KNOBS[name], remembers=8 if name != "drops" else 40)
-    scene = "hall:columns=6,flags=0,cloths=4" if name != "drops" else "hall:columns=6,flags=0,fountains=4"
-    values, situation = list(knob.values), replace(TINY, scene=scene, camera="banners", rounds=1, size=(96, 54))
-    if name == "drops":
-        situation = replace(situation, camera="-9,2.2,0,-3,1.8,2")
-    with (
-        open_device("gl") as device,
-        KnobBench(device, load_scene(scene), situation, knob, [values[0], values[-1]]) as bench,
-    ):
+    knob, text = replace(KNOBS[name], remembers=24), "hall:columns=6,flags=0,fountains=4,cloths=4"
+    camera, values = "banners" if "cloth" in name else "-9,2.2,0,-3,1.8,2", list(knob.values)
+    situation = replace(TINY, scene=text, camera=camera, rounds=1, size=(96, 54))
+    scene = load_scene(text)
+    with open_device("gl") as device, KnobBench(device, scene, situation, knob, [values[0], values[-1]]) as bench:
         bench.draw_history()
         least, most = (one.summarize()[1] for one in bench.find_errors(bench.list_views()).values())
     assert least > most == 0.0
