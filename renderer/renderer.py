@@ -126,6 +126,7 @@ class Renderer:
 
     The attributes `technique`, `visibility`, `blending`, `precision` and `glow` may be exchanged between any two
     frames, and `layers` changed, which are drawn over each frame in their order, those that belong to the scene first.
+    With `simulates_unseen`, by default off, what an absence would change, such as cloth, is simulated in every frame.
     `show` ends a frame with its image: by default it is `Device.present`; a window puts its own in that place.
     """
 
@@ -164,6 +165,7 @@ class Renderer:
         self.precision = precision
         self.glow = glow
         self._animation_step, self._animation_lag = 0.0, ANIMATION_LAG
+        self.simulates_unseen = False
         self.layers: list[Layer] = []
         self.show: Callable[[Texture], None] = device.present
         self._own: list[VisibilityAlgorithm] = []
@@ -360,7 +362,7 @@ class Renderer:
         self.simulator.slow_down(around, self._targets.size[1], self._animation_lag)
         eyes = [self._view] if pair is None or pair.stereo.is_reprojected else [self._view, pair.view]
         resources.update(*(eye.camera for eye in eyes))
-        resources.expect(around, expected)
+        resources.expect(around, expected, self.simulator.diverging if self.simulates_unseen else None)
         needs = self._find_needs(around, self._seen.settle(around))
         plan = self._plan(needs)
         if plan is not self._drawn:

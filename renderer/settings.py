@@ -40,6 +40,7 @@ class RenderSettings:
         precision: that of the techniques' shaders. depth: the direction of depth.
         animation_step: the seconds after which what moves by itself moves on, 0 for every frame.
         animation_lag: the pixels by which what is small on the screen may be late, 0 for nothing.
+        simulates_unseen: whether what an absence would change, such as cloth, is simulated where it isn't drawn.
         reprojects: whether a second eye's picture is made from the first one's.
         scale: the size at which frames are drawn, in that of the image that is shown: 0.1 to 2.
     """
@@ -56,6 +57,7 @@ class RenderSettings:
     depth: Depth = Depth.REVERSED
     animation_step: float = 0.0
     animation_lag: float = ANIMATION_LAG
+    simulates_unseen: bool = False
     reprojects: bool = False
     scale: float = 1.0
 
@@ -136,6 +138,7 @@ class RenderSettings:
         renderer.shadows.settings = self.shadows
         renderer.tessellator.settings = self.tessellation
         renderer.animation_step, renderer.animation_lag = self.animation_step, self.animation_lag
+        renderer.simulates_unseen = self.simulates_unseen
         renderer.scale = self.scale
 
     def save(self, path: Path, **found: Any) -> None:

@@ -2,7 +2,7 @@
 
 A fountain throws one drop in each step. Its direction is a function of the fountain's and the step's number, so a
 drop's flight depends on nothing but the step in which it was thrown. When all drops have been thrown again, nothing
-is left of an earlier state.
+is left of an earlier state. With fewer drops steps are longer, and the drops are some of those that there would be.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from renderer.scene.catching_up import Stepwise
 from renderer.scene.meshes import VERTEX, MeshGeometry
 
 DROPS: Final = 90
-"""Number of drops of a fountain. One is thrown in each step, so each flies for this number of steps."""
+"""Number of drops of a fountain, unless it is asked for others. One is thrown in each step, so each flies for this
+number of steps."""
 
 _STEP: Final = 1.0 / 60.0
 _STEPS_PER_FRAME: Final = 2048
@@ -41,26 +42,26 @@ class Fountains:
     22 fountains that show at once are up to date in that frame, of more some are late by a few frames.
 
     Attributes:
-        position, velocity: (count, DROPS, 3) in m and m/s.
+        interval: the length of a step in seconds: a drop flies for 1.5.
+        position, velocity: (count, drops, 3) in m and m/s.
     """
 
-    interval = _STEP
-
-    def __init__(self, count: int, seed: int) -> None:
-        self.catch_up = Stepwise(max(_STEPS_PER_FRAME, count), memory=DROPS)
+    def __init__(self, count: int, seed: int, drops: int = DROPS) -> None:
+        self.catch_up = Stepwise(max(_STEPS_PER_FRAME, count), memory=drops)
+        self.interval = _STEP * (DROPS / drops)
         self._seed = seed
-        self.position: Floats = np.zeros((count, DROPS, 3))
-        self.velocity: Floats = np.zeros((count, DROPS, 3))
+        self.position: Floats = np.zeros((count, drops, 3))
+        self.velocity: Floats = np.zeros((count, drops, 3))
 
     def step(self, members: Rows, numbers: Rows) -> None:
         """Move the drops of `members` (j,), and throw one drop of each."""
-        velocity = self.velocity[members]
-        position = self.position[members] + velocity * _STEP
-        position[:, :, 1] -= 0.5 * _GRAVITY * _STEP**2  # the parabola, exactly
-        velocity[:, :, 1] -= _GRAVITY * _STEP
+        velocity, drops = self.velocity[members], self.position.shape[1]
+        position = self.position[members] + velocity * self.interval
+        position[:, :, 1] -= 0.5 * _GRAVITY * self.interval**2  # the parabola, exactly
+        velocity[:, :, 1] -= _GRAVITY * self.interval
         np.maximum(position[:, :, 1], 0.0, out=position[:, :, 1])  # the basin
-        each, slot = np.arange(len(members)), numbers % DROPS
-        position[each, slot], velocity[each, slot] = 0.0, self._throw(members, numbers)
+        each, slot = np.arange(len(members)), numbers % drops
+        position[each, slot], velocity[each, slot] = 0.0, self._throw(members, numbers * DROPS // drops)
         self.position[members], self.velocity[members] = position, velocity
 
     def _throw(self, members: Rows, numbers: Rows) -> Floats:
@@ -73,17 +74,17 @@ class Fountains:
         return np.stack([away * np.cos(angle), rise, away * np.sin(angle)], axis=1)
 
     def vertices(self, members: Rows) -> NDArray[Any]:
-        """Return the vertices (12 * DROPS * j,) of `members` (j,): a tetrahedron for each drop."""
+        """Return the vertices (12 * drops * j,) of `members` (j,): a tetrahedron for each drop."""
         return _tetrahedra(self.position[members].reshape(-1, 3))
 
     def particles(self, members: Rows) -> tuple[Floats, Floats]:
-        """Return the positions and velocities (j, DROPS, 3) of the drops of `members` (j,)."""
+        """Return the positions and velocities (j, drops, 3) of the drops of `members` (j,)."""
         return self.position[members], self.velocity[members]
 
 
-def make_drops() -> MeshGeometry:
+def make_drops(count: int = DROPS) -> MeshGeometry:
     """Make the mesh of a fountain before its first step: all drops are at the nozzle."""
-    vertices = _tetrahedra(np.zeros((DROPS, 3)))
+    vertices = _tetrahedra(np.zeros((count, 3)))
     return MeshGeometry(vertices, np.arange(len(vertices), dtype=np.uint32))
 
 

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.content import shapes
-from renderer.content.fountains import BOUNDS, Fountains, make_drops
+from renderer.content.fountains import BOUNDS, DROPS, Fountains, make_drops
 from renderer.content.specs import FOG, GLOW, SEED, SHADOWS, Generator, Option, add_air, cast_shadows
 from renderer.content.textures import paint_stripes
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.catching_up import Recompute
 from renderer.scene.cloth import Cloths, Fabric, Gust, Sheet, Wind, make_sheet
+from renderer.scene.cloth.sheets import INTERVAL, SUB_STEPS
 from renderer.scene.meshes import MeshGeometry, make_geometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
@@ -70,6 +71,10 @@ def make_hall(
     detail: int,
     seed: int,
     shadows: int,
+    drops: int,
+    cloth_detail: int,
+    cloth_rate: int,
+    sub_steps: int,
     fog: float = 0.0,
     glow: float = 0.0,
 ) -> Scene:
@@ -77,17 +82,20 @@ def make_hall(
     `cloths` banners between its columns, lit by its lamps, or by `lights` coloured lights among the columns."""
     rng = np.random.default_rng([seed, 8])
     options = f"columns={columns},rows={rows},flags={flags},fountains={fountains},detail={detail},seed={seed}"
-    if cloths:
-        options = f"cloths={cloths},{options}"
+    others = {"drops": drops, "cloth_detail": cloth_detail, "cloth_rate": cloth_rate, "sub_steps": sub_steps}
+    for name, value in {"cloths": cloths, **others}.items():
+        if value != _USUAL[name]:
+            options = f"{name}={value},{options}"
     builder = SceneBuilder(f"hall:lights={lights},{options}" if lights else f"hall:{options}")
     builder.background = (0.01, 0.012, 0.02)
     length, width = columns * BAY, (rows + 1) * BAY
     _add_shell(builder, length, width, columns)
     places = _add_columns(builder, columns, rows, length, detail)
     _add_flags(builder, rng, _flag_places(flags, length), detail)
-    _add_fountains(builder, fountains, length, detail, seed)
+    _add_fountains(builder, fountains, length, detail, seed, drops)
     bars = _list_bars(cloths, columns, rows, length)
-    _add_banners(builder, bars, detail, seed)
+    if cloths:
+        _add_banners(builder, bars, make_banner(2 * cloth_detail or detail, sub_steps, 1.0 / cloth_rate), seed)
     if lights:
         _add_colored_lights(builder, lights, places, length, width, seed)
     else:
@@ -114,11 +122,16 @@ HALL: Final = Generator(
         Option("detail", 8, "how finely columns are divided", 3, 64),
         SEED,
         SHADOWS,
+        Option("drops", DROPS, "drops of a fountain, one of which is thrown in each step; they fly 1.5 s", 1, DROPS),
+        Option("cloth_detail", 0, "parts of a banner between two of its rings; 0: half of `detail`", 0, 10),
+        Option("cloth_rate", round(1.0 / INTERVAL), "steps of banners a second", 10, 1000),
+        Option("sub_steps", SUB_STEPS, "sub-steps of a step of banners", 1, 32),
         FOG,
         GLOW,
     ),
     make_hall,
 )
+_USUAL: Final = {option.name: option.default for option in HALL.options}
 
 
 def _add_shell(builder: SceneBuilder, length: float, width: float, columns: int) -> None:
@@ -263,7 +276,7 @@ def _cloth(part: int, detail: int) -> MeshGeometry:
     )
 
 
-def _add_fountains(builder: SceneBuilder, count: int, length: float, detail: int, seed: int) -> None:
+def _add_fountains(builder: SceneBuilder, count: int, length: float, detail: int, seed: int, drops: int) -> None:
     """Add basins on alternating sides of the middle aisle, with a fountain in each."""
     if not count:
         return
@@ -286,9 +299,9 @@ def _add_fountains(builder: SceneBuilder, count: int, length: float, detail: int
     side = np.where(np.arange(count) % 2, 1.0, -1.0) * 0.5 * BAY
     places = np.stack([x, np.zeros(count), side], axis=1)
     builder.add_objects(builder.add_nodes(translation(places)), basin, stone)
-    sprays = [builder.add_mesh(make_drops(), f"spray {number}", BOUNDS) for number in range(count)]
+    sprays = [builder.add_mesh(make_drops(drops), f"spray {number}", BOUNDS) for number in range(count)]
     nozzles = builder.add_nodes(translation(places + np.array([0.0, 0.9, 0.0])))
-    builder.simulate(builder.add_objects(nozzles, sprays, water), Fountains(count, seed))
+    builder.simulate(builder.add_objects(nozzles, sprays, water), Fountains(count, seed, drops))
 
 
 def _list_bars(count: int, columns: int, rows: int, length: float) -> Floats:
@@ -304,12 +317,9 @@ def _list_bars(count: int, columns: int, rows: int, length: float) -> Floats:
     return np.stack([x, np.full(count, _BAR), aisles[place // columns]], axis=1)
 
 
-def _add_banners(builder: SceneBuilder, places: Floats, detail: int, seed: int) -> None:
+def _add_banners(builder: SceneBuilder, places: Floats, sheet: Sheet, seed: int) -> None:
     """Hang banners across the aisles."""
     count = len(places)
-    if not count:
-        return
-    sheet = make_banner(detail)
     wood = builder.add_material(base_color=(0.16, 0.09, 0.05), specular_color=(0.1, 0.1, 0.1))
     colors = (((0.72, 0.10, 0.12), (0.95, 0.80, 0.38)), ((0.12, 0.24, 0.60), (0.92, 0.90, 0.84)))
     cloths = np.array(
@@ -331,7 +341,7 @@ def _add_banners(builder: SceneBuilder, places: Floats, detail: int, seed: int) 
     builder.simulate(hung, Cloths(count, sheet, DRAUGHT, seed=seed))
 
 
-def make_banner(detail: int) -> Sheet:
+def make_banner(detail: int, sub_steps: int = SUB_STEPS, interval: float = INTERVAL) -> Sheet:
     """Make a banner that hangs in folds from the origin, about the plane of x and y, by five rings."""
     (width, height), part = _BANNER, max(detail // 2, 1)
     columns, rows = (_RINGS - 1) * part + 1, 6 * part + 1
@@ -343,7 +353,10 @@ def make_banner(detail: int) -> Sheet:
     pinned = np.zeros((rows, columns), bool)
     pinned[0, ::part] = True
     room = ((-0.6 * width, -1.02 * height, -0.6 * height), (0.6 * width, 0.05 * height, 0.6 * height))
-    return make_sheet(folded, pinned, flat=flat, fabric=Fabric(density=0.3, drag=3.0), room=room)
+    fabric = Fabric(density=0.3, drag=3.0)
+    return make_sheet(
+        folded, pinned, flat=flat, fabric=fabric, room=room, sub_steps=sub_steps, interval=interval
+    )  # fmt: skip
 
 
 DRAUGHT: Final = Wind(

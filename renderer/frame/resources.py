@@ -327,10 +327,14 @@ class SceneResources:
             for one in held:
                 one.release(self._device)
 
-    def expect(self, camera: Camera, rows: NDArray[np.int64]) -> None:
-        """Simulate those of the objects `rows` that `camera` may see, because they will probably be drawn."""
+    def expect(self, camera: Camera, rows: NDArray[np.int64], others: NDArray[np.int64] | None = None) -> None:
+        """Simulate those of the objects `rows` that `camera` may see, because they will probably be drawn, and all
+        `others` that are shown. It is one call, so that steps aren't divided by what was drawn."""
+        rows = self.find_in_view(camera, rows) if len(rows) else rows
+        if others is not None:
+            rows = np.union1d(rows, self.scene.objects.find_shown(others))
         if len(rows):
-            self.simulate(self.find_in_view(camera, rows), is_drawn=False)
+            self.simulate(rows, is_drawn=False)
 
     def find_in_view(self, camera: Camera, rows: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return those of the objects `rows` whose bounds are not outside the view."""

@@ -71,6 +71,10 @@ class Recompute:
     methods = ("set_time",)
     steps_per_frame = 0
 
+    def returns_exactly(self, count: int) -> bool:
+        """Return whether what returns is as if it had always been drawn: always."""
+        return True
+
     def begin(self) -> float:
         """Return what a member has reached before its first frame: nothing."""
         return np.nan
@@ -108,6 +112,11 @@ class Stepwise:
         _check("Stepwise(steps_per_frame=...)", self.steps_per_frame)
         if self.memory is not None:
             _check("Stepwise(memory=...)", self.memory)
+
+    def returns_exactly(self, count: int) -> bool:
+        """Return whether `count` members that return at once are, in that frame, as if they had always been drawn: if
+        a frame has steps enough for all that they remember."""
+        return self.memory is not None and count * self.memory <= self.steps_per_frame
 
     def begin(self) -> float:
         """Return what a member has reached before its first frame: step 0."""
@@ -150,6 +159,10 @@ class Leap:
         _check("Leap(steps_per_frame=...)", self.steps_per_frame)
         if not 0.0 <= self.error < np.inf:
             refuse(rules.BAD_SIMULATION, "Leap(error=...)", self.error, "a finite number, at least 0")
+
+    def returns_exactly(self, count: int) -> bool:
+        """Return whether what returns is as if it had always been drawn: not if it leaps."""
+        return False
 
     def begin(self) -> float:
         """Return what a member has reached before its first frame: step 0."""

@@ -200,6 +200,7 @@ class Simulator:
     Attributes:
         simulations: copies of the scene's simulations, in the order of `Scene.simulated`.
         objects: rows of the objects that are simulated only where they are drawn, ascending.
+        diverging: those of them that an absence leaves in another state than if they had always been drawn.
         seconds: the time of the frame.
         steps: number of steps that members took since `begin_frame`.
         late: number of members that were brought towards the frame's time, and haven't reached it.
@@ -222,6 +223,8 @@ class Simulator:
         owner = np.repeat(np.arange(len(objects)), np.diff(self._starts))
         self._has_nodes[owner[self._slots != self._slot_of[owner]]] = True
         self.objects: Rows = objects.simulated_rows
+        diverges = np.array([not one.simulation.catch_up.returns_exactly(len(one)) for one in self._begin], bool)
+        self.diverging: Rows = np.intersect1d(owner[diverges[self._which[self._slots]]], self.objects)
         always = np.zeros(len(self._which), bool)
         for which, one in enumerate(self._begin):
             always[self._first[which] : self._first[which + 1]] = not one.is_bounded

@@ -40,6 +40,7 @@ OTHERS = RenderSettings(
     depth=Depth.STANDARD,
     animation_step=0.25,
     animation_lag=2.0,
+    simulates_unseen=True,
     reprojects=True,
     scale=0.5,
 )

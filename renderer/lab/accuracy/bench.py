@@ -43,11 +43,11 @@ class Bench:
     def __exit__(self, *_: object) -> None:
         self._opened.close()
 
-    def open(self, settings: RenderSettings, scale: int = 1) -> Renderer:
-        """Return a renderer with these settings."""
+    def open(self, settings: RenderSettings, scale: int = 1, scene: Scene | None = None) -> Renderer:
+        """Return a renderer with these settings, of another scene if one is given."""
         width, height = self._size
         size = width * scale, height * scale
-        return self._opened.enter_context(settings.open(self.device, self.scene, size, self._rig))
+        return self._opened.enter_context(settings.open(self.device, scene or self.scene, size, self._rig))
 
     def draw(self, renderer: Renderer, settings: RenderSettings, shot: Shot) -> None:
         """Draw a shot, and wait for the device."""

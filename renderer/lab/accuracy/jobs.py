@@ -62,7 +62,7 @@ class SweepJob:
         scene = Path(self.situation.scene)
         content = sha256(scene.read_bytes()).hexdigest() if scene.is_file() else ""
         knob = KNOBS[self.knob]
-        measured = knob.path, knob.values, knob.unit, knob.truth, knob.within, knob.demand, knob.remembers
+        measured = knob.path, knob.values, knob.unit, knob.truth, knob.within, knob.demand, knob.remembers, knob.option
         share = self.share.number, self.share.count
         parts = [_VERSION, rhi.__version__, to_plain(self.situation), content, self.knob, share, repr(measured)]
         return _hash(parts)

@@ -15,8 +15,10 @@ from functools import partial
 from typing import Any, Final
 
 from renderer import rules
+from renderer.content.fountains import DROPS
 from renderer.frame import Blending, GlowSettings, TextureSettings
 from renderer.scene import Depth
+from renderer.scene.cloth.sheets import INTERVAL, SUB_STEPS
 from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter
 from rhi import Filter
@@ -55,6 +57,9 @@ class Demand(Enum):
     GLOW = "an object that emits more light than a white surface reflects"
     STEREO = "a second eye"
     MOTION = "something that moves by itself"
+    HISTORY = "something that an absence would change"
+    CLOTH = "a cloth"
+    FOUNTAINS = "a fountain"
     HEIGHT_FIELDS = "a height field whose limit holds all of its triangles"
 
 
@@ -83,13 +88,15 @@ class Knob:
 
     Attributes:
         about: what it decides. path: the setting, as `RenderSettings.get` finds it; empty for an encoding, which
-            shaders have for good. values: by how tables call them, the least accurate first.
+            shaders have for good, and for an option of generated scenes. values: by how tables call them, the least
+            accurate first.
         because: why we chose the default.
         unit: of the error. truth: what values are judged by.
         within: settings under which it matters. demand: what it needs in the scene.
         remembers: the number of earlier frames that a frame depends on, which are drawn before the first that counts; 0
             if frames needn't follow each other.
         exception: why errors needn't fall from each value to the next; empty where they must.
+        option: of a generated scene. Each value has a scene of its own, and that of the last one is the truth.
     """
 
     name: str
@@ -103,11 +110,12 @@ class Knob:
     demand: Demand | None = None
     remembers: int = 0
     exception: str = ""
+    option: str = ""
 
     @property
     def is_encoding(self) -> bool:
         """Whether values are encodings, which shaders have for good."""
-        return not self.path
+        return not (self.path or self.option)
 
     @property
     def default(self) -> str | None:
@@ -119,7 +127,8 @@ class Knob:
 
     def set(self, settings: RenderSettings, value: str) -> RenderSettings:
         """Return settings with a value, by its name in tables, and with what makes the knob matter."""
-        return settings.change_all(self.within).change(self.path, self.values[value])
+        settings = settings.change_all(self.within)
+        return settings.change(self.path, self.values[value]) if self.path else settings
 
 
 def _same(*values: Any) -> dict[str, Any]:
@@ -160,6 +169,8 @@ EACH_FRAME: Final = Truth("motion in each frame", {"animation_step": 0.0, "anima
 DISTANCES: Final = Truth("the distances in float64")
 SECOND_EYE: Final = replace(CENTRED, changes={"reprojects": False})
 VECTORS: Final = Truth("the vectors in float64")
+UNSEEN: Final = Truth("everything simulated in each frame", {"simulates_unseen": True})
+FINEST_STEPS: Final = Truth("the scene with the last value")
 
 _FORWARD: Final = {"technique.name": "forward", "algorithm": "frustum"}
 _ROOM: Final = {**_FORWARD, "shadows.largest_atlas": 8192}
@@ -178,6 +189,8 @@ _shadows: Final = partial(Knob, unit=Unit.LEVELS, truth=FINE_MAPS, within=_ROOM,
 _inferred: Final = partial(Knob, unit=Unit.LEVELS, truth=FORWARD, within=_INFERRED)
 _lists: Final = partial(Knob, unit=Unit.LIGHTS, truth=IN_RANGE, within=_CLUSTERED, demand=Demand.LAMPS)
 _queries: Final = partial(Knob, unit=Unit.OVERDRAW, truth=SEEN, within=_CHC)
+_FOLDS: Final = "cloth falls into other folds after the least of changes, and then all are as wrong"
+_cloth: Final = partial(_picture, path="", truth=FINEST_STEPS, demand=Demand.CLOTH, remembers=20, exception=_FOLDS)
 _encoding: Final = partial(Knob, unit=Unit.DEGREES, truth=VECTORS)
 
 KNOBS: Final[dict[str, Knob]] = {
@@ -414,6 +427,49 @@ KNOBS: Final[dict[str, Knob]] = {
             remembers=8,
         ),
         _picture(
+            "unseen",
+            "whether what an absence would change is simulated where it isn't drawn",
+            "simulates_unseen",
+            {"at rest": False, "simulated": True},
+            "nobody knows in which folds a cloth would have come back",
+            truth=UNSEEN,
+            within=_SOFTWARE,
+            demand=Demand.HISTORY,
+            remembers=60,
+        ),
+        _cloth(
+            "cloth_sub_steps",
+            "sub-steps of a step of cloth",
+            values=_same(1, 2, 4, 8, 16, 32),
+            because="a period is right to a hundredth",
+            option="sub_steps",
+        ),
+        _cloth(
+            "cloth_step",
+            "steps of cloth a second",
+            values=_same(15, 30, 60, 120),
+            because="one for each frame; smaller parts of it are sub-steps",
+            option="cloth_rate",
+        ),
+        _cloth(
+            "cloth_grid",
+            "parts of a banner between two of its rings",
+            values=_same(1, 2, 4, 8),
+            because="finer folds are hardly seen",
+            option="cloth_detail",
+        ),
+        _picture(
+            "drops",
+            "drops of a fountain, one of which is thrown in each step",
+            path="",
+            truth=FINEST_STEPS,
+            values=_same(15, 30, 45, 90),
+            because="a drop moves on in each frame",
+            demand=Demand.FOUNTAINS,
+            remembers=96,
+            option="drops",
+        ),
+        _picture(
             "second_eye",
             "whether the second eye's picture is drawn, or made of the first one's",
             "reprojects",
@@ -560,8 +616,12 @@ _CHOSEN: Final = {
     "normal_rounding": "octahedral 2 × 12, rounded",
     "tangent_packing": "tangent by its way around a square",
     "derivative_packing": "derivatives by their ways around a square",
+    "cloth_sub_steps": SUB_STEPS,
+    "cloth_step": round(1.0 / INTERVAL),
+    "cloth_grid": 4,
+    "drops": DROPS,
 }
-"""The encodings that the renderer's shaders have, or the kind of rounding."""
+"""The encodings that the renderer's shaders have, or the kind of rounding; and the options that scenes have."""
 
 NEUTRAL: Final[Mapping[str, str]] = {
     "technique.name": "pictures differ by rounding; `compare techniques`",

@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import rhi
-from renderer.content import find_path, load_scene, parse_camera
+from renderer.content import GENERATORS, change_options, find_path, load_scene, parse_camera
+from renderer.content.fountains import Fountains
 from renderer.lab.accuracy.bench import Bench, can_judge, read_picture
 from renderer.lab.accuracy.float64 import ExactPicture, shade_exactly
 from renderer.lab.accuracy.knobs import Demand, Knob, Unit, find_knob
@@ -42,6 +43,7 @@ from renderer.lab.measure.light_evaluations import count_light_evaluations
 from renderer.renderer import FrameResult
 from renderer.scene import Camera, CameraPath, Glow, Orthographic, Perspective, Scene, Shot
 from renderer.scene.arrays import Floats
+from renderer.scene.cloth import Cloths
 from renderer.settings import RenderSettings
 from renderer.stereo import find_rig
 from renderer.visibility import find_obstacle
@@ -219,7 +221,7 @@ def sweep_share(situation: Situation, name: str, share: SweepShare) -> KnobSampl
         if knob.is_encoding:
             return _sweep_encodings(situation, knob, device, found)
         scene = load_scene(situation.scene)
-        lack = prepare_scene(scene, knob)
+        lack = prepare_scene(scene, knob) or find_missing_option(situation.scene, knob)
         if lack is not None:
             return found(dict.fromkeys(knob.values, lack))
         left_out = list_left_out(device, situation.settings, knob)
@@ -292,11 +294,24 @@ def prepare_scene(scene: Scene, knob: Knob) -> str | None:
             has = len(scene.find_glowing())
         case Demand.MOTION:
             has = len(scene.simulated)
+        case Demand.HISTORY:
+            has = len(scene.make_simulator().diverging)
+        case Demand.CLOTH:
+            has = sum(isinstance(one.simulation, Cloths) for one in scene.simulated)
+        case Demand.FOUNTAINS:
+            has = sum(isinstance(one.simulation, Fountains) for one in scene.simulated)
         case Demand.HEIGHT_FIELDS:
             has = sum(field.limit == field.count for field in scene.height_fields.values())
         case _:
             return None
     return None if has else f"the scene lacks {knob.demand.value}"
+
+
+def find_missing_option(scene: str, knob: Knob) -> str | None:
+    """Return what a scene's text lacks for a knob: an option, None for nothing."""
+    generator = GENERATORS.get(scene.partition(":")[0])
+    has = not knob.option or (generator is not None and knob.option in {one.name for one in generator.options})
+    return None if has else f"the scene has no option {knob.option}"
 
 
 def list_left_out(device: Device, settings: RenderSettings, knob: Knob) -> dict[str, str]:
@@ -403,15 +418,25 @@ class KnobBench(Bench):
         super().__init__(device, scene, situation.size, best.change_all(knob.truth.changes), knob.truth.scale, rig,
                          knob.truth.rays)  # fmt: skip
         with ExitStack() as self._opened:  # closed if one of them can't be opened
-            self._renderers = {value: self.open(settings) for value, settings in self._settings.items()}
+            scenes = {value: self._load(situation, value) for value in values}
+            self._renderers = {value: self.open(one, 1, scenes[value]) for value, one in self._settings.items()}
             if knob.unit is Unit.OVERDRAW:
                 self._exact = ExactVisibility(device, scene, situation.size)
                 self._opened.callback(self._exact.destroy)
             elif knob.unit is Unit.LEVELS and not knob.truth.is_float64 and not knob.truth.rays:
                 known = [value for value, settings in self._settings.items() if settings == self._truth]
                 is_known = known and knob.truth.scale == 1
-                self._true = self._renderers[known[0]] if is_known else self.open(self._truth, self._scale)
+                self._true = self._renderers[known[-1]] if is_known else self.open(self._truth, self._scale)
             self._opened = self._opened.pop_all()
+
+    def _load(self, situation: Situation, value: str) -> Scene | None:
+        """Return the scene of a value if it has one of its own."""
+        option = self._knob.option
+        if not option:
+            return None
+        scene = load_scene(change_options(situation.scene, f"{option}={self._knob.values[value]}"))
+        prepare_scene(scene, self._knob)
+        return scene
 
     @property
     def _has_own_truth(self) -> bool:

@@ -19,6 +19,7 @@ from renderer.content.shapes import box, sphere
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Orthographic, Perspective, Scene, SceneBuilder
 from renderer.scene.arrays import Floats
+from renderer.scene.cloth import Cloths, Gust, Wind, make_sheet
 from renderer.visibility import NoCulling, VisibilityAlgorithm, VisibilitySettings, make_visibility
 from rhi import Device
 from rhi.math import multiply, scaling, translation
@@ -64,6 +65,21 @@ def make_boxes(
     return builder.build()
 
 
+def make_flag() -> Scene:
+    """Make a flag in gusts, and beside it a wall that hides it from (6, 0, 0)."""
+    builder = SceneBuilder("flag")
+    x, y = np.meshgrid(np.linspace(0.0, 1.3, 9), np.linspace(0.0, -0.9, 7))
+    sheet = make_sheet(np.stack([x, y, 0.0 * x], 2), x == 0.0, sub_steps=4)
+    mesh = builder.add_mesh(sheet.make_mesh(), "flag", sheet.bounds)
+    red = builder.add_material(base_color=(0.8, 0.1, 0.1), double_sided=True)
+    flag = builder.add_objects(builder.add_node(translation((0.0, 0.4, -5.0))), mesh, red)
+    builder.simulate(flag, Cloths(1, sheet, Wind((3.0, 0.0, 0.6), (Gust((0.5, 0.0, 2.5), (1.2, 0.2, 0.0), 1.3),))))
+    wall = builder.add_node(multiply(translation((4.0, 0.0, -3.0)), scaling((7.9, 14.0, 0.2))))
+    builder.add_objects(wall, builder.add_mesh(box()), builder.add_material(base_color=(0.3, 0.4, 0.3)))
+    builder.lights.add_directional((-0.4, -1.0, -0.3), (1.0, 1.0, 1.0), 1.5)
+    return builder.build()
+
+
 def look(eye: ArrayLike, aim: ArrayLike, **lens: Any) -> Camera:
     """Create a perspective camera."""
     return Camera.look_at(eye, aim, projection=Perspective(**lens))
@@ -100,6 +116,7 @@ class Uncut:
     def __init__(self, device: Device, scene: Scene, shots: Shots, size: tuple[int, int] = SIZE) -> None:
         self.scene, self.shots = scene, shots
         self._renderer = Renderer(device, scene, size=size)
+        self._renderer.simulates_unseen = True  # or what was culled before returns in another state
         self.frames = self.draw(NoCulling(scene))
         self.holds = show_something(self.frames)
 
@@ -259,6 +276,14 @@ def _stay(title: str) -> Callable[[Scene], Shots]:
     return list_shots
 
 
+def leave(_: Scene) -> Shots:
+    """See the flag, go behind the wall, turn away from it and come back, for longer than a frame can make up for."""
+    seen, hidden = (look((x, 0.0, 0.0), (0.4, 0.0, -5.0)) for x in (-1.0, 6.0))
+    away = look((6.0, 0.0, 0.0), (6.0, 0.0, 5.0))
+    cameras = [*[seen] * 3, *[hidden] * 12, *[away] * 12, *[seen] * 3]
+    return [(camera, 0.5 * number) for number, camera in enumerate(cameras)]
+
+
 def _fly_past(_: Scene) -> Shots:
     """Move forward past what was in view, so that it is behind the eye in the next frame."""
     return [(look((0.0, 0.0, z), (0.0, 0.0, z - 1.0), near=0.1), 0.0) for z in (8.0, 6.0, 1.0, -1.5, -6.0, 8.0)]
@@ -322,6 +347,7 @@ IMAGES: Final[dict[str, CullingImage]] = {title: _show(number, title) for title,
     "what was seen is behind the camera": CullingImage(19, _make_passed, _fly_past),
     "one pixel": CullingImage(20, make_city, along("ground", 600, 608, 616), (1, 1)),
     "17 by 9 pixels": CullingImage(20, make_city, along("ground", 600, 608, 616), (17, 9)),
+    "flag that comes back": CullingImage(77, make_flag, leave),
     "130 by 67 pixels": CullingImage(20, make_city, along("sky", 600, 608, 616), (130, 67)),
 }
 """Scenes, cameras and sizes in which culling must not show."""

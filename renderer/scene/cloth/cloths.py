@@ -3,8 +3,8 @@
 A step that is asked for is only noted. It is taken when somebody wants to see the cloth: on the device together with
 all that was noted since, or on NumPy as long as there is no device.
 
-When more steps were missed than a frame may take, the first of them are left out (`Leap`): the wind makes states alike,
-though creases may stay.
+When more steps were missed than a frame may take, the first of them are left out (`Leap`). Wind makes states alike only
+in part: a flag may stay a metre away for good.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Cloths:
         catch_up: its `error` is in metres: the greatest distance between two states of a point.
     """
 
-    interval = INTERVAL
+    interval: float = INTERVAL
 
     def __init__(
         self,
@@ -58,7 +58,8 @@ class Cloths:
         """
         if not 1 <= count <= MOST_CLOTHS:
             refuse(rules.BAD_CLOTH, "Cloths(count=...)", count, f"1 to {MOST_CLOTHS:,}")
-        self.sheet, self.wind = sheet, wind or Wind()
+        self.sheet, self.wind, self.interval = sheet, wind or Wind(), sheet.interval
+        self._periods = self.wind.count_steps(sheet.interval)
         self.catch_up = Leap(max(steps_per_frame, count), error=sheet.diameter)
         self._later: Rows = np.random.default_rng([seed, 18]).integers(0, 1 << 30, (count, 1))
         self._number: Rows = np.zeros(count, np.int64)  # of the last step that was asked for
@@ -141,12 +142,12 @@ class Cloths:
         else:
             for number in range(int(due.max())):
                 going = due > number
-                self._state.step(members[going], (phases[going] + number) % self.wind.periods)
+                self._state.step(members[going], (phases[going] + number) % self._periods)
         self._due[members] = 0
 
     def _find_phases(self, members: Rows) -> Rows:
         """Return the phases of the gusts in the first step that is due, (j, MOST_GUSTS): whole steps, exact after any
         time."""
         first = self._number[members] - self._due[members] + 1
-        phases: Rows = (first[:, None] + self._later[members]) % self.wind.periods
+        phases: Rows = (first[:, None] + self._later[members]) % self._periods
         return phases

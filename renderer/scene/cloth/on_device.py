@@ -23,7 +23,7 @@ from renderer.scene.cloth.kernels import (
     StepCloths,
 )
 from renderer.scene.cloth.reference import find_share
-from renderer.scene.cloth.sheets import GRAVITY, INTERVAL, MOST_GUSTS, Sheet, Wind
+from renderer.scene.cloth.sheets import GRAVITY, MOST_GUSTS, Sheet, Wind
 from rhi import Device, StorageBuffer
 from rhi.shading import vec4
 
@@ -130,22 +130,22 @@ def _pad(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _make_constants(sheet: Sheet, wind: Wind) -> ClothConstants:
-    count = sheet.sub_steps
+    length = sheet.interval / sheet.sub_steps
     calm = ClothGust(velocity=(0.0, 0.0, 0.0), along=(0.0, 0.0, 0.0))
     gusts = [ClothGust(velocity=gust.velocity, along=gust.along) for gust in wind.gusts]
     return ClothConstants(
         rows=sheet.rows,
         columns=sheet.columns,
         batches=len(sheet.batches) - 1,
-        substeps=count,
+        substeps=sheet.sub_steps,
         lower=sheet.lower,
         upper=sheet.upper,
-        fall=(0.0, -GRAVITY * INTERVAL / count, 0.0),
+        fall=(0.0, -GRAVITY * length, 0.0),
         velocity=wind.velocity,
-        seconds=INTERVAL / count * (2.0 / 3.0),
-        rate=count / INTERVAL,
-        share=float(find_share(sheet.fabric.drag, count)),
-        kept=float(np.float32(1.0) - find_share(sheet.fabric.damping, count)),
-        periods=wind.periods,
+        seconds=length * (2.0 / 3.0),
+        rate=1.0 / length,
+        share=float(find_share(sheet.fabric.drag, length)),
+        kept=float(np.float32(1.0) - find_share(sheet.fabric.damping, length)),
+        periods=wind.count_steps(sheet.interval),
         gusts=[*gusts, *[calm] * (MOST_GUSTS - len(gusts))],
     )

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene.arrays import Rows
-from renderer.scene.cloth.sheets import GRAVITY, INTERVAL, Sheet, Wind, find_normals
+from renderer.scene.cloth.sheets import GRAVITY, Sheet, Wind, find_normals
 
 _TURN: Final = np.float32(2.0 * np.pi)
 _LEAST: Final = np.float32(1e-20)
@@ -65,16 +65,17 @@ class ClothArrays:
             (np.array(gust.velocity, np.float32), sheet.points @ np.array(gust.along, np.float32))
             for gust in wind.gusts
         ]
-        self._periods = wind.periods
+        self._periods = wind.count_steps(sheet.interval)
         self._batches = [ConstraintBatch.make(sheet, begin, end) for begin, end in pairwise(sheet.batches.tolist())]
 
     def step(self, members: Rows, phases: Rows) -> None:
         """Take one step with `members` (j,); `phases` (j, MOST_GUSTS) are those of the gusts in steps."""
         sheet, fabric, count = self._sheet, self._sheet.fabric, self._sheet.sub_steps
-        seconds, rate = np.float32(INTERVAL / count), np.float32(count / INTERVAL)
-        share = find_share(fabric.drag, count)
-        kept = np.float32(1.0) - find_share(fabric.damping, count)
-        fall = np.array([0.0, -GRAVITY * INTERVAL / count, 0.0], np.float32)
+        length = sheet.interval / count
+        seconds, rate = np.float32(length), np.float32(1.0 / length)
+        share = find_share(fabric.drag, length)
+        kept = np.float32(1.0) - find_share(fabric.damping, length)
+        fall = np.array([0.0, -GRAVITY * length, 0.0], np.float32)
         wind = self._blow(phases)
         (points, older), (speeds, slower) = self.points[:, members], self.speeds[:, members]
         for _ in range(count):
@@ -112,6 +113,6 @@ def find_lengths(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     return lengths
 
 
-def find_share(rate: float, sub_steps: int) -> np.float32:
+def find_share(rate: float, seconds: float) -> np.float32:
     """Return the share that a sub-step has of an exponential decay at a `rate` per second: 0 to 1 for any rate."""
-    return np.float32(1.0 - np.exp(-rate * INTERVAL / sub_steps))
+    return np.float32(1.0 - np.exp(-rate * seconds))

@@ -19,7 +19,7 @@ from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry
 from rhi.errors import refuse
 
 INTERVAL: Final = 1.0 / 60.0
-"""The length of a step in seconds."""
+"""The length of a step in seconds, unless a sheet has another one."""
 SUB_STEPS: Final = 8
 """The number of sub-steps of a step, unless a sheet has another one."""
 MOST_SUB_STEPS: Final = 64
@@ -68,7 +68,8 @@ class Gust:
 
     Attributes:
         velocity: its greatest velocity in m/s. along: waves per metre along each axis, in the space of the object.
-        period: seconds from wave to wave, rounded to whole steps. Whole numbers keep the phase exact for all times.
+        period: seconds from wave to wave, rounded to whole steps, one at least. Whole numbers keep the phase exact for
+            all times.
     """
 
     velocity: tuple[float, float, float]
@@ -80,11 +81,6 @@ class Gust:
         _check_vector("Gust(along=...)", self.along, 100.0)
         if not INTERVAL <= self.period <= 1e6:
             refuse(rules.BAD_CLOTH, "Gust(period=...)", self.period, "seconds from a step to 10⁶")
-
-    @property
-    def steps(self) -> int:
-        """The period in steps."""
-        return max(round(self.period / INTERVAL), 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,10 +95,10 @@ class Wind:
         if len(self.gusts) > MOST_GUSTS:
             refuse(rules.BAD_CLOTH, "Wind(gusts=...)", f"{len(self.gusts)} gusts", f"at most {MOST_GUSTS}")
 
-    @property
-    def periods(self) -> Rows:
-        """The periods (MOST_GUSTS,) in steps, 1 where there is no gust."""
-        return np.array([*(gust.steps for gust in self.gusts), *[1] * MOST_GUSTS], np.int64)[:MOST_GUSTS]
+    def count_steps(self, interval: float) -> Rows:
+        """Return the periods (MOST_GUSTS,) in steps of `interval` seconds, 1 where there is no gust."""
+        steps = [max(round(gust.period / interval), 1) for gust in self.gusts]
+        return np.array([*steps, *[1] * MOST_GUSTS], np.int64)[:MOST_GUSTS]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -115,7 +111,7 @@ class Sheet:
         anchors: (n, 3) float32, the nearest pin of each point. reaches: (n,) float32, how far it may be away.
         constraints: (k,) of `CONSTRAINT`, batch by batch. batches: (b + 1,) int32, where each begins.
         lower, upper: (3,) float32, the corners of its room, which no point ever leaves.
-        fabric: what it is made of. sub_steps: how many of them a step has.
+        fabric: what it is made of. sub_steps: how many of them a step has. interval: the length of a step in seconds.
     """
 
     rows: int
@@ -130,6 +126,7 @@ class Sheet:
     upper: NDArray[np.float32]
     fabric: Fabric
     sub_steps: int
+    interval: float
 
     @property
     def bounds(self) -> MeshBounds:
@@ -167,6 +164,7 @@ def make_sheet(
     fabric: Fabric | None = None,
     room: tuple[ArrayLike, ArrayLike] | None = None,
     sub_steps: int = SUB_STEPS,
+    interval: float = INTERVAL,
 ) -> Sheet:
     """Make a sheet of a grid of points (rows, columns, 3) in metres.
 
@@ -180,10 +178,12 @@ def make_sheet(
             bounds.
         sub_steps: so many sub-steps has a step, 1 to 64, and fewer of more than 2,048 points: more of them stretch less
             and keep time better.
+        interval: the length of a step in seconds, 0.001 to 0.1. Wind changes from step to step.
 
     Raises:
         ValidationError `scene-bad-cloth`: a grid of less than 2 × 2 points or of too many, points that aren't finite
-            or coincide, no pin, a room that doesn't hold the points, no sub-step or too many.
+            or coincide, no pin, a room that doesn't hold the points, no sub-step or too many, a step that is too long
+            or too short.
     """
     call = "make_sheet"
     grid = np.asarray(points, np.float64)
@@ -202,10 +202,12 @@ def make_sheet(
     most = min(MOST_SUB_STEPS, SUB_STEPS * MOST_POINTS // pins.size)  # llvmpipe ends loops that turn too often
     if not 1 <= sub_steps <= most:
         refuse(rules.BAD_CLOTH, f"{call}(sub_steps=...)", sub_steps, f"1 to {most}")
+    if not 0.001 <= interval <= 0.1:
+        refuse(rules.BAD_CLOTH, f"{call}(interval=...)", interval, "0.001 to 0.1 s")
     rows, columns = pins.shape
     start, at = grid.reshape(-1, 3).astype(np.float32), rest.reshape(-1, 3)
     fabric = fabric or Fabric()
-    constraints, batches = _list_constraints(at, ~pins.reshape(-1), rows, columns, fabric, sub_steps)
+    constraints, batches = _list_constraints(at, ~pins.reshape(-1), rows, columns, fabric, interval / sub_steps)
     nearest, away = _find_pins(at, np.flatnonzero(pins.reshape(-1)))
     slack = _ROUNDING * float(np.abs(start).max())
     begin = np.linalg.norm(start.astype(np.float64) - start[nearest], axis=1)
@@ -221,7 +223,7 @@ def make_sheet(
         upper = np.maximum(np.minimum(upper, high), start.max(0))
     return Sheet(
         rows, columns, start, ~pins.reshape(-1), start[nearest], reaches, constraints, batches,
-        _round(lower, -1), _round(upper, 1), fabric, sub_steps,
+        _round(lower, -1), _round(upper, 1), fabric, sub_steps, interval,
     )  # fmt: skip
 
 
@@ -242,10 +244,10 @@ _FLAT: Final = np.float32(1e-12)
 
 
 def _list_constraints(
-    at: Floats, is_free: NDArray[np.bool_], rows: int, columns: int, fabric: Fabric, sub_steps: int
+    at: Floats, is_free: NDArray[np.bool_], rows: int, columns: int, fabric: Fabric, seconds: float
 ) -> tuple[NDArray[Any], NDArray[np.int32]]:
     """List the constraints of a grid, without those between pins, stiff ones last: what is projected last holds
-    best."""
+    best. `seconds` are those of a sub-step."""
     mass = fabric.density * _find_area(at, rows, columns) / (rows * columns)
     parts = []
     for a, b, kind in _list_batches(np.arange(rows * columns).reshape(rows, columns)):
@@ -253,7 +255,7 @@ def _list_constraints(
         part = np.zeros(int(pulls.sum()), CONSTRAINT)
         part["a"], part["b"] = a[pulls], b[pulls]
         part["length"] = np.linalg.norm(at[part["a"]] - at[part["b"]], axis=1)
-        part["softness"] = getattr(fabric, kind) * mass * (1.5 * sub_steps / INTERVAL) ** 2
+        part["softness"] = getattr(fabric, kind) * mass * (1.5 / seconds) ** 2
         if len(part):
             parts.append(part)
     constraints = np.concatenate([np.zeros(0, CONSTRAINT), *parts])

@@ -142,6 +142,14 @@ def test_the_hall_has_moving_flags_on_a_deep_hierarchy_and_three_kinds_of_things
     assert moved.tolist() == hall.objects.dynamic_rows.tolist()
 
 
+def test_options_of_the_hall_reach_its_simulations_and_its_name():
+    hall = load_scene("hall:columns=6,flags=0,fountains=1,cloths=1,drops=30,cloth_detail=1,cloth_rate=30,sub_steps=2")
+    fountains, cloths = (load_scene(hall.name).simulated[number].simulation for number in (0, 1))
+    assert fountains.position.shape == (1, 30, 3)
+    assert (cloths.sheet.rows, cloths.sheet.columns, cloths.sheet.sub_steps, cloths.interval) == (7, 5, 2, 1 / 30)
+    assert "drops" not in load_scene("hall:fountains=1").name
+
+
 def test_flags_stay_on_their_poles_and_near_them():
     hall = load_scene("hall:flags=10,seed=4")
     first_cloth = hall.objects.dynamic_rows[:10]

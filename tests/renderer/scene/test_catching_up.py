@@ -240,3 +240,15 @@ def test_a_leap_gives_another_state_than_steps_of_the_same_number() -> None:
 def test_a_policy_without_a_bound_is_refused(make: Callable[[], object]) -> None:
     with pytest.raises(ValidationError, match=r"^\[scene-bad-simulation\]"):
         make()
+
+
+def test_what_is_remembered_returns_exactly_if_a_frame_has_the_steps_for_it() -> None:
+    for count, budget in ((2, 10), (3, 14)):
+        policy = Stepwise(budget, memory=5)
+        assert policy.returns_exactly(count) == (count == 2)
+        sliders = Sliders(policy, count)
+        simulator, _, _ = start(sliders)
+        frame(simulator, HOUR, range(count))
+        assert (simulator.late == 0) == policy.returns_exactly(count)
+    others = (Recompute(), Stepwise(10**6), Leap(10**6, 0.0))
+    assert [one.returns_exactly(1) for one in others] == [True, False, False]

@@ -289,6 +289,16 @@ def test_a_fountain_s_memory_is_no_longer_than_it_must_be() -> None:
     assert (always.position != late.position).any(axis=2).sum() == 1
 
 
+def test_fewer_drops_are_some_of_those_that_there_would_be() -> None:
+    all_, some = Fountains(2, 7), Fountains(2, 7, 45)
+    assert some.interval == 2.0 * all_.interval
+    for number in range(1, 301):
+        all_.step(np.arange(2), np.full(2, number))
+        if number % 2 == 0:
+            some.step(np.arange(2), np.full(2, number // 2))
+    assert some.position[:, (np.arange(106, 151)) % 45] == pytest.approx(all_.position[:, np.arange(212, 301, 2) % 90])
+
+
 def test_drops_stay_within_their_bounds_rise_and_fall() -> None:
     fountains = Fountains(4, 1)
     highest = 0.0

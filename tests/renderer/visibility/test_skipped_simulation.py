@@ -10,6 +10,7 @@ from occlusion_scenes import WAITING, Oracle, draw_with, need_algorithm
 import rhi
 from renderer.cli import main
 from renderer.content import load_scene
+from renderer.lab.exam.scenes import leave, make_flag
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.visibility import ALGORITHMS, FrustumCulling, NoCulling, make_visibility
@@ -68,6 +69,43 @@ def test_what_an_algorithm_does_not_draw_takes_no_step(null: rhi.Device, hall: S
         if name != "conditional":
             assert returned.skipped_simulations == 0
             assert returned.simulation_steps == 2 + (len(sprays) - 2) * 8
+
+
+@pytest.mark.parametrize(("count", "steps"), [(22, 0), (23, 23)])
+def test_only_what_an_absence_would_change_is_simulated_unseen(null: rhi.Device, count: int, steps: int) -> None:
+    """Of 22 fountains each can take the 90 steps that it remembers in the frame in which all return."""
+    scene = load_scene(f"hall:columns=18,rows=2,flags=4,fountains={count}")
+    away = Camera.look_at((0.0, 500.0, 0.0), (0.0, 1000.0, 0.0))
+    taken = {}
+    with Renderer(null, scene, visibility=FrustumCulling(scene), size=(64, 36)) as renderer:
+        renderer.animation_lag = 0.0
+        for renderer.simulates_unseen in (False, True):
+            renderer.simulator = scene.make_simulator()
+            for frame in (0, 1):
+                counted = renderer.render(away, frame / 60).statistics
+            taken[renderer.simulates_unseen] = counted.simulation_steps
+    assert taken == {False: 0, True: steps}
+
+
+@pytest.mark.parametrize(("name", "hidden"), [("frustum", slice(15, 27)), ("stop_and_wait", slice(4, 27))])
+def test_a_flag_that_rested_comes_back_otherwise_than_one_that_took_its_steps(
+    gl: rhi.Device, name: str, hidden: slice
+) -> None:
+    """The control of exam 77: by default nothing is stepped unseen, and a frame makes up for at most 240 steps."""
+    scene, films = make_flag(), []
+    for is_simulated in (False, True):
+        algorithm = make_visibility(name, scene, gl)
+        with Renderer(gl, scene, size=(97, 55), visibility=algorithm) as renderer:
+            renderer.simulates_unseen = is_simulated
+            frames = (renderer.render(*shot) for shot in leave(scene))
+            films.append([(one.image.read(), one.statistics.simulation_steps) for one in frames])
+        algorithm.destroy()
+    rested, always = ([steps for _, steps in film] for film in films)
+    assert always == [0, *[30] * 29]
+    assert set(rested[hidden]) == {0}
+    assert max(rested) == rested[27] == 241
+    differs = [bool((one != other).any()) for (one, _), (other, _) in zip(*films, strict=True)]
+    assert differs == [*[False] * 27, *[True] * 3]
 
 
 def test_uploads_are_those_of_what_is_seen(null: rhi.Device, hall: Scene) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import rhi
-from renderer.content import load_scene
+from renderer.content import GENERATORS, load_scene
 from renderer.lab.accuracy import KNOBS, NEUTRAL, Knob
 from renderer.lab.accuracy.knobs import Demand
 from renderer.lab.measure.encodings import ENCODINGS
@@ -66,10 +66,19 @@ def test_values_are_settings_of_their_own_and_the_default_is_among_them(knob: Kn
 def test_encodings_are_those_that_are_compared() -> None:
     known = {one.name for one in ENCODINGS}
     encodings = [knob for knob in KNOBS.values() if knob.is_encoding]
-    assert encodings == [knob for knob in KNOBS.values() if not knob.path]
+    assert encodings == [knob for knob in KNOBS.values() if not knob.path and not knob.option]
     for knob in encodings:
         assert set(knob.values.values()) <= known
         assert knob.default is not None
+
+
+@pytest.mark.parametrize("knob", [knob for knob in KNOBS.values() if knob.option], ids=lambda knob: knob.name)
+def test_values_of_a_scene_s_option_are_allowed_and_what_the_hall_has_is_among_them(knob: Knob) -> None:
+    (option,) = (one for one in GENERATORS["hall"].options if one.name == knob.option)
+    parsed = [option.parse("test", value) for value in knob.values]
+    assert parsed == list(knob.values.values())
+    assert knob.values[str(knob.default)] == (option.default or 8 // 2)  # half of `detail`
+    assert len({repr(knob.set(RenderSettings(), value)) for value in knob.values}) == 1
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from renderer.lab.accuracy.sweep import (
     SweepShare,
     count_reached,
     crop_worst,
+    find_missing_option,
     join_shares,
     list_frames,
     list_shares,
@@ -113,6 +114,37 @@ def test_a_knob_that_the_scene_has_no_use_for_has_no_rows() -> None:
     report = sweep_knob(TINY, "blending")
     assert report.rows == ()
     assert set(report.left_out.values()) == {"the scene lacks a transparent object"}
+
+
+@pytest.mark.parametrize("name", ["cloth_sub_steps", "cloth_step", "cloth_grid", "drops"])
+def test_a_knob_of_the_scene_is_judged_by_the_scene_of_its_last_value(name: str) -> None:
+    knob, text = replace(KNOBS[name], remembers=24), "hall:columns=6,flags=0,fountains=4,cloths=4"
+    camera, values = "banners" if "cloth" in name else "-9,2.2,0,-3,1.8,2", list(knob.values)
+    situation = replace(TINY, scene=text, camera=camera, rounds=1, size=(96, 54))
+    scene = load_scene(text)
+    with open_device("gl") as device, KnobBench(device, scene, situation, knob, [values[0], values[-1]]) as bench:
+        bench.draw_history()
+        least, most = (one.summarize()[1] for one in bench.find_errors(bench.list_views()).values())
+    assert least > most == 0.0
+
+
+def test_a_scene_without_a_cloth_or_without_the_option_has_no_such_knob() -> None:
+    assert set(sweep_knob(TINY, "cloth_step").left_out.values()) == {"the scene lacks a cloth"}
+    assert prepare_scene(load_scene("hall:cloths=1"), KNOBS["cloth_step"]) is None
+    assert find_missing_option("city:blocks=2", KNOBS["drops"]) == "the scene has no option drops"
+    assert find_missing_option("model.glb", KNOBS["drops"]) == "the scene has no option drops"
+    assert find_missing_option("hall:flags=2", KNOBS["drops"]) is None
+    assert find_missing_option("city", KNOBS["fxaa"]) is None
+
+
+def test_what_an_absence_changes_is_an_error_unless_it_is_simulated_unseen() -> None:
+    situation = replace(TINY, scene="hall:columns=23,flags=0,cloths=12", size=(96, 54), rounds=1)
+    rest, simulated = sweep_knob(situation, "unseen").rows
+    assert rest.mean_error > simulated.mean_error == 0.0
+    assert rest.is_default
+    assert set(sweep_knob(TINY, "unseen").left_out.values()) == {
+        "the scene lacks something that an absence would change"
+    }
 
 
 def test_frames_that_remember_nothing_are_not_compared() -> None:

@@ -53,6 +53,28 @@ def test_only_what_is_seen_takes_steps_in_one_dispatch_for_all(null: rhi.Device)
     ]
 
 
+def test_cloths_that_are_simulated_unseen_take_each_frame_s_steps_and_no_more_when_they_return(
+    null: rhi.Device,
+) -> None:
+    scene, found = make_scene(3, gap=8.0), []
+    with open_renderer(null, scene) as renderer:
+        renderer.simulates_unseen = True
+        for camera, frame in ((scene.views["all"], 0), (ONE, 1), (AWAY, 2), (AWAY, 600), (AWAY, 601), (ONE, 602)):
+            null.stream.clear()
+            counted = renderer.render(camera, frame / 60).statistics
+            found.append((count_dispatches(null), counted.simulation_steps, counted.skipped_simulations))
+    assert found == [(0, 0, 0), (1, 3, 2), (1, 3, 3), (1, 243, 3), (1, 3, 3), (1, 3, 2)]
+
+
+def test_a_cloth_that_is_hidden_takes_no_step_unseen(null: rhi.Device) -> None:
+    scene = make_scene(2)
+    with open_renderer(null, scene) as renderer:
+        renderer.simulates_unseen = True
+        renderer.render(AWAY, 1 / 60)
+        scene.nodes.hide(scene.objects.node[renderer.simulator.objects[:1]])
+        assert renderer.render(AWAY, 2 / 60).statistics.simulation_steps == 1
+
+
 def test_a_frame_away_from_all_cloths_is_that_of_a_scene_whose_cloths_have_no_simulation(null: rhi.Device) -> None:
     """But for a buffer of vertices of its own, nothing is created, uploaded or issued."""
     streams = []

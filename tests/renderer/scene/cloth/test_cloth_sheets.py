@@ -83,10 +83,12 @@ def test_folds_are_as_long_as_the_flat_cloth() -> None:
     lambda: Gust((0, 0), (0, 0, 0), 1.0),
     lambda: Cloths(0, make_square()), lambda: Cloths(65_536, make_square()),
     lambda: make_square(sub_steps=0), lambda: make_square(sub_steps=65), lambda: make_square(100, 100, sub_steps=14),
+    lambda: make_square(interval=0.00099), lambda: make_square(interval=0.101), lambda: make_square(interval=np.nan),
 ])  # fmt: skip
 def test_what_is_no_cloth_is_refused(make: object) -> None:
     assert find_rule(make) == "scene-bad-cloth"
     assert make_square(100, 100, sub_steps=13).sub_steps == 13
+    assert (make_square(interval=0.001).interval, make_square(interval=0.1).interval) == (0.001, 0.1)
 
 
 def test_what_is_just_a_cloth_is_one() -> None:

@@ -92,6 +92,22 @@ def test_steps_are_the_same_whenever_they_are_taken_and_with_whom() -> None:
     assert not np.array_equal(find_points(one)[0], find_points(one)[1])  # gusts reach each at a time of its own
 
 
+def test_a_step_of_any_length_is_its_sub_steps(device: rhi.Device) -> None:
+    """In a wind that doesn't change, two steps of 8 sub-steps are one of 16 that is twice as long."""
+    wind = Wind((0.3, 0.0, 2.0))
+    short, long = (Cloths(1, make_square(sub_steps=8 * n, interval=n / 60), wind) for n in (1, 2))
+    points = [advance_on(device, short, 1, 20), advance_on(device, long, 1, 10)]
+    for cloths in (short, long):
+        cloths.release(device)
+    assert points[0] == pytest.approx(points[1], abs=1e-6)
+    assert np.abs(points[0] - short.sheet.points).max() > 0.05
+
+
+def test_gusts_last_as_long_in_steps_of_any_length() -> None:
+    assert Wind(gusts=(Gust((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.5),)).count_steps(1 / 60).tolist() == [30, 1, 1, 1]
+    assert BREEZE.count_steps(0.1).tolist() == [7, 4, 1, 1]
+
+
 def test_after_years_a_step_is_what_it_is_at_the_beginning() -> None:
     """10⁸ s are 6 · 10⁹ steps, more than 32 bits; gusts of 42 and 24 steps repeat every 168."""
     young, old = (Cloths(1, make_square(), BREEZE) for _ in range(2))
