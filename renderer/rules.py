@@ -111,6 +111,9 @@ BAD_CLOTH: Final = Rule(
     "scene-bad-cloth",
     "a cloth is a grid of points apart from each other, some of them pinned, in a wind of finite speed",
 )
+BAD_WATER: Final = Rule(
+    "scene-bad-water", "a pool is a grid of points with shallow water, whose waves cross at most a cell in a step"
+)
 UNKNOWN_NODE: Final = Rule("scene-unknown-node", "no node has this name")
 
 # Scene text

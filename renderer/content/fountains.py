@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Rows, hash_to_unit
 from renderer.scene.catching_up import Stepwise
 from renderer.scene.meshes import VERTEX, MeshGeometry
 
@@ -67,7 +67,7 @@ class Fountains:
     def _throw(self, members: Rows, numbers: Rows) -> Floats:
         """Return velocities (j, 3): hashes of member and step number, so that skipping steps needs no state."""
         key = (members.astype(np.uint64) << np.uint64(40)) + numbers.astype(np.uint64) + np.uint64(self._seed)
-        angle, away, up = (_hash(key * np.uint64(3) + np.uint64(part)) for part in range(3))
+        angle, away, up = (hash_to_unit(key * np.uint64(3) + np.uint64(part)) for part in range(3))
         away = _AWAY * np.sqrt(away)
         angle = 2.0 * np.pi * angle
         rise = _UP[0] + (_UP[1] - _UP[0]) * up
@@ -95,11 +95,3 @@ def _tetrahedra(centres: Floats) -> NDArray[Any]:
     vertices["position"] = centres[:, None, None] + corners
     vertices["normal"] = (normals / np.linalg.norm(normals, axis=1, keepdims=True))[:, None]
     return vertices.reshape(-1)
-
-
-def _hash(key: NDArray[np.uint64]) -> Floats:
-    """Hash to [0, 1) with SplitMix64 (Steele, Lea and Flood, 2014)."""
-    x = (key + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return ((x ^ (x >> np.uint64(31))) >> np.uint64(11)).astype(np.float64) * 2.0**-53

@@ -13,17 +13,22 @@ from renderer.content.specs import SEED, Generator, Option
 from renderer.content.surfaces import paint_surface
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
+from renderer.scene.water import Pool, Water
 from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 
 _SIDE: Final = 8.0
 """Metres between two walls."""
 _HEIGHT: Final = 3.0
+_POOL: Final = (2.6, 1.4)  # metres along x and z
+_RIM: Final = (0.12, 0.22)  # width and height of a pool's rim, metres
 
 
-def make_yard(columns: int, lamps: int, shadows: int, seed: int) -> Scene:
-    """Make a yard with `columns` columns, each with a ball beside it, lit by the sun and by `lamps` lamps."""
+def make_yard(columns: int, lamps: int, pools: int, shadows: int, seed: int) -> Scene:
+    """Make a yard with `columns` columns, each with a ball beside it, and `pools` pools, lit by the sun and by `lamps`
+    lamps."""
     rng = np.random.default_rng([seed, 29])
-    builder = SceneBuilder(f"yard:columns={columns},lamps={lamps},shadows={shadows},seed={seed}")
+    wet = f"pools={pools}," if pools else ""
+    builder = SceneBuilder(f"yard:columns={columns},lamps={lamps},{wet}shadows={shadows},seed={seed}")
     builder.background = (0.30, 0.42, 0.58)
     half = 0.5 * _SIDE
 
@@ -70,6 +75,7 @@ def make_yard(columns: int, lamps: int, shadows: int, seed: int) -> Scene:
     plain = builder.add_material(base_color=(0.7, 0.55, 0.2), metallic=1.0, roughness=0.3)
     builder.add_objects(builder.add_node(multiply(translation((0, 0.5, 0)), scaling((0.5, 0.5, 0.5)))), ball, plain)
 
+    _add_pools(builder, pools, marble, seed)
     builder.lights.sky, builder.lights.ground = (0.22, 0.26, 0.32), (0.10, 0.09, 0.08)
     builder.lights.add_directional((0.7, -0.7, -0.35), (1.0, 0.95, 0.86), 1.4, casts_shadow=bool(shadows))
     if lamps:
@@ -86,12 +92,39 @@ def make_yard(columns: int, lamps: int, shadows: int, seed: int) -> Scene:
     return builder.build()
 
 
+def _add_pools(builder: SceneBuilder, count: int, stone: int, seed: int) -> None:
+    """Add pools one behind the other, in the rain, each with a rim of stone."""
+    if not count:
+        return
+    pool = Pool(_POOL, cells=(72, 40), depth=0.06, damping=0.6, rain=5.0, drop=0.06, radius=0.09, limit=0.15)
+    water = builder.add_material(base_color=(0.10, 0.24, 0.28), roughness=0.15, metallic=0.0)
+    away = 0.5 * _SIDE + 1.9 * np.arange(count)
+    places = np.stack([np.zeros(count), np.full(count, _RIM[1] - 0.08), away], axis=1)
+    meshes = [builder.add_mesh(pool.make_mesh(), f"water {number}", pool.bounds) for number in range(count)]
+    builder.simulate(
+        builder.add_objects(builder.add_nodes(translation(places)), meshes, water), Water(count, pool, seed=seed)
+    )
+    builder.views["pool"] = Camera.look_at(
+        (1.4, 1.5, 2.2 + away[0]), (0.0, 0.1, away[0]), projection=Perspective(near=0.05)
+    )
+    block, (width, height) = builder.add_mesh(BUILT_IN["box"](), "rim"), _RIM
+    long, deep = _POOL[0] + 2.0 * width, _POOL[1]
+    for x, z, size in (
+        (0.0, 0.5 * (deep + width), (long, height, width)),
+        (0.5 * (long - width), 0.0, (width, height, deep)),
+    ):
+        for side in (-1.0, 1.0):
+            rims = np.add(places, (side * x, 0.5 * height - places[0, 1], side * z))
+            builder.add_objects(builder.add_nodes(multiply(translation(rims), scaling(size))), block, stone)
+
+
 YARD: Final = Generator(
     "yard",
     "materials with shaders of their own: bricks in relief, marble, squares; ground and sky paths",
     (
         Option("columns", 7, "how many columns of marble", 0, 1_000),
         Option("lamps", 6, "coloured lamps between them", 0, 4_096),
+        Option("pools", 0, "pools in the rain, whose surfaces are simulated where they are drawn", 0, 64),
         Option("shadows", 0, "whether the sun casts shadows, 0 or 1", 0, 1),
         SEED,
     ),

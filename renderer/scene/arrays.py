@@ -30,3 +30,11 @@ def list_ranges(firsts: ArrayLike, counts: ArrayLike) -> Rows:
     begins, sizes = np.asarray(firsts, np.int64), np.asarray(counts, np.int64)
     found: Rows = np.arange(sizes.sum()) + np.repeat(begins - np.cumsum(sizes) + sizes, sizes)
     return found
+
+
+def hash_to_unit(key: NDArray[np.uint64]) -> Floats:
+    """Hash to [0, 1) with SplitMix64 (Steele, Lea and Flood, 2014)."""
+    x = (key + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return ((x ^ (x >> np.uint64(31))) >> np.uint64(11)).astype(np.float64) * 2.0**-53

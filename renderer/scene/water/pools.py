@@ -1,0 +1,294 @@
+"""Pools, and the simulation of their surfaces: which steps are due, and where they are taken.
+
+A step that is asked for is only noted. It is taken when somebody wants to see the water: on the device together with
+all that was noted since, or on NumPy as long as there is no device. Where and when drops fall is a hash of the pool and
+the step, so a pool's surface follows from the number of its step alone, once it has forgotten how it began.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer import rules
+from renderer.scene.arrays import Floats, Rows, hash_to_unit
+from renderer.scene.catching_up import Stepwise
+from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry
+from renderer.scene.water.kernels import PoolBuffers, PoolConstants
+from rhi import Device, StorageBuffer
+from rhi.errors import refuse
+
+INTERVAL: Final = 1.0 / 60.0
+"""The length of a step in seconds."""
+GRAVITY: Final = 9.81
+MOST_POINTS: Final = 16_384
+MOST_POOLS: Final = 65_535
+"""The most pools of one simulation: each is a work-group of a dispatch."""
+FORGOTTEN: Final = 1e-3
+"""What is left of a wave when it counts as forgotten."""
+_STEPS_PER_FRAME: Final = 2048
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Pool:
+    """A rectangular pool, whose surface at rest is y = 0, from -size / 2 to size / 2 along x and z.
+
+    Attributes:
+        size: metres along x and z.
+        cells: of the grid along x and z. The error of a wave's speed falls with their squares (`docs/scene.md`).
+        depth: of the water in metres: waves go √(9.81 depth) metres a second.
+        damping: a wave is exp(-damping t / 2) of itself after t seconds. Without any, nothing is ever forgotten, and
+            each missed step is taken.
+        rain: drops a second. drop: the height in metres by which one lifts the water.
+        radius: of a drop in metres.
+        limit: metres: no point is ever higher, nor lower than minus as much.
+        start: (rows + 1, columns + 1), the heights at first, in metres; None is flat.
+
+    Raises:
+        ValidationError `scene-bad-water`: a number that is out of range; cells so small that a wave goes farther than
+            one in a step; heights of another shape or above the limit.
+    """
+
+    size: tuple[float, float] = (2.0, 2.0)
+    cells: tuple[int, int] = (48, 48)
+    depth: float = 0.1
+    damping: float = 1.5
+    rain: float = 3.0
+    drop: float = 0.02
+    radius: float = 0.08
+    limit: float = 0.1
+    start: NDArray[Any] | None = None
+
+    def __post_init__(self) -> None:
+        for name, least, most in (
+            ("size", 1e-3, 1e4), ("depth", 1e-6, 1e4), ("damping", 0.0, 1e3), ("rain", 0.0, 1.0 / INTERVAL),
+            ("drop", 0.0, self.limit), ("radius", 1e-4, 1e4), ("limit", 1e-6, 1e4),
+        ):  # fmt: skip
+            if not (np.greater_equal(getattr(self, name), least) & np.less_equal(getattr(self, name), most)).all():
+                refuse(rules.BAD_WATER, f"Pool({name}=...)", getattr(self, name), f"{least:g} to {most:g}")
+        columns, rows = self.cells
+        if min(self.cells) < 2 or (columns + 1) * (rows + 1) > MOST_POINTS:
+            refuse(rules.BAD_WATER, "Pool(cells=...)", self.cells, f"2 or more, at most {MOST_POINTS:,} points")
+        if self.share.sum() > 1.0:
+            allowed = "cells that a wave doesn't cross in a step"
+            refuse(rules.BAD_WATER, "Pool(cells=...)", self.cells, allowed, tip="take fewer, or less depth")
+        start = np.zeros(self.shape) if self.start is None else np.asarray(self.start)
+        if start.shape != self.shape or not (np.abs(start) <= self.limit).all():
+            refuse(rules.BAD_WATER, "Pool(start=...)", f"shape {start.shape}", f"{self.shape}, within the limit")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """The number of points along z and along x."""
+        return self.cells[1] + 1, self.cells[0] + 1
+
+    @property
+    def share(self) -> Floats:
+        """The squares of the share of a cell that a wave goes in a step, along x and z: (2,)."""
+        gap = np.divide(self.size, self.cells)
+        return GRAVITY * self.depth * (INTERVAL / gap) ** 2
+
+    @property
+    def kept(self) -> float:
+        """What is left of a wave after a step."""
+        return float(np.exp(-0.5 * self.damping * INTERVAL))
+
+    @property
+    def memory(self) -> int | None:
+        """The steps after which a wave is forgotten, None for never."""
+        return None if self.damping == 0.0 else max(int(np.ceil(np.log(FORGOTTEN) / np.log(self.kept))), 1)
+
+    @property
+    def bounds(self) -> MeshBounds:
+        """The lower and the upper corner (3,) of a box that holds it at all times, for `SceneBuilder.add_mesh`."""
+        upper = np.array([0.5 * self.size[0], self.limit, 0.5 * self.size[1]])
+        return -upper, upper
+
+    def make_mesh(self) -> MeshGeometry:
+        """Make the mesh of the surface at first. Texture coordinates are 0 to 1 along x and z."""
+        rows, columns = self.shape
+        corner = np.arange(rows * columns).reshape(rows, columns)
+        a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
+        triangles = np.stack([a, b, c, a, c, d], axis=-1).astype(np.uint32)
+        heights = np.zeros(self.shape) if self.start is None else np.asarray(self.start)
+        return MeshGeometry(self.make_vertices(heights[None]), triangles.reshape(-1))
+
+    def make_vertices(self, heights: NDArray[Any]) -> NDArray[Any]:
+        """Return the vertices (k * n,) of `VERTEX` of surfaces with `heights` (k, rows + 1, columns + 1)."""
+        z, x = np.meshgrid(*(np.linspace(0.0, 1.0, count) for count in self.shape), indexing="ij")
+        vertices = np.zeros(heights.shape, VERTEX)
+        vertices["uv"] = np.stack([x, z], axis=-1)
+        vertices["position"][..., ::2] = (vertices["uv"] - 0.5) * self.size
+        vertices["position"][..., 1] = heights
+        slope = np.zeros((2, *heights.shape))
+        slope[0, :, :, 1:-1] = (heights[:, :, 2:] - heights[:, :, :-2]) * (0.5 * self.cells[0] / self.size[0])
+        slope[1, :, 1:-1] = (heights[:, 2:] - heights[:, :-2]) * (0.5 * self.cells[1] / self.size[1])
+        normal = np.stack([-slope[0], np.ones(heights.shape), -slope[1]], axis=-1)
+        vertices["normal"] = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+        return vertices.reshape(-1)
+
+
+class Water:
+    """A simulation of the surfaces of `count` pools of one kind.
+
+    A pool that wasn't seen for longer than its memory begins flat that long ago, and takes the steps since then: from
+    one that was seen always it differs by at most `FORGOTTEN` of the highest wave. Steps that a frame has no time for
+    follow in the next ones.
+
+    Attributes:
+        pool: what they are.
+    """
+
+    interval = INTERVAL
+
+    def __init__(self, count: int, pool: Pool, *, seed: int = 0, steps_per_frame: int = _STEPS_PER_FRAME) -> None:
+        """Begin with all surfaces as the pool's is at first.
+
+        Args:
+            seed: drops follow from it. steps_per_frame: the most steps that all pools take in a frame together, at
+                least one each.
+
+        Raises:
+            ValidationError `scene-bad-water`: a count outside 1 to 65,535.
+        """
+        if not 1 <= count <= MOST_POOLS:
+            refuse(rules.BAD_WATER, "Water(count=...)", count, f"1 to {MOST_POOLS:,}")
+        self.pool = pool
+        self.catch_up = Stepwise(max(steps_per_frame, count), pool.memory)
+        self._seed = seed
+        self._number: Rows = np.zeros(count, np.int64)  # of the last step that was asked for
+        self._due: Rows = np.zeros(count, np.int64)  # how many of the last ones weren't taken yet
+        self._fresh: Rows = np.zeros(count, np.int64)  # 1: the first of these begins flat
+        self._state: NDArray[np.float32] | PoolBuffers = self._begin()
+
+    def __len__(self) -> int:
+        return len(self._number)
+
+    def __deepcopy__(self, memo: object) -> Water:
+        """Return a copy with a state of its own; where this one's is on a device, that waits for it."""
+        made = Water.__new__(Water)
+        made.__dict__.update(self.__dict__)
+        made._number, made._due, made._fresh = self._number.copy(), self._due.copy(), self._fresh.copy()
+        made._state = self._read()
+        return made
+
+    def _begin(self) -> NDArray[np.float32]:
+        """Return the heights (count, 2, rows + 1, columns + 1) at first, when the water rests: of the last step and
+        the one before it, which with the same kept share is the next one's mirror."""
+        pool = self.pool
+        heights = np.zeros(pool.shape) if pool.start is None else np.asarray(pool.start, np.float64)
+        before = (heights + 0.5 * self._curve(heights[None])[0]) / pool.kept
+        return np.tile(np.stack([heights, before]).astype(np.float32), (len(self), 1, 1, 1))
+
+    def step(self, members: Rows, numbers: Rows) -> None:
+        """Note one more step for `members` (j,); one that isn't the next of a member begins flat."""
+        jumped = members[numbers != self._number[members] + 1]
+        self._due[jumped], self._fresh[jumped] = 0, 1
+        self._number[members] = numbers
+        self._due[members] += 1
+
+    def vertices(self, members: Rows) -> NDArray[Any]:
+        """Return the vertices of `members` (j,), one after another. Waits for the device that has them."""
+        return self.pool.make_vertices(self.read()[members])
+
+    def read(self) -> NDArray[np.float32]:
+        """Return the heights (count, rows + 1, columns + 1) after all steps so far. Waits for the device that has
+        them."""
+        self._take(np.flatnonzero(self._due > 0))
+        return self._read()[np.arange(len(self)), self._number % 2]
+
+    def _read(self) -> NDArray[np.float32]:
+        state = self._state
+        heights: NDArray[np.float32] = state.read() if isinstance(state, PoolBuffers) else state.copy()
+        return heights.reshape(len(self), 2, *self.pool.shape)
+
+    def deform(self, device: Device, members: Rows, vertices: StorageBuffer[float], begins: Rows, stride: int) -> None:
+        """Take the steps that are due of `members` (j,) on a device, and write their vertices. What a frame takes is
+        one dispatch.
+
+        Args:
+            vertices: what is drawn. begins: (j,), the number of each member's first vertex in it.
+            stride: floats from vertex to vertex.
+        """
+        before = self._state
+        if not isinstance(before, PoolBuffers) or before.device is not device:
+            heights = self._read().reshape(len(self), 2, -1)
+            self._state = PoolBuffers(device, self._make_constants(), heights)
+            if isinstance(before, PoolBuffers):
+                before.destroy()
+        self._run(members, begins, vertices, stride)
+
+    def release(self, device: Device) -> None:
+        """Destroy what is on this device, if anything is: the surfaces then begin again as the pool's."""
+        if isinstance(self._state, PoolBuffers) and self._state.device is device:
+            self._state.destroy()
+            self._state = self._begin()
+
+    def _run(self, members: Rows, begins: Rows, vertices: StorageBuffer[float] | None, stride: int) -> None:
+        assert isinstance(self._state, PoolBuffers)
+        due, numbers = self._due[members], self._number[members]
+        steps = (numbers - due + 1)[:, None] + np.arange(int(due.max(initial=0)))
+        drops = self._fall(np.repeat(members, steps.shape[1]), steps.reshape(-1)).reshape(*steps.shape, 4)
+        self._state.run(members, numbers, due, self._fresh[members], drops, begins, vertices, stride)
+        self._due[members] = self._fresh[members] = 0
+
+    def _take(self, members: Rows) -> None:
+        """Take the steps that are due, where the state is."""
+        state = self._state
+        if isinstance(state, PoolBuffers):
+            if len(members):
+                self._run(members, np.zeros(len(members), np.int64), None, 0)
+            return
+        state[members[self._fresh[members] == 1]] = 0.0
+        due, last = self._due[members], self._number[members]
+        for number in range(int(due.max(initial=0))):
+            going = due > number
+            self._step(state, members[going], (last - due + 1 + number)[going])
+        self._due[members] = self._fresh[members] = 0
+
+    def _step(self, state: NDArray[np.float32], members: Rows, numbers: Rows) -> None:
+        """Take the steps `numbers` (j,) of `members` (j,) on NumPy."""
+        pool, after = self.pool, numbers % 2
+        bumps = self._lift(self._fall(members, numbers))
+        now, before = state[members, 1 - after] + bumps, state[members, after] + bumps
+        kept = np.float32(pool.kept)
+        heights = kept * (2.0 * now + self._curve(now)) - kept * kept * before
+        state[members, 1 - after], state[members, after] = now, np.clip(heights, -pool.limit, pool.limit)
+
+    def _curve(self, heights: NDArray[Any]) -> NDArray[Any]:
+        """Return the curvature of surfaces (j, rows + 1, columns + 1), times the squares of `share`; walls reflect."""
+        x, z = self.pool.share.astype(heights.dtype)
+        wide = np.pad(heights, ((0, 0), (1, 1), (1, 1)), "reflect")
+        here = 2.0 * heights
+        curve: NDArray[Any] = x * (wide[:, 1:-1, :-2] + wide[:, 1:-1, 2:] - here)
+        curve += z * (wide[:, :-2, 1:-1] + wide[:, 2:, 1:-1] - here)
+        return curve
+
+    def _fall(self, members: Rows, numbers: Rows) -> NDArray[np.float32]:
+        """Return the drops (j, 4) of steps: x and z from the pool's first corner, by how much they lift, and 0."""
+        key = (members.astype(np.uint64) << np.uint64(40)) + numbers.astype(np.uint64) + np.uint64(self._seed)
+        falls, x, z = (hash_to_unit(key * np.uint64(3) + np.uint64(part)) for part in range(3))
+        pool = self.pool
+        height = np.where(falls < pool.rain * INTERVAL, pool.drop, 0.0)
+        return np.stack([x * pool.size[0], z * pool.size[1], height, 0.0 * x], axis=1).astype(np.float32)
+
+    def _lift(self, drops: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return by how much drops (j, 4) lift each point."""
+        rows, columns = self.pool.shape
+        gap = np.divide(self.pool.size, self.pool.cells).astype(np.float32)
+        x, z = np.arange(columns, dtype=np.float32) * gap[0], np.arange(rows, dtype=np.float32)[:, None] * gap[1]
+        middle = drops[:, :, None, None]
+        square = ((x - middle[:, 0]) ** 2 + (z - middle[:, 1]) ** 2) / np.float32(self.pool.radius**2)
+        lifted: NDArray[np.float32] = middle[:, 2] * (1.0 - square) * np.exp(-square)
+        return lifted
+
+    def _make_constants(self) -> PoolConstants:
+        pool = self.pool
+        rows, columns = pool.shape
+        gap = np.divide(pool.size, pool.cells)
+        return PoolConstants(
+            columns=columns, rows=rows, gap=gap, share=pool.share, kept=pool.kept, radius=pool.radius,
+            limit=pool.limit,
+        )  # fmt: skip
