@@ -13,7 +13,7 @@ from renderer.content.specs import SEED, Generator, Option
 from renderer.content.surfaces import paint_surface
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.water import Pool, Water
+from renderer.scene.water import Water, WaterPool
 from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 
 _SIDE: Final = 8.0
@@ -96,7 +96,7 @@ def _add_pools(builder: SceneBuilder, count: int, stone: int, seed: int) -> None
     """Add pools one behind the other, in the rain, each with a rim of stone."""
     if not count:
         return
-    pool = Pool(_POOL, cells=(72, 40), depth=0.06, damping=0.6, rain=5.0, drop=0.06, radius=0.09, limit=0.15)
+    pool = WaterPool(_POOL, cells=(72, 40), depth=0.06, damping=0.6, rain=5.0, drop=0.06, radius=0.09, limit=0.15)
     water = builder.add_material(base_color=(0.10, 0.24, 0.28), roughness=0.15, metallic=0.0)
     away = 0.5 * _SIDE + 1.9 * np.arange(count)
     places = np.stack([np.zeros(count), np.full(count, _RIM[1] - 0.08), away], axis=1)

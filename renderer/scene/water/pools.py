@@ -33,7 +33,7 @@ _STEPS_PER_FRAME: Final = 2048
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Pool:
+class WaterPool:
     """A rectangular pool, whose surface at rest is y = 0, from -size / 2 to size / 2 along x and z.
 
     Attributes:
@@ -68,16 +68,16 @@ class Pool:
             ("drop", 0.0, self.limit), ("radius", 1e-4, 1e4), ("limit", 1e-6, 1e4),
         ):  # fmt: skip
             if not (np.greater_equal(getattr(self, name), least) & np.less_equal(getattr(self, name), most)).all():
-                refuse(rules.BAD_WATER, f"Pool({name}=...)", getattr(self, name), f"{least:g} to {most:g}")
+                refuse(rules.BAD_WATER, f"WaterPool({name}=...)", getattr(self, name), f"{least:g} to {most:g}")
         columns, rows = self.cells
         if min(self.cells) < 2 or (columns + 1) * (rows + 1) > MOST_POINTS:
-            refuse(rules.BAD_WATER, "Pool(cells=...)", self.cells, f"2 or more, at most {MOST_POINTS:,} points")
+            refuse(rules.BAD_WATER, "WaterPool(cells=...)", self.cells, f"2 or more, at most {MOST_POINTS:,} points")
         if self.share.sum() > 1.0:
             allowed = "cells that a wave doesn't cross in a step"
-            refuse(rules.BAD_WATER, "Pool(cells=...)", self.cells, allowed, tip="take fewer, or less depth")
+            refuse(rules.BAD_WATER, "WaterPool(cells=...)", self.cells, allowed, tip="take fewer, or less depth")
         start = np.zeros(self.shape) if self.start is None else np.asarray(self.start)
         if start.shape != self.shape or not (np.abs(start) <= self.limit).all():
-            refuse(rules.BAD_WATER, "Pool(start=...)", f"shape {start.shape}", f"{self.shape}, within the limit")
+            refuse(rules.BAD_WATER, "WaterPool(start=...)", f"shape {start.shape}", f"{self.shape}, within the limit")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -143,7 +143,7 @@ class Water:
 
     interval = INTERVAL
 
-    def __init__(self, count: int, pool: Pool, *, seed: int = 0, steps_per_frame: int = _STEPS_PER_FRAME) -> None:
+    def __init__(self, count: int, pool: WaterPool, *, seed: int = 0, steps_per_frame: int = _STEPS_PER_FRAME) -> None:
         """Begin with all surfaces as the pool's is at first.
 
         Args:

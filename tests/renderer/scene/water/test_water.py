@@ -13,7 +13,7 @@ import rhi
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, translation
-from renderer.scene.water import Pool, Water
+from renderer.scene.water import Water, WaterPool
 from renderer.scene.water.pools import FORGOTTEN
 from renderer.visibility import FrustumCulling
 from rhi import Op
@@ -40,7 +40,7 @@ def deform(device: rhi.Device, water: Water) -> np.ndarray:
 def find_error(device: rhi.Device, cells: int, damping: float) -> float:
     """Return the greatest error in 5 s of a standing wave of 2 m and 1 cm, in its height."""
     start = 0.01 * np.cos(np.pi * np.linspace(0.0, 1.0, cells + 1)) * np.ones((cells + 1, 1))
-    water, worst = Water(1, Pool(cells=(cells, cells), depth=0.1, damping=damping, rain=0.0, start=start)), 0.0
+    water, worst = Water(1, WaterPool(cells=(cells, cells), depth=0.1, damping=damping, rain=0.0, start=start)), 0.0
     rate = np.sqrt(9.81 * 0.1) * np.pi / 2.0
     for number in range(10, 301, 10):
         advance(water, number - 9, number)
@@ -61,7 +61,7 @@ def test_a_standing_wave_is_the_analytic_one_to_the_square_of_the_cells(device: 
 
 
 def test_devices_take_the_same_steps_as_numpy(device: rhi.Device) -> None:
-    there, here = (Water(3, Pool(**RAIN), seed=2) for _ in range(2))
+    there, here = (Water(3, WaterPool(**RAIN), seed=2) for _ in range(2))
     for first in (1, 41):
         for water in (there, here):
             advance(water, first, first + 39, [2, 0])
@@ -78,7 +78,7 @@ def test_devices_take_the_same_steps_as_numpy(device: rhi.Device) -> None:
 
 def test_the_shader_takes_the_same_steps_on_numpy(null: rhi.Device) -> None:
     null.backend_as(NullBackend).run_shaders()
-    there, here = (Water(2, Pool(cells=(6, 5), rain=60.0), seed=2) for _ in range(2))
+    there, here = (Water(2, WaterPool(cells=(6, 5), rain=60.0), seed=2) for _ in range(2))
     for water in (there, here):
         advance(water, 1, 4)
     found = deform(null, there)
@@ -87,7 +87,7 @@ def test_the_shader_takes_the_same_steps_on_numpy(null: rhi.Device) -> None:
 
 @pytest.mark.parametrize(("missed", "is_forgotten"), [(1, True), (0, False)])
 def test_what_returns_after_its_memory_is_as_if_it_had_been_seen_always(missed: int, is_forgotten: bool) -> None:
-    pool = Pool(**{**RAIN, "damping": 6.0})
+    pool = WaterPool(**{**RAIN, "damping": 6.0})
     memory = pool.memory
     assert memory is not None
     assert pool.kept**memory <= FORGOTTEN < pool.kept ** (memory - 1)
@@ -100,12 +100,14 @@ def test_what_returns_after_its_memory_is_as_if_it_had_been_seen_always(missed: 
 
 
 def test_without_damping_no_step_is_left_out() -> None:
-    assert Water(1, Pool(damping=0.0)).catch_up.memory is None
-    assert Water(1, Pool(damping=1.0)).catch_up.memory == 829
+    assert Water(1, WaterPool(damping=0.0)).catch_up.memory is None
+    assert Water(1, WaterPool(damping=1.0)).catch_up.memory == 829
 
 
 def test_no_rain_takes_water_out_of_its_bounds() -> None:
-    wild, calm = (Pool(**{**RAIN, "rain": 60.0, "limit": limit, "drop": 0.1, "damping": 0.0}) for limit in (0.1, 4.0))
+    wild, calm = (
+        WaterPool(**{**RAIN, "rain": 60.0, "limit": limit, "drop": 0.1, "damping": 0.0}) for limit in (0.1, 4.0)
+    )
     heights = []
     for pool in (wild, calm):
         water = Water(1, pool)
@@ -117,7 +119,7 @@ def test_no_rain_takes_water_out_of_its_bounds() -> None:
 
 def make_pools() -> Scene:
     """Make three pools in a row along x, 4 m apart."""
-    builder, pool = SceneBuilder("pools"), Pool(**RAIN)
+    builder, pool = SceneBuilder("pools"), WaterPool(**RAIN)
     meshes = [builder.add_mesh(pool.make_mesh(), f"water {number}", pool.bounds) for number in range(3)]
     nodes = builder.add_nodes(translation([(4.0 * number, 0.0, 0.0) for number in range(3)]))
     builder.simulate(builder.add_objects(nodes, meshes, builder.add_material()), Water(3, pool))
@@ -135,7 +137,7 @@ def test_only_what_is_seen_takes_steps_in_one_dispatch_for_all(null: rhi.Device)
             null.stream.clear()
             steps = renderer.render(camera, frame / 60).statistics.simulation_steps
             found.append((len(null.stream.filter((Op.DISPATCH,))), steps))
-    assert found == [(1, 3), (1, 1), (1, 1), (0, 0), (0, 0), (1, Pool().memory)]
+    assert found == [(1, 3), (1, 1), (1, 1), (0, 0), (0, 0), (1, WaterPool().memory)]
 
 
 def test_waves_are_seen_on_each_device(drawing_device: rhi.Device) -> None:
@@ -157,10 +159,10 @@ def test_waves_are_seen_on_each_device(drawing_device: rhi.Device) -> None:
     ids=lambda wrong: "-".join(wrong),
 )  # fmt: skip
 def test_what_is_no_pool_is_refused(wrong: dict[str, Any]) -> None:
-    Pool(start=np.full((49, 49), 0.1), rain=60.0, drop=0.1, cells=(48, 48), depth=0.3)  # the control
-    assert find_rule(lambda: Pool(**wrong)) == "scene-bad-water"
+    WaterPool(start=np.full((49, 49), 0.1), rain=60.0, drop=0.1, cells=(48, 48), depth=0.3)  # the control
+    assert find_rule(lambda: WaterPool(**wrong)) == "scene-bad-water"
 
 
 @pytest.mark.parametrize("count", [0, 65_536])
 def test_pools_are_as_many_as_a_dispatch_has_groups(count: int) -> None:
-    assert find_rule(lambda: Water(count, Pool())) == "scene-bad-water"
+    assert find_rule(lambda: Water(count, WaterPool())) == "scene-bad-water"
