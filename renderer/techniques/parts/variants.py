@@ -28,7 +28,7 @@ from renderer.frame.images import MOST_ARRAYS, SceneImages
 from renderer.shadows import FILTERS, ShadowMaps, ShadowReceiver
 from renderer.techniques.parts.full_screen import BEHIND, Color, bind_rays, make_triangle
 from renderer.techniques.parts.scene_shader import ForwardShader, SceneShader
-from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
+from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Program, State, Texture
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,7 +251,8 @@ def draw_lit(frame: Frame, lighting: Lighting = FORWARD, *, after_depth: bool = 
         color=frame.targets[name_samples(frame.needs.image.name, samples)],
         depth=frame.targets[name_samples("depth", samples)],
         clear=frame.background,
-        states=(DepthFunction.EQUAL, DepthWrite.OFF) if after_depth else (),
+        # Not EQUAL: nothing is nearer than what was drawn, and a test of order lets rasterisers skip what is hidden.
+        states=(DepthWrite.OFF,) if after_depth else (),
         clears=not after_depth,
     )
     frame.draw_visible(lit)

@@ -110,7 +110,7 @@ def test_the_second_pass_of_a_light_pre_pass_draws_what_the_first_has_drawn_and_
 ) -> None:
     first, _, second = record(null, boxes(1), LightPrePass()).draws()
     assert first["draws"] == second["draws"] == 32  # two, and draws of nothing
-    assert second.states[DepthFunction] is DepthFunction.EQUAL
+    assert second.states[DepthFunction] is DepthFunction.GREATER_EQUAL
     assert second.states[DepthWrite] is DepthWrite.OFF
 
 
