@@ -139,6 +139,14 @@ def join(parts: Sequence[MeshGeometry]) -> MeshGeometry:
     return MeshGeometry(np.concatenate([part.vertices for part in parts]), np.concatenate(indices))
 
 
+def list_grid_triangles(rows: int, columns: int) -> NDArray[np.uint32]:
+    """Return the indices (k,) of the triangles of a grid of points, two for each four of them. Their front is where
+    columns run right as rows run down."""
+    corner = np.arange(rows * columns, dtype=np.uint32).reshape(rows, columns)
+    a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
+    return np.stack([a, b, c, a, c, d], axis=-1).reshape(-1)
+
+
 def make_geometry(
     positions: ArrayLike,
     indices: ArrayLike,

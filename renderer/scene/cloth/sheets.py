@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
 from renderer.scene.arrays import Floats, Rows
-from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry
+from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry, list_grid_triangles
 from rhi.errors import refuse
 
 INTERVAL: Final = 1.0 / 60.0
@@ -141,10 +141,7 @@ class Sheet:
     def make_mesh(self) -> MeshGeometry:
         """Make the mesh of a cloth at its start. Its front is where columns run right as rows run down; texture
         coordinates are 0 to 1 along both. Materials of cloths have two sides."""
-        corner = np.arange(self.rows * self.columns).reshape(self.rows, self.columns)
-        a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
-        triangles = np.stack([a, b, c, a, c, d], axis=-1).astype(np.uint32)
-        return MeshGeometry(self.make_vertices(self.points[None])[0], triangles.reshape(-1))
+        return MeshGeometry(self.make_vertices(self.points[None])[0], list_grid_triangles(self.rows, self.columns))
 
     def make_vertices(self, points: NDArray[np.float32]) -> NDArray[Any]:
         """Return the vertices (k, n) of `VERTEX` of cloths whose points are at `points` (k, n, 3)."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.scene.arrays import Floats, Rows, hash_to_unit
 from renderer.scene.catching_up import Stepwise
-from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry
+from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry, list_grid_triangles
 from renderer.scene.water.kernels import PoolBuffers, PoolConstants
 from rhi import Device, StorageBuffer
 from rhi.errors import refuse
@@ -75,7 +75,7 @@ class WaterPool:
         if self.share.sum() > 1.0:
             allowed = "cells that a wave doesn't cross in a step"
             refuse(rules.BAD_WATER, "WaterPool(cells=...)", self.cells, allowed, tip="take fewer, or less depth")
-        start = np.zeros(self.shape) if self.start is None else np.asarray(self.start)
+        start = self.heights
         if start.shape != self.shape or not (np.abs(start) <= self.limit).all():
             refuse(rules.BAD_WATER, "WaterPool(start=...)", f"shape {start.shape}", f"{self.shape}, within the limit")
 
@@ -85,10 +85,19 @@ class WaterPool:
         return self.cells[1] + 1, self.cells[0] + 1
 
     @property
+    def heights(self) -> NDArray[Any]:
+        """The heights at first: `start`, or those of flat water."""
+        return np.zeros(self.shape) if self.start is None else np.asarray(self.start)
+
+    @property
+    def gap(self) -> Floats:
+        """The metres between two points along x and z: (2,)."""
+        return np.divide(self.size, self.cells)
+
+    @property
     def share(self) -> Floats:
         """The squares of the share of a cell that a wave goes in a step, along x and z: (2,)."""
-        gap = np.divide(self.size, self.cells)
-        return GRAVITY * self.depth * (INTERVAL / gap) ** 2
+        return GRAVITY * self.depth * (INTERVAL / self.gap) ** 2
 
     @property
     def kept(self) -> float:
@@ -108,12 +117,7 @@ class WaterPool:
 
     def make_mesh(self) -> MeshGeometry:
         """Make the mesh of the surface at first. Texture coordinates are 0 to 1 along x and z."""
-        rows, columns = self.shape
-        corner = np.arange(rows * columns).reshape(rows, columns)
-        a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
-        triangles = np.stack([a, b, c, a, c, d], axis=-1).astype(np.uint32)
-        heights = np.zeros(self.shape) if self.start is None else np.asarray(self.start)
-        return MeshGeometry(self.make_vertices(heights[None]), triangles.reshape(-1))
+        return MeshGeometry(self.make_vertices(self.heights[None]), list_grid_triangles(*self.shape))
 
     def make_vertices(self, heights: NDArray[Any]) -> NDArray[Any]:
         """Return the vertices (k * n,) of `VERTEX` of surfaces with `heights` (k, rows + 1, columns + 1)."""
@@ -178,7 +182,7 @@ class Water:
         """Return the heights (count, 2, rows + 1, columns + 1) at first, when the water rests: of the last step and
         the one before it, which with the same kept share is the next one's mirror."""
         pool = self.pool
-        heights = np.zeros(pool.shape) if pool.start is None else np.asarray(pool.start, np.float64)
+        heights = np.asarray(pool.heights, np.float64)
         before = (heights + 0.5 * self._curve(heights[None])[0]) / pool.kept
         return np.tile(np.stack([heights, before]).astype(np.float32), (len(self), 1, 1, 1))
 
@@ -277,7 +281,7 @@ class Water:
     def _lift(self, drops: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return by how much drops (j, 4) lift each point."""
         rows, columns = self.pool.shape
-        gap = np.divide(self.pool.size, self.pool.cells).astype(np.float32)
+        gap = self.pool.gap.astype(np.float32)
         x, z = np.arange(columns, dtype=np.float32) * gap[0], np.arange(rows, dtype=np.float32)[:, None] * gap[1]
         middle = drops[:, :, None, None]
         square = ((x - middle[:, 0]) ** 2 + (z - middle[:, 1]) ** 2) / np.float32(self.pool.radius**2)
@@ -287,8 +291,7 @@ class Water:
     def _make_constants(self) -> PoolConstants:
         pool = self.pool
         rows, columns = pool.shape
-        gap = np.divide(pool.size, pool.cells)
         return PoolConstants(
-            columns=columns, rows=rows, gap=gap, share=pool.share, kept=pool.kept, radius=pool.radius,
+            columns=columns, rows=rows, gap=pool.gap, share=pool.share, kept=pool.kept, radius=pool.radius,
             limit=pool.limit,
         )  # fmt: skip
