@@ -36,10 +36,11 @@ class Interrupt:
         self._last: dict[int, str] = {}
         self._destructors: set[int] = set()
         self._code: dict[CodeType, bytes] = {}
-        self._going, self._leaving = self._go_on, self._leave_destructor  # CPython borrows what it calls
+        # CPython borrows what it calls, and a destructor that is interrupted while it makes a frame may end tracing.
+        self._entering, self._going, self._leaving = self._begin, self._go_on, self._leave_destructor
 
     def __enter__(self) -> Self:
-        sys.settrace(self._begin)
+        sys.settrace(self._entering)
         return self
 
     def __exit__(

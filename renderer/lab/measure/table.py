@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 
 
@@ -23,13 +22,6 @@ def format_table(header: Sequence[str], rows: Sequence[Sequence[object]], *, mar
         return "  ".join(t.rjust(w) if right else t.ljust(w) for t, w, right in parts).rstrip()
 
     return "\n".join([line(header), "  ".join("-" * width for width in widths), *map(line, cells)])
-
-
-def format_records(records: Sequence[Mapping[str, object]], *, as_json: bool) -> str:
-    """Format records of the same names as a table with a column for each, or as JSON."""
-    if as_json:
-        return json.dumps(records, indent=2)
-    return format_table(list(records[0]), [list(record.values()) for record in records])
 
 
 def format_rows(rows: Sequence[Mapping[str, object]], *, markdown: bool = False) -> str:

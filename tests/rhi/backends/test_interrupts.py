@@ -7,6 +7,7 @@ the resources that it had before (`house_kit`).
 
 from __future__ import annotations
 
+import gc
 import signal
 import subprocess
 import sys
@@ -151,6 +152,36 @@ def test_the_first_pass_of_a_device_may_be_interrupted(backend: str) -> None:
     assert steps > 20
     for at in range(1, steps + 1, 7):
         begin(at)
+
+
+GARBAGE = """
+class Cycle:
+    def __init__(self):
+        self.itself = self
+    def __del__(self):
+        pass
+
+def make_garbage():
+    for _ in range(20):
+        Cycle()
+        (lambda: None)()
+"""
+
+
+def test_the_collector_may_be_interrupted_between_a_call_and_its_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    """CPython borrows the trace function there, which the interrupt removes: it called what came in its place."""
+    names: dict[str, Any] = {}
+    exec(compile(GARBAGE, "<garbage>", "exec"), names)
+    monkeypatch.setattr(sys, "unraisablehook", lambda _: None)
+    thresholds = gc.get_threshold()
+    try:
+        for threshold in range(1, 30):
+            gc.set_threshold(threshold, 1, 1)
+            for at in range(20, 60):
+                with suppress(KeyboardInterrupt), Interrupt(at):
+                    names["make_garbage"]()
+    finally:
+        gc.set_threshold(*thresholds)
 
 
 # -- blocks whose ends are cut off -----------------------------------------------------------------------

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import sys
 
 import pytest
 
-from renderer.lab.measure import FrameCost, Measurement, alternate, format_records, format_rows, format_table
+from renderer.lab.measure import FrameCost, Measurement, alternate, format_rows, format_table
 from renderer.renderer import FrameStatistics
 
 
@@ -70,12 +69,6 @@ def test_a_table_aligns_text_left_and_numbers_right() -> None:
         "a          5   1.50",
         "long  12,345  10.25",
     ]
-
-
-def test_records_are_a_table_with_a_column_for_each_name_or_json() -> None:
-    records = [{"name": "a", "count": 5}, {"name": "b", "count": 6}]
-    assert format_records(records, as_json=False) == format_table(["name", "count"], [["a", 5], ["b", 6]])
-    assert json.loads(format_records(records, as_json=True)) == records
 
 
 def test_rows_have_titles_and_words() -> None:
