@@ -15,7 +15,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, Self, TypeAlias
 from weakref import WeakValueDictionary
 
 from rhi.contract.formats import Choice
@@ -173,8 +173,21 @@ class AlphaReference(_Value):
         Fields(self, STATE_VALUE).numbers("value", least=0, most=1)
 
 
+class _OfTarget(_Value):
+    """A state of one color target, its last field, or of all."""
+
+    __slots__ = ()
+
+    def at(self, target: int) -> Self:
+        """Return this state for one color target."""
+        # Not with dataclasses.replace: an error would name a line of `dataclasses` as the user's.
+        kind: Any = type(self)
+        state: Self = kind(*(getattr(self, name) for name in kind.__match_args__[:-1]), target)
+        return state
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class ColorWrite(_Value):
+class ColorWrite(_OfTarget):
     """The channels that fragments write. `target` None applies to all targets."""
 
     red: bool = True
@@ -190,10 +203,6 @@ class ColorWrite(_Value):
         fields = Fields(self, STATE_VALUE)
         fields.flags("red", "green", "blue", "alpha")
         fields.wholes_or_none("target", least=0, most=MAX_TARGETS - 1)
-
-    def at(self, target: int) -> ColorWrite:
-        """Return this state for one color target."""
-        return ColorWrite(self.red, self.green, self.blue, self.alpha, target)
 
 
 ColorWrite.ON = ColorWrite()
@@ -229,7 +238,7 @@ class BlendOperation(Choice):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BlendFunction(_Value):
+class BlendFunction(_OfTarget):
     """Blending: `source · source factor OP destination · destination factor`. Alpha may differ from color.
 
     Common functions are `BlendFunction.OFF`, `ALPHA`, `ADDITIVE`, `PREMULTIPLIED` and `MULTIPLY`. `target` None applies
@@ -257,19 +266,6 @@ class BlendFunction(_Value):
         fields.choices_or_none(BlendFactor, "source_alpha", "destination_alpha")
         fields.choices_or_none(BlendOperation, "operation_alpha")
         fields.wholes_or_none("target", least=0, most=MAX_TARGETS - 1)
-
-    def at(self, target: int) -> BlendFunction:
-        """Return this state for one color target."""
-        # Not with dataclasses.replace: an error would name a line of `dataclasses` as the user's.
-        return BlendFunction(
-            self.source,
-            self.destination,
-            self.operation,
-            self.source_alpha,
-            self.destination_alpha,
-            self.operation_alpha,
-            target,
-        )
 
     @property
     def is_off(self) -> bool:
@@ -322,37 +318,30 @@ class StencilOperation(Choice):
     INVERT = "invert"
 
 
-def _check_face(state: StencilFront | StencilBack) -> None:
-    fields = Fields(state, STATE_VALUE)
-    fields.choices(Comparison, "function")
-    fields.choices(StencilOperation, "stencil_fail", "depth_fail", "both_pass")
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class StencilFront(_Value):
+class _StencilFace(_Value):
+    function: Comparison = Comparison.ALWAYS
+    stencil_fail: StencilOperation = StencilOperation.KEEP
+    depth_fail: StencilOperation = StencilOperation.KEEP
+    both_pass: StencilOperation = StencilOperation.KEEP
+
+    def __post_init__(self) -> None:
+        fields = Fields(self, STATE_VALUE)
+        fields.choices(Comparison, "function")
+        fields.choices(StencilOperation, "stencil_fail", "depth_fail", "both_pass")
+
+
+class StencilFront(_StencilFace):
     """Stencil test of front faces, points and lines: the comparison `reference & mask OP stored & mask`, and how the
     stored value changes when the stencil test fails, when the depth test fails, and when both pass."""
 
-    function: Comparison = Comparison.ALWAYS
-    stencil_fail: StencilOperation = StencilOperation.KEEP
-    depth_fail: StencilOperation = StencilOperation.KEEP
-    both_pass: StencilOperation = StencilOperation.KEEP
-
-    def __post_init__(self) -> None:
-        _check_face(self)
+    __slots__ = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StencilBack(_Value):
+class StencilBack(_StencilFace):
     """Stencil test of back faces; see `StencilFront`."""
 
-    function: Comparison = Comparison.ALWAYS
-    stencil_fail: StencilOperation = StencilOperation.KEEP
-    depth_fail: StencilOperation = StencilOperation.KEEP
-    both_pass: StencilOperation = StencilOperation.KEEP
-
-    def __post_init__(self) -> None:
-        _check_face(self)
+    __slots__ = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -473,7 +473,7 @@ class Device(Encoder):
         check.choice("primitive", primitive, Primitive)
         check.text("label", label)
         data = MeshData(self._core, vertices, indices, instances, label)
-        return Mesh(data, primitive, 0, data.vertex_count if data.index_count is None else data.index_count)
+        return Mesh(data, primitive, 0, data.element_count)
 
     @overload
     def program(self, shader: Callable[P, Shader]) -> Program[P]: ...

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Primitive
-from rhi.device.resources.meshes import as_structured, check_finite
+from rhi.device.resources.meshes import Drawable, DrawableData, as_structured, check_finite
 from rhi.device.resources.programs import Program
-from rhi.device.transient import EMPTY_MESH, TransientMemory, VertexArrays, pack_vertices, vertex_dtype
+from rhi.device.transient import TransientMemory, VertexArrays, pack_vertices, vertex_dtype
 from rhi.errors.arguments import Arguments
 from rhi.errors.rules import IMMEDIATE_VERTEX, SCOPE_ORDER
 
@@ -126,7 +126,8 @@ class Immediate(Generic[S]):
             return
         # Everything is checked before the vertices are uploaded.
         program, core = self._program, self._program.core
-        program.bind(program.check_can_draw, EMPTY_MESH, self._bindings)
+        unplaced = Drawable(DrawableData(core), self._primitive, 0, 0)
+        program.bind(program.check_can_draw, unplaced, self._bindings)
         vertices = array if array.dtype.names else None  # without fields only their number counts
         mesh = self._memory.place_mesh(program, len(array), vertices, None, instances, self._primitive)
         core.flush_states()

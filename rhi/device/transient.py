@@ -7,8 +7,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from typing import Any, Final, NamedTuple, NoReturn, TypeAlias, TypeVar, cast, overload
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, NoReturn, TypeAlias, TypeVar, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +23,7 @@ from rhi.device.core.ring import Ring
 from rhi.device.resources.buffers import as_constants, as_storage, storage_dtype
 from rhi.device.resources.meshes import (
     Drawable,
+    DrawableData,
     StreamSource,
     as_structured,
     attribute_shape,
@@ -249,11 +251,11 @@ class TransientMemory:
             index_format = IndexFormat.UINT16 if size == 2 else IndexFormat.UINT32
         vertex_array = self._find_vertex_array(program, tuple(sources), index_buffer, index_format)
         count = vertex_count if indices is None else len(indices)
-        whole = TransientWhole(
-            core, first, base, count, indices is not None, self._mesh_owner, vertex_count,
-            find_instance_fields(vertices, instances), 0 if instances is None else len(instances),
+        data = TransientMeshData(
+            core, (self._mesh_owner,), {program: vertex_array}, vertex_count, find_instance_fields(vertices, instances),
+            0 if instances is None else len(instances), indices is not None, count, first, base,
         )  # fmt: skip
-        return TransientMesh(whole, {program: vertex_array}, primitive, first, count, base, 0)
+        return TransientMesh(data, primitive, first, count, base)
 
     def _upload(self, memory: Ring | Arena, array: NDArray[Any], alignment: int) -> int:
         """Copy an array to memory and return its offset there."""
@@ -302,18 +304,12 @@ class TransientMemory:
                     self._core.timeline.retire(self._vertex_arrays.pop(key))
 
 
-class TransientWhole(NamedTuple):
-    """The part of a transient mesh that its views share: where the whole lies in its rings, and how large it is."""
+@dataclass(slots=True, eq=False)
+class TransientMeshData(DrawableData):
+    """The vertices of a transient mesh, and where they and its indices begin in their rings."""
 
-    core: Core
-    first: int
-    base_vertex: int
-    element_count: int
-    is_indexed: bool
-    owner: TransientOwner
-    vertex_count: int
-    instance_fields: Collection[str]
-    instance_count: int
+    first: int = 0
+    base_vertex: int = 0
 
 
 class TransientMesh(Drawable):
@@ -322,64 +318,25 @@ class TransientMesh(Drawable):
     `first` and `base_vertex` count from the start of the frame's memory, since that is what a draw needs.
     """
 
-    __slots__ = ("_whole",)
-
-    def __init__(
-        self, whole: TransientWhole, vertex_arrays: dict[object, Id], primitive: Primitive, first: int, count: int,
-        base_vertex: int, base_instance: int,
-    ) -> None:  # fmt: skip
-        super().__init__(primitive, first, count, base_vertex, base_instance, (whole.owner,), vertex_arrays)
-        self._whole = whole
+    __slots__ = ()
+    data: TransientMeshData
 
     def __repr__(self) -> str:
-        return f"TransientMesh({self.primitive.name}, {self.first - self._whole.first}+{self.count})"
-
-    @property
-    def core(self) -> Core:
-        """The core of its device or command buffer."""
-        return self._whole.core
-
-    @property
-    def is_indexed(self) -> bool:
-        """Whether the mesh has indices."""
-        return self._whole.is_indexed
-
-    @property
-    def element_count(self) -> int:
-        """Number of indices or, without indices, of vertices; a view's is that of the whole mesh."""
-        return self._whole.element_count
-
-    @property
-    def vertex_count(self) -> int:
-        """Number of vertices of the whole mesh."""
-        return self._whole.vertex_count
-
-    @property
-    def instance_fields(self) -> Collection[str]:
-        """The names of fields that are read once per instance."""
-        return self._whole.instance_fields
-
-    @property
-    def instance_count(self) -> int:
-        """Number of elements of the per-instance data."""
-        return self._whole.instance_count
+        return f"TransientMesh({self.primitive.name}, {self.first - self.data.first}+{self.count})"
 
     def place_draws(self, draws: NDArray[Any]) -> NDArray[Any]:
         """Return draws as the backend needs them: counted from the start of the frame's memory."""
         placed = draws.copy()
-        placed["first"] += self._whole.first
+        placed["first"] += self.data.first
         if self.is_indexed:
-            placed["base_vertex"] += self._whole.base_vertex
+            placed["base_vertex"] += self.data.base_vertex
         return placed
 
     def _part(
         self, first: int, count: int, base_vertex: int, base_instance: int, primitive: Primitive
     ) -> TransientMesh:
-        whole = self._whole
-        return TransientMesh(
-            whole, self.vertex_arrays, primitive, whole.first + first, count, whole.base_vertex + base_vertex,
-            base_instance,
-        )  # fmt: skip
+        data = self.data
+        return TransientMesh(data, primitive, data.first + first, count, data.base_vertex + base_vertex, base_instance)
 
     def create_vertex_array(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> NoReturn:
         """Refuse the draw: transient vertices are matched to one program, and this is another one."""
@@ -389,10 +346,6 @@ class TransientMesh(Drawable):
             "a transient mesh that was made for another program",
             "one made for this one",
         )
-
-
-EMPTY_MESH: Final = Drawable(Primitive.TRIANGLES, 0, 0, 0, 0, (), {})
-"""Stands in for a mesh in checks that run before its vertices are uploaded."""
 
 
 def vertex_dtype(attributes: tuple[Attribute, ...]) -> np.dtype[Any]:

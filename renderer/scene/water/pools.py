@@ -8,7 +8,7 @@ the step, so a pool's surface follows from the number of its step alone, once it
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.scene.arrays import Floats, Rows, hash_to_unit
 from renderer.scene.catching_up import Stepwise
+from renderer.scene.deferred_steps import DeferredSteps
 from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry, list_grid_triangles
 from renderer.scene.water.kernels import PoolBuffers, PoolConstants
 from rhi import Device, StorageBuffer
@@ -25,8 +26,6 @@ INTERVAL: Final = 1.0 / 60.0
 """The length of a step in seconds."""
 GRAVITY: Final = 9.81
 MOST_POINTS: Final = 16_384
-MOST_POOLS: Final = 65_535
-"""The most pools of one simulation: each is a work-group of a dispatch."""
 FORGOTTEN: Final = 1e-3
 """What is left of a wave when it counts as forgotten."""
 _STEPS_PER_FRAME: Final = 2048
@@ -134,7 +133,7 @@ class WaterPool:
         return vertices.reshape(-1)
 
 
-class Water:
+class Water(DeferredSteps[NDArray[np.float32], PoolBuffers]):
     """A simulation of the surfaces of `count` pools of one kind.
 
     A pool that wasn't seen for longer than its memory begins flat that long ago, and takes the steps since then: from
@@ -157,41 +156,31 @@ class Water:
         Raises:
             ValidationError `scene-bad-water`: a count outside 1 to 65,535.
         """
-        if not 1 <= count <= MOST_POOLS:
-            refuse(rules.BAD_WATER, "Water(count=...)", count, f"1 to {MOST_POOLS:,}")
         self.pool = pool
-        self.catch_up = Stepwise(max(steps_per_frame, count), pool.memory)
         self._seed = seed
-        self._number: Rows = np.zeros(count, np.int64)  # of the last step that was asked for
-        self._due: Rows = np.zeros(count, np.int64)  # how many of the last ones weren't taken yet
-        self._fresh: Rows = np.zeros(count, np.int64)  # 1: the first of these begins flat
-        self._state: NDArray[np.float32] | PoolBuffers = self._begin()
+        super().__init__(count, rules.BAD_WATER)
+        self.catch_up = Stepwise(max(steps_per_frame, count), pool.memory)
+        self._fresh: Rows = np.zeros(count, np.int64)  # 1: the first of the steps that are due begins flat
 
-    def __len__(self) -> int:
-        return len(self._number)
-
-    def __deepcopy__(self, memo: object) -> Water:
-        """Return a copy with a state of its own; where this one's is on a device, that waits for it."""
-        made = Water.__new__(Water)
-        made.__dict__.update(self.__dict__)
-        made._number, made._due, made._fresh = self._number.copy(), self._due.copy(), self._fresh.copy()
-        made._state = self._read()
+    def __deepcopy__(self, memo: object) -> Self:
+        made = super().__deepcopy__(memo)
+        made._fresh = self._fresh.copy()
         return made
 
     def _begin(self) -> NDArray[np.float32]:
-        """Return the heights (count, 2, rows + 1, columns + 1) at first, when the water rests: of the last step and
-        the one before it, which with the same kept share is the next one's mirror."""
-        pool = self.pool
-        heights = np.asarray(pool.heights, np.float64)
-        before = (heights + 0.5 * self._curve(heights[None])[0]) / pool.kept
-        return np.tile(np.stack([heights, before]).astype(np.float32), (len(self), 1, 1, 1))
+        """Return the heights (count, 2, rows + 1, columns + 1) at first, when the water rests: of the last step that
+        was taken and the one before it, the even one first. The one before, with the same kept share, is the next
+        one's mirror."""
+        heights = np.asarray(self.pool.heights, np.float64)
+        before = (heights + 0.5 * self._curve(heights[None])[0]) / self.pool.kept
+        is_odd = (self._number - self._due)[:, None] % 2
+        return np.stack([heights, before]).astype(np.float32)[(is_odd + np.arange(2)) % 2]
 
     def step(self, members: Rows, numbers: Rows) -> None:
         """Note one more step for `members` (j,); one that isn't the next of a member begins flat."""
         jumped = members[numbers != self._number[members] + 1]
         self._due[jumped], self._fresh[jumped] = 0, 1
-        self._number[members] = numbers
-        self._due[members] += 1
+        super().step(members, numbers)
 
     def vertices(self, members: Rows) -> NDArray[Any]:
         """Return the vertices of `members` (j,), one after another. Waits for the device that has them."""
@@ -200,60 +189,28 @@ class Water:
     def read(self) -> NDArray[np.float32]:
         """Return the heights (count, rows + 1, columns + 1) after all steps so far. Waits for the device that has
         them."""
-        self._take(np.flatnonzero(self._due > 0))
+        self._take(np.arange(len(self)))
         return self._read()[np.arange(len(self)), self._number % 2]
 
     def _read(self) -> NDArray[np.float32]:
-        state = self._state
-        heights: NDArray[np.float32] = state.read() if isinstance(state, PoolBuffers) else state.copy()
+        heights = self._arrays.copy() if self._buffers is None else self._buffers.read()
         return heights.reshape(len(self), 2, *self.pool.shape)
 
-    def deform(self, device: Device, members: Rows, vertices: StorageBuffer[float], begins: Rows, stride: int) -> None:
-        """Take the steps that are due of `members` (j,) on a device, and write their vertices. What a frame takes is
-        one dispatch.
-
-        Args:
-            vertices: what is drawn. begins: (j,), the number of each member's first vertex in it.
-            stride: floats from vertex to vertex.
-        """
-        before = self._state
-        if not isinstance(before, PoolBuffers) or before.device is not device:
-            heights = self._read().reshape(len(self), 2, -1)
-            self._state = PoolBuffers(device, self._make_constants(), heights)
-            if isinstance(before, PoolBuffers):
-                before.destroy()
-        self._run(members, begins, vertices, stride)
-
-    def release(self, device: Device) -> None:
-        """Destroy what is on this device, if anything is: the surfaces then begin again as the pool's."""
-        if isinstance(self._state, PoolBuffers) and self._state.device is device:
-            self._state.destroy()
-            self._state = self._begin()
+    def _upload(self, device: Device, state: NDArray[np.float32]) -> PoolBuffers:
+        return PoolBuffers(device, self._make_constants(), state.reshape(len(self), 2, -1))
 
     def _run(self, members: Rows, begins: Rows, vertices: StorageBuffer[float] | None, stride: int) -> None:
-        assert isinstance(self._state, PoolBuffers)
+        assert self._buffers is not None
         due, numbers = self._due[members], self._number[members]
-        steps = (numbers - due + 1)[:, None] + np.arange(int(due.max(initial=0)))
+        steps = self._first_due(members)[:, None] + np.arange(int(due.max(initial=0)))
         drops = self._fall(np.repeat(members, steps.shape[1]), steps.reshape(-1)).reshape(*steps.shape, 4)
-        self._state.run(members, numbers, due, self._fresh[members], drops, begins, vertices, stride)
-        self._due[members] = self._fresh[members] = 0
+        self._buffers.run(members, numbers, due, self._fresh[members], drops, begins, vertices, stride)
+        self._fresh[members] = 0
 
-    def _take(self, members: Rows) -> None:
-        """Take the steps that are due, where the state is."""
-        state = self._state
-        if isinstance(state, PoolBuffers):
-            if len(members):
-                self._run(members, np.zeros(len(members), np.int64), None, 0)
-            return
+    def _step(self, members: Rows, numbers: Rows) -> None:
+        state = self._arrays
         state[members[self._fresh[members] == 1]] = 0.0
-        due, last = self._due[members], self._number[members]
-        for number in range(int(due.max(initial=0))):
-            going = due > number
-            self._step(state, members[going], (last - due + 1 + number)[going])
-        self._due[members] = self._fresh[members] = 0
-
-    def _step(self, state: NDArray[np.float32], members: Rows, numbers: Rows) -> None:
-        """Take the steps `numbers` (j,) of `members` (j,) on NumPy."""
+        self._fresh[members] = 0
         pool, after = self.pool, numbers % 2
         bumps = self._lift(self._fall(members, numbers))
         now, before = state[members, 1 - after] + bumps, state[members, after] + bumps

@@ -12,7 +12,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,35 +21,24 @@ from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.platform_states import DepthClamp
 from rhi.contract import states
+from rhi.contract.formats import Choice
 
-COMPARISONS: Final = {
-    states.Comparison.NEVER: enums.NEVER,
-    states.Comparison.LESS: enums.LESS,
-    states.Comparison.EQUAL: enums.EQUAL,
-    states.Comparison.LESS_EQUAL: enums.LEQUAL,
-    states.Comparison.GREATER: enums.GREATER,
-    states.Comparison.NOT_EQUAL: enums.NOTEQUAL,
-    states.Comparison.GREATER_EQUAL: enums.GEQUAL,
-    states.Comparison.ALWAYS: enums.ALWAYS,
-}
+C = TypeVar("C", bound=Choice)
+
+
+def _find_enums(kind: type[C], **words: str) -> dict[C, int]:
+    """Return GL's enumerants of a choice's members: they have the same names, but for some `words` in them."""
+    names = {member: member.name for member in kind}
+    for ours, theirs in words.items():
+        names = {member: name.replace(ours, theirs) for member, name in names.items()}
+    return {member: getattr(enums, name) for member, name in names.items()}
+
+
+COMPARISONS: Final = _find_enums(states.Comparison, LESS_EQUAL="LEQUAL", GREATER_EQUAL="GEQUAL", NOT_EQUAL="NOTEQUAL")
 _DEPTH_FUNCTIONS: Final = {f: COMPARISONS[states.Comparison(f.value)] for f in states.DepthFunction}
 _FACES: Final = {states.CullMode.FRONT: enums.FRONT, states.CullMode.BACK: enums.BACK}
 _WINDINGS: Final = {states.FrontFace.COUNTER_CLOCKWISE: enums.CW, states.FrontFace.CLOCKWISE: enums.CCW}  # y is flipped
-_FACTORS: Final = {
-    states.BlendFactor.ZERO: enums.ZERO,
-    states.BlendFactor.ONE: enums.ONE,
-    states.BlendFactor.SOURCE_COLOR: enums.SRC_COLOR,
-    states.BlendFactor.ONE_MINUS_SOURCE_COLOR: enums.ONE_MINUS_SRC_COLOR,
-    states.BlendFactor.SOURCE_ALPHA: enums.SRC_ALPHA,
-    states.BlendFactor.ONE_MINUS_SOURCE_ALPHA: enums.ONE_MINUS_SRC_ALPHA,
-    states.BlendFactor.DESTINATION_COLOR: enums.DST_COLOR,
-    states.BlendFactor.ONE_MINUS_DESTINATION_COLOR: enums.ONE_MINUS_DST_COLOR,
-    states.BlendFactor.DESTINATION_ALPHA: enums.DST_ALPHA,
-    states.BlendFactor.ONE_MINUS_DESTINATION_ALPHA: enums.ONE_MINUS_DST_ALPHA,
-    states.BlendFactor.CONSTANT: enums.CONSTANT_COLOR,
-    states.BlendFactor.ONE_MINUS_CONSTANT: enums.ONE_MINUS_CONSTANT_COLOR,
-    states.BlendFactor.SOURCE_ALPHA_SATURATE: enums.SRC_ALPHA_SATURATE,
-}
+_FACTORS: Final = _find_enums(states.BlendFactor, SOURCE="SRC", DESTINATION="DST", CONSTANT="CONSTANT_COLOR")
 _EQUATIONS: Final = {
     states.BlendOperation.ADD: enums.FUNC_ADD,
     states.BlendOperation.SUBTRACT: enums.FUNC_SUBTRACT,
@@ -57,16 +46,7 @@ _EQUATIONS: Final = {
     states.BlendOperation.MINIMUM: enums.MIN,
     states.BlendOperation.MAXIMUM: enums.MAX,
 }
-_STENCIL_OPERATIONS: Final = {
-    states.StencilOperation.KEEP: enums.KEEP,
-    states.StencilOperation.ZERO: enums.ZERO,
-    states.StencilOperation.REPLACE: enums.REPLACE,
-    states.StencilOperation.INCREMENT: enums.INCR,
-    states.StencilOperation.INCREMENT_WRAP: enums.INCR_WRAP,
-    states.StencilOperation.DECREMENT: enums.DECR,
-    states.StencilOperation.DECREMENT_WRAP: enums.DECR_WRAP,
-    states.StencilOperation.INVERT: enums.INVERT,
-}
+_STENCIL_OPERATIONS: Final = _find_enums(states.StencilOperation, INCREMENT="INCR", DECREMENT="DECR")
 _SCISSOR_LIMIT: Final = 1 << 16  # larger than any target, and x + width can't overflow
 
 _ALL_COLORS: Final = (states.ColorWrite.ON,) * states.MAX_TARGETS

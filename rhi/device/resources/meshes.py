@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, Self, TypeAlias, cast
 from weakref import WeakSet
 
@@ -47,11 +48,32 @@ _ZEROS: Final = np.zeros(1 << 16, np.float32)  # which stay in a core's cache
 _FORMATS: Final = {(f.code, f.components, f.normalized): f for f in VertexFormat}
 
 
-class MeshData:
-    """The buffers of a mesh, shared by its views."""
+@dataclass(slots=True, eq=False, weakref_slot=True)
+class DrawableData:
+    """The vertices that a `Drawable` and all its views share.
 
-    __slots__ = ("__weakref__", "buffers", "core", "index_buffer", "index_count", "index_format", "instance_fields",
-                 "instances", "label", "owned", "vertex_arrays", "vertex_count", "vertices", "views")  # fmt: skip
+    Attributes:
+        buffers, vertex_arrays: those of each `Drawable`.
+        vertex_count, instance_count: numbers of vertices and of elements of the per-instance data.
+        instance_fields: the names of fields that are read once per instance.
+        is_indexed: whether there are indices. element_count: their number or, without indices, that of vertices.
+    """
+
+    core: Core
+    buffers: Sequence[Owner] = ()
+    vertex_arrays: dict[object, Id] = field(default_factory=dict)
+    vertex_count: int = 0
+    instance_fields: Collection[str] = ()
+    instance_count: int = 0
+    is_indexed: bool = False
+    element_count: int = 0
+
+
+class MeshData(DrawableData):
+    """The buffers of a mesh."""
+
+    __slots__ = ("index_buffer", "index_format", "instances", "label", "owned", "vertices", "views")
+    buffers: Sequence[Buffer]
 
     def __init__(
         self, core: Core, vertices: VertexSource | int, indices: ArrayLike | Buffer | None,
@@ -64,21 +86,21 @@ class MeshData:
         vertex_array = None if count is not None else _source(core, cast("VertexSource", vertices), call)
         if count is not None and not 1 <= count < 1 << 31:
             core.refuse(MESH_DATA, call, f"{count} vertices", "1 to 2**31 - 1")
-        self.vertex_count = _length(vertex_array) if count is None else count
+        vertex_count = _length(vertex_array) if count is None else count
         instance_array = None if instances is None else _source(core, instances, call)
-        index_array = _index_source(core, indices, self.vertex_count, call)
-        self.core = core
+        index_array = _index_source(core, indices, vertex_count, call)
+        super().__init__(core, vertex_count=vertex_count, element_count=vertex_count)
         self.label = label
         self.owned: list[Buffer] = []
         self.vertices = None if vertex_array is None else self._buffer(vertex_array, f"{label} vertices")
         self.instances = None if instance_array is None else self._buffer(instance_array, f"{label} instances")
         self.index_buffer = None if index_array is None else self._buffer(index_array, f"{label} indices")
         self.index_format = IndexFormat.UINT32
-        self.index_count: int | None = None
         if self.index_buffer is not None:
             self.index_format = IndexFormat.UINT16 if self.index_buffer.dtype.itemsize == 2 else IndexFormat.UINT32
-            self.index_count = self.index_buffer.count
-        self.vertex_arrays: dict[object, Id] = {}
+            self.is_indexed, self.element_count = True, self.index_buffer.count
+        if self.instances is not None:
+            self.instance_count = self.instances.count
         self.views: WeakSet[Mesh] = WeakSet()
         sources = (self.vertices, self.instances, self.index_buffer)
         self.buffers = tuple(buffer for buffer in sources if buffer is not None)
@@ -187,12 +209,12 @@ def describe_streams(
     for source in sources:
         fields: Any = source.dtype.fields or {}
         found = tuple(
-            VertexAttribute(remaining[field].location, find_format(core, remaining[field], dtype, rule, call), at)
-            for field, (dtype, at, *_) in fields.items()
-            if field in remaining
+            VertexAttribute(remaining[name].location, find_format(core, remaining[name], dtype, rule, call), at)
+            for name, (dtype, at, *_) in fields.items()
+            if name in remaining
         )
-        for field in fields:
-            remaining.pop(field, None)
+        for name in fields:
+            remaining.pop(name, None)
         if found:
             streams.append(
                 VertexStream(source.buffer, source.offset, source.dtype.itemsize, source.per_instance, found)
@@ -239,6 +261,7 @@ class Drawable:
     and arguments that it reads, aren't known here: backends clamp what they read by them.
 
     Attributes:
+        data: the vertices that it shares with its views.
         primitive, first, count, base_vertex, base_instance: the arguments of a draw. `first` and `count` are in
             indices for an indexed mesh, in vertices otherwise. Read-only.
         buffers: the resources that a draw reads, which must be usable.
@@ -246,35 +269,20 @@ class Drawable:
         prepared_draws: by program, the prepared draw as a function of the number of instances.
     """
 
-    __slots__ = (
-        "__weakref__",
-        "base_instance",
-        "base_vertex",
-        "buffers",
-        "count",
-        "first",
-        "prepared_draws",
-        "primitive",
-        "vertex_arrays",
-    )
+    __slots__ = ("__weakref__", "base_instance", "base_vertex", "buffers", "count", "data", "first", "prepared_draws",
+                 "primitive", "vertex_arrays")  # fmt: skip
 
     def __init__(
-        self,
-        primitive: Primitive,
-        first: int,
-        count: int,
-        base_vertex: int,
-        base_instance: int,
-        buffers: Sequence[Owner],
-        vertex_arrays: dict[object, Id],
-    ) -> None:
+        self, data: DrawableData, primitive: Primitive, first: int, count: int, base_vertex: int = 0,
+        base_instance: int = 0,
+    ) -> None:  # fmt: skip
+        self.data = data
         self.primitive = primitive
         self.first = first
         self.count = count
         self.base_vertex = base_vertex
         self.base_instance = base_instance
-        self.buffers = buffers
-        self.vertex_arrays = vertex_arrays
+        self.buffers, self.vertex_arrays = data.buffers, data.vertex_arrays
         self.prepared_draws: dict[object, Callable[[int], object]] = {}
 
     def create_vertex_array(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> Id:
@@ -286,32 +294,32 @@ class Drawable:
     @property
     def core(self) -> Core:
         """The core of its device."""
-        raise NotImplementedError
+        return self.data.core
 
     @property
     def is_indexed(self) -> bool:
         """Whether there are indices."""
-        raise NotImplementedError
+        return self.data.is_indexed
 
     @property
     def element_count(self) -> int:
         """Number of indices or, without indices, of vertices; a view's is that of the whole."""
-        raise NotImplementedError
+        return self.data.element_count
 
     @property
     def vertex_count(self) -> int:
         """Number of vertices of the whole."""
-        raise NotImplementedError
+        return self.data.vertex_count
 
     @property
     def instance_fields(self) -> Collection[str]:
         """The names of fields that are read once per instance."""
-        return ()
+        return self.data.instance_fields
 
     @property
     def instance_count(self) -> int:
         """Number of elements of the per-instance data."""
-        return 0
+        return self.data.instance_count
 
     def view(
         self,
@@ -389,20 +397,14 @@ class Drawable:
 class Mesh(Drawable, Resource):
     """Vertices with optional indices and per-instance data, or a part of them; created by `device.mesh`."""
 
-    __slots__ = ("_is_view", "data")
+    __slots__ = ("_is_view",)
+    data: MeshData
 
     def __init__(
-        self,
-        data: MeshData,
-        primitive: Primitive,
-        first: int,
-        count: int,
-        base_vertex: int = 0,
-        base_instance: int = 0,
-        is_view: bool = False,
-    ) -> None:
-        super().__init__(primitive, first, count, base_vertex, base_instance, data.buffers, data.vertex_arrays)
-        self.data = data
+        self, data: MeshData, primitive: Primitive, first: int, count: int, base_vertex: int = 0,
+        base_instance: int = 0, is_view: bool = False,
+    ) -> None:  # fmt: skip
+        super().__init__(data, primitive, first, count, base_vertex, base_instance)
         self._is_view = is_view
         data.views.add(self)
 
@@ -411,34 +413,9 @@ class Mesh(Drawable, Resource):
         return self.data.create_vertex_array(key, program, name, attributes)
 
     @property
-    def core(self) -> Core:
-        """The core of its device."""
-        return self.data.core
-
-    @property
-    def vertex_count(self) -> int:
-        """Number of vertices of the whole mesh."""
-        return self.data.vertex_count
-
-    @property
     def index_count(self) -> int | None:
         """Number of indices, None for a mesh without indices."""
-        return self.data.index_count
-
-    @property
-    def is_indexed(self) -> bool:
-        """Whether the mesh has indices."""
-        return self.data.index_count is not None
-
-    @property
-    def instance_fields(self) -> Collection[str]:
-        """The names of fields that are read once per instance."""
-        return self.data.instance_fields
-
-    @property
-    def instance_count(self) -> int:
-        """Number of elements of the per-instance data."""
-        return self.data.instances.count if self.data.instances is not None else 0
+        return self.element_count if self.is_indexed else None
 
     @property
     def vertices(self) -> Buffer | None:
@@ -454,11 +431,6 @@ class Mesh(Drawable, Resource):
     def instances(self) -> Buffer | None:
         """The buffer of per-instance data, None if there is none."""
         return self.data.instances
-
-    @property
-    def element_count(self) -> int:
-        """Number of indices or, without indices, of vertices."""
-        return self.data.vertex_count if self.data.index_count is None else self.data.index_count
 
     def __repr__(self) -> str:
         return f"Mesh({self.data.label!r}, {self.primitive.name}, {self.first}+{self.count})"
