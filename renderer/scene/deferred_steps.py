@@ -7,10 +7,9 @@ are one dispatch there (`Stepping`). To see it elsewhere, it is read back.
 from __future__ import annotations
 
 from copy import copy
-from typing import Any, Final, Generic, Protocol, Self, TypeVar
+from typing import Final, Generic, Protocol, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from renderer.scene.arrays import Rows
 from rhi import Device, StorageBuffer

@@ -174,7 +174,8 @@ class Water(DeferredSteps[NDArray[np.float32], PoolBuffers]):
         heights = np.asarray(self.pool.heights, np.float64)
         before = (heights + 0.5 * self._curve(heights[None])[0]) / self.pool.kept
         is_odd = (self._number - self._due)[:, None] % 2
-        return np.stack([heights, before]).astype(np.float32)[(is_odd + np.arange(2)) % 2]
+        both: NDArray[Any] = np.stack([heights, before]).astype(np.float32)[(is_odd + np.arange(2)) % 2]
+        return both
 
     def step(self, members: Rows, numbers: Rows) -> None:
         """Note one more step for `members` (j,); one that isn't the next of a member begins flat."""

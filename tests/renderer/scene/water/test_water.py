@@ -76,6 +76,19 @@ def test_devices_take_the_same_steps_as_numpy(device: rhi.Device) -> None:
     assert np.abs(copied.read() - here.read()).max() < 1e-6
 
 
+@pytest.mark.parametrize("steps", [1, 2])
+def test_what_is_released_begins_again_at_its_first_heights(null: rhi.Device, steps: int) -> None:
+    start = 0.01 * np.cos(np.pi * np.linspace(0.0, 1.0, 7)) * np.ones((6, 1))
+    again, new = (Water(1, WaterPool(cells=(6, 5), rain=0.0, start=start)) for _ in range(2))
+    advance(again, 1, steps)
+    deform(null, again)
+    again.release(null)
+    assert (again.read()[0] == start.astype(np.float32)).all()
+    advance(again, steps + 1, steps + 1)
+    advance(new, 1, 1)
+    assert (again.read() == new.read()).all()
+
+
 def test_the_shader_takes_the_same_steps_on_numpy(null: rhi.Device) -> None:
     null.backend_as(NullBackend).run_shaders()
     there, here = (Water(2, WaterPool(cells=(6, 5), rain=60.0), seed=2) for _ in range(2))
