@@ -90,6 +90,11 @@ class ClBackend:
         self._held = context.programs
         self._destroyers: dict[Id, Callable[[Id], None]] = {}
         self._kinds: dict[Id, descriptors.QueryKind] = {}
+        self.set_states, self.draw = self._draw_state.set, self._draws.draw
+        self.prepare_uniform = self._rasteriser.bindings.prepare_uniform
+        self.completed, self.wait = self._fence.poll, self._fence.wait
+        self.begin_query, self.end_query = self._sample_queries.begin, self._sample_queries.end
+        self.end_conditional = self._rasteriser.end_conditional
 
     @property
     def capabilities(self) -> Capabilities:
@@ -255,9 +260,6 @@ class ClBackend:
         self._render_pass = descriptor
         self._draw_state.begin_pass(descriptor)
 
-    def set_states(self, changes: Sequence[StateChange]) -> None:
-        self._draw_state.set(changes)
-
     @_reports_errors_as("the end of a pass")
     def end_pass(self) -> None:
         self._flush()
@@ -281,17 +283,7 @@ class ClBackend:
     def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
         self._bind(descriptors.BindingKind.IMAGE, slot, (texture, level, layer))
 
-    def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
-        """See `rhi.contract.backend.PreparesDraws`."""
-        return self._rasteriser.bindings.prepare_uniform(buffer)
-
     # -- work --------------------------------------------------------------------------------------------
-
-    def draw(
-        self, vertex_array: Id, primitive: descriptors.Primitive, first: int, count: int, instances: int,
-        base_vertex: int, base_instance: int,
-    ) -> None:  # fmt: skip
-        self._draws.draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
 
     def prepare_draw(
         self, program: Id, vertex_array: Id, primitive: descriptors.Primitive, first: int, count: int, base_vertex: int,
@@ -354,18 +346,6 @@ class ClBackend:
         self._fence.signal(value)
         self._held.reach(value)
 
-    def completed(self) -> int:
-        return self._fence.poll()
-
-    def wait(self, value: int, seconds: float) -> bool:
-        return self._fence.wait(value, seconds)
-
-    def begin_query(self, query: Id) -> None:
-        self._sample_queries.begin(query)
-
-    def end_query(self, query: Id) -> None:
-        self._sample_queries.end(query)
-
     @_reports_errors_as("a timestamp")
     def write_query(self, query: Id) -> None:
         if self._kinds[query] is descriptors.QueryKind.TIMESTAMP:
@@ -385,9 +365,6 @@ class ClBackend:
     @_reports_errors_as("device.conditional")
     def begin_conditional(self, query: Id, inverted: bool) -> None:
         self._rasteriser.begin_conditional(query, inverted)
-
-    def end_conditional(self) -> None:
-        self._rasteriser.end_conditional()
 
     def push_label(self, text: str) -> None:
         self._labels.append(text)

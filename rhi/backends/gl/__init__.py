@@ -8,13 +8,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rhi.backends.gl.platform_states import DepthClamp
-from rhi.errors import DeviceError
 
 if TYPE_CHECKING:
     from rhi.backends.gl.backend import GlBackend
     from rhi.backends.gl.host import HostContext
 
-__all__ = ["DepthClamp", "create_backend", "find_obstacle"]
+__all__ = ["DepthClamp", "create_backend"]
 
 
 def create_backend(*, validation: bool = False, context: HostContext | None = None) -> GlBackend:
@@ -45,12 +44,3 @@ def create_backend(*, validation: bool = False, context: HostContext | None = No
 
         return DebugGlBackend(opened, shared)
     return GlBackend(opened, shared)
-
-
-def find_obstacle() -> str | None:
-    """Return why GL can't be used on this machine, in one line, or None if it can."""
-    try:
-        create_backend().close()
-    except DeviceError as error:
-        return f"{error.given}; {error.tip}"
-    return None

@@ -47,6 +47,8 @@ _EQUATIONS: Final = {
     states.BlendOperation.MAXIMUM: enums.MAX,
 }
 _STENCIL_OPERATIONS: Final = _find_enums(states.StencilOperation, INCREMENT="INCR", DECREMENT="DECR")
+_PROGRAMMED: Final = (states.AlphaTest, states.AlphaFunction, states.AlphaReference)
+"""The states that programs follow, in place of GL."""
 _SCISSOR_LIMIT: Final = 1 << 16  # larger than any target, and x + width can't overflow
 
 _ALL_COLORS: Final = (states.ColorWrite.ON,) * states.MAX_TARGETS
@@ -76,22 +78,19 @@ class RenderStates:
             state: (value,) * states.MAX_TARGETS if state in states.PER_TARGET else value
             for state, value in states.DEFAULTS.items()
         } | {states.PlatformState: ()}
-        self._alpha_changed = alpha_changed
         self._apply: dict[type, Callable[[Any], None]] = {
             states.CullMode: self._cull,
             states.FrontFace: lambda value: gl.FrontFace(_WINDINGS[value]),
             states.DepthTest: self._depth_test,
             states.DepthWrite: self._depth_write,
             states.DepthFunction: self._depth_test,
-            states.AlphaTest: self._alpha,
-            states.AlphaFunction: self._alpha,
-            states.AlphaReference: self._alpha,
+            **dict.fromkeys(_PROGRAMMED, lambda _: alpha_changed()),
             states.ColorWrite: self._color_write,
             states.BlendFunction: self._blend,
             states.BlendColor: lambda value: gl.BlendColor(value.red, value.green, value.blue, value.alpha),
             states.StencilTest: lambda value: self._switch(enums.STENCIL_TEST, value is states.StencilTest.ON),
-            states.StencilFront: self._stencil_front,
-            states.StencilBack: self._stencil_back,
+            states.StencilFront: lambda face: self._stencil_face(enums.FRONT, face),
+            states.StencilBack: lambda face: self._stencil_face(enums.BACK, face),
             states.StencilReference: self._stencil_functions,
             states.StencilReadMask: self._stencil_functions,
             states.StencilWriteMask: self._stencil_write_mask,
@@ -102,7 +101,9 @@ class RenderStates:
             states.LineWidth: lambda value: gl.LineWidth(value.width),
             states.PolygonMode: self._polygon_mode,
             states.PlatformState: lambda value: self._switch(enums.DEPTH_CLAMP, DepthClamp.ON in value),
-            states.AlphaToCoverage: self._alpha_to_coverage,
+            states.AlphaToCoverage: lambda value: self._switch(
+                enums.SAMPLE_ALPHA_TO_COVERAGE, value is states.AlphaToCoverage.ON
+            ),
         }
         self.apply_all()
 
@@ -110,7 +111,7 @@ class RenderStates:
         """Set all states anew, whatever GL's are. Programs do the alpha test."""
         self._depth_range = None
         for state, value in self.values.items():
-            if state not in (states.AlphaTest, states.AlphaFunction, states.AlphaReference):
+            if state not in _PROGRAMMED:
                 self._apply[state](value)
 
     def set(self, changes: Sequence[states.StateChange]) -> None:
@@ -185,12 +186,6 @@ class RenderStates:
         if self.values[states.DepthTest] is not _TESTS_DEPTH:
             self._depth_test(None)
 
-    def _alpha(self, _: object) -> None:
-        self._alpha_changed()
-
-    def _alpha_to_coverage(self, value: states.AlphaToCoverage) -> None:
-        self._switch(enums.SAMPLE_ALPHA_TO_COVERAGE, value is states.AlphaToCoverage.ON)
-
     def _color_write(self, targets: tuple[states.ColorWrite, ...]) -> None:
         first = targets[0]
         if targets.count(first) == states.MAX_TARGETS:
@@ -217,12 +212,9 @@ class RenderStates:
             gl.BlendEquationSeparatei(index, *_blend_equations(function))
             gl.BlendFuncSeparatei(index, *_blend_factors(function))
 
-    def _stencil_front(self, front: states.StencilFront) -> None:
-        self._gl.StencilOpSeparate(enums.FRONT, *_stencil_operations(front))
-        self._stencil_functions(None)
-
-    def _stencil_back(self, back: states.StencilBack) -> None:
-        self._gl.StencilOpSeparate(enums.BACK, *_stencil_operations(back))
+    def _stencil_face(self, side: int, face: states.StencilFront | states.StencilBack) -> None:
+        operations = (_STENCIL_OPERATIONS[one] for one in (face.stencil_fail, face.depth_fail, face.both_pass))
+        self._gl.StencilOpSeparate(side, *operations)
         self._stencil_functions(None)
 
     def _stencil_functions(self, _: object) -> None:
@@ -298,12 +290,4 @@ def _blend_factors(function: states.BlendFunction) -> tuple[int, int, int, int]:
         _FACTORS[function.destination],
         _FACTORS[function.source_alpha or function.source],
         _FACTORS[function.destination_alpha or function.destination],
-    )
-
-
-def _stencil_operations(face: states.StencilFront | states.StencilBack) -> tuple[int, int, int]:
-    return (
-        _STENCIL_OPERATIONS[face.stencil_fail],
-        _STENCIL_OPERATIONS[face.depth_fail],
-        _STENCIL_OPERATIONS[face.both_pass],
     )

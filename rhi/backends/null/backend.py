@@ -310,7 +310,7 @@ class NullBackend(CommandMethods):
         self, vertex_array: Id, primitive: descriptors.Primitive, buffer: Id, offset: int, draws: int, stride: int,
         count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
-        indexed = self._state.find_vertex_array(vertex_array).index_buffer != 0
+        indexed = self._state.find(vertex_array, descriptors.VertexArrayDescriptor).index_buffer != 0
         resolved = read_indirect_draws(
             self._buffers, buffer, offset, draws, stride, count_buffer, count_offset, indexed
         )

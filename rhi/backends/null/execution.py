@@ -6,11 +6,13 @@ The condition is unknown if the samples of its query are. Its draws are then nei
 
 from __future__ import annotations
 
-from typing import cast
+from typing import TypeVar
 
 from rhi.commands.context import StreamContext
-from rhi.contract.descriptors import Id, ProgramDescriptor, SamplerDescriptor, VertexArrayDescriptor
+from rhi.contract.descriptors import Id
 from rhi.contract.formats import Choice
+
+D = TypeVar("D")
 
 
 class DrawOutcome(Choice):
@@ -34,17 +36,11 @@ class ExecutionState(StreamContext):
         super().__init__()
         self.outcome = DrawOutcome.EXECUTED
 
-    def find_program(self, program: Id) -> ProgramDescriptor:
-        """Return the descriptor of a program."""
-        return cast("ProgramDescriptor", self.resources[program])
-
-    def find_sampler(self, sampler: Id) -> SamplerDescriptor:
-        """Return the descriptor of a sampler."""
-        return cast("SamplerDescriptor", self.resources[sampler])
-
-    def find_vertex_array(self, vertex_array: Id) -> VertexArrayDescriptor:
-        """Return the descriptor of a vertex array."""
-        return cast("VertexArrayDescriptor", self.resources[vertex_array])
+    def find(self, resource: Id, kind: type[D]) -> D:
+        """Return the descriptor of a resource of this kind."""
+        found = self.resources[resource]
+        assert isinstance(found, kind)
+        return found
 
     def decide(self, samples: int | None, inverted: bool) -> None:
         """Begin conditional rendering on a query that counted `samples`, None if unknown."""

@@ -19,7 +19,7 @@ from rhi.backends.null.buffers import Buffers
 from rhi.backends.null.draws import Draw
 from rhi.backends.null.execution import ExecutionState
 from rhi.backends.null.textures import Textures
-from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage
+from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, SamplerDescriptor, Stage
 from rhi.contract.layout import Layout, dtype_of, element_dtype
 
 StandIn: TypeAlias = Callable[[Mapping[str, Any], Draw | None], object]
@@ -62,7 +62,7 @@ class Shaders:
                 name: bound.reshape(-1).view(np.uint32) if isinstance(bound, np.ndarray) else bound
                 for name, bound in self._bound(program).items()
             }
-            self._kernel(self._state.find_program(program)).launch(groups, memory)
+            self._kernel(self._state.find(program, ProgramDescriptor)).launch(groups, memory)
 
     def _kernel(self, descriptor: ProgramDescriptor) -> Any:
         kernel = self._kernels.get(descriptor)
@@ -74,7 +74,7 @@ class Shaders:
         return kernel
 
     def _bound(self, program: Id) -> dict[str, Any]:
-        return {one.name: self._find(one) for one in self._state.find_program(program).bindings}
+        return {one.name: self._find(one) for one in self._state.find(program, ProgramDescriptor).bindings}
 
     def _find(self, binding: Binding) -> Any:
         name, *place = self._state.slots[binding.kind, binding.slot]
@@ -93,7 +93,7 @@ class Shaders:
             texture.levels,
             texture.descriptor.format,
             texture.descriptor.kind,
-            self._state.find_sampler(sampler),
+            self._state.find(sampler, SamplerDescriptor),
         )
 
     def _image(self, binding: Binding, name: Id, level: int, layer: int) -> Any:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from rhi.contract.descriptors import FragmentOutput, Stage, StageText
+from rhi.contract.descriptors import Stage, StageText
 from rhi.contract.formats import ChannelKind, Format
-from rhi.contract.layout import FLOAT, INT, UINT, StructType
+from rhi.contract.layout import StructType
 from rhi.shading.glsl.names import RESERVED
 from rhi.shading.glsl.native import is_whole, lines_of
 from rhi.shading.glsl.writer import Writer
@@ -17,9 +17,9 @@ from rhi.shading.ir.text import Lines
 from rhi.shading.language.annotations import Role
 from rhi.shading.language.builtins import Builtin, SideEffect
 from rhi.shading.language.shader import Declaration, StorageClass
-from rhi.shading.language.types import VECTORS, VOID, ImageType, StorageType
+from rhi.shading.language.types import VOID, ImageType, StorageType
 from rhi.shading.text.names import Names
-from rhi.shading.text.writer import constant_key
+from rhi.shading.text.writer import constant_key, output_type
 
 _PACKED_IMAGES: Final = {
     Format.RGB10A2: "rgb10_a2",
@@ -161,15 +161,11 @@ class StageWriter:
                 self.lines.add(f"{layout} {access}uniform {self.writer.type(type)} {name};")
 
     def _constants(self) -> None:
-        done = set()
-        for constant in self.stage.constants:
-            key = constant_key(constant)
-            if key not in done:
-                done.add(key)
-                name = self.names.get(("constant", key), constant.name)
-                type = self.writer.type(constant.type)
-                parts = ", ".join(map(self.writer.expression, constant.elements))
-                self.lines.add(f"const {type} {name} = {type}({parts});")
+        for constant in {constant_key(one): one for one in self.stage.constants}.values():
+            name, type = self.writer.expression(constant), self.writer.type(constant.type)
+            self.lines.add(
+                f"const {type} {name} = {type}({', '.join(map(self.writer.expression, constant.elements))});"
+            )
 
     # -- inputs, outputs, main
 
@@ -206,7 +202,7 @@ class StageWriter:
         elif self.stage.stage is Stage.FRAGMENT:
             for output in interface.outputs:
                 name = names[output.name] = self.interface_name("out", "out_", output.name)
-                self.lines.add(f"layout(location = {output.location}) out {_output_type(output)} {name};")
+                self.lines.add(f"layout(location = {output.location}) out {output_type(output)} {name};")
         return names
 
     def _varying(self, varying: Varying, direction: str, name: str) -> None:
@@ -223,7 +219,7 @@ class StageWriter:
         interface, type = self.interface, self.writer.type
         fields = {varying.name: type(varying.type) for varying in interface.varyings}
         attributes = {attribute.name: str(attribute.type) for attribute in interface.attributes}
-        targets = {output.name: _output_type(output) for output in interface.outputs}
+        targets = {output.name: str(output_type(output)) for output in interface.outputs}
         is_vertex = self.stage.stage is Stage.VERTEX
         declared = {("in", inputs[name]): (attributes if is_vertex else fields)[name] for name in inputs}
         declared |= {("out", outputs[name]): (fields if is_vertex else targets)[name] for name in outputs}
@@ -262,11 +258,6 @@ class StageWriter:
                 self.lines.add(f"gl_FragDepth = {result}{field(interface.depth)};")
             for name, output in outputs.items():
                 self.lines.add(f"{output} = {result}{field(name)};")
-
-
-def _output_type(output: FragmentOutput) -> str:
-    scalar = {"float": FLOAT, "int": INT, "uint": UINT}[output.kind]
-    return str(scalar if output.components == 1 else VECTORS[scalar, output.components])
 
 
 def _no_field(name: str) -> str:

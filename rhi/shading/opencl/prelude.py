@@ -391,9 +391,7 @@ def function_text(name: str, width: int, calls: int = 1) -> str:
             if body[:2] in ("SI", "SU", "VI", "VU"):
                 if wide != (lanes > 1):
                     continue
-                body = body[1:].replace("(SINT", "(INT").replace(" SINT", " INT").replace("(VINT", "(INT")
-                body = body.replace(" VINT", " INT").replace("(SUINT", "(UINT").replace(" SUINT", " UINT")
-                body = body.replace("(VUINT", "(UINT").replace(" VUINT", " UINT")
+                body = re.sub(r"\b[SV](U?INT)\b", r"\1", body)
             texts.append(head + specialise(body, lanes))
     return "\n".join(texts)
 

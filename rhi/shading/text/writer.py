@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from typing import ClassVar, Final
 
+from rhi.contract.descriptors import FragmentOutput
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, ArrayType, HostType, MatrixType
 from rhi.shading.ir import tree
 from rhi.shading.ir.text import Lines, power_steps
 from rhi.shading.ir.tree import Expression, Operator
 from rhi.shading.language import rules
 from rhi.shading.language.source import SourceSpan, refuse_at
-from rhi.shading.language.types import StorageType, TextureType, Type, VoidType, count_elements, scalar_of
+from rhi.shading.language.types import VECTORS, StorageType, TextureType, Type, VoidType, count_elements, scalar_of
 from rhi.shading.text.names import Names
 
 _MOST_RETURNS: Final = 16
@@ -528,3 +529,9 @@ def constant_key(node: tree.ConstantArray) -> tuple[object, ...]:
         for part in node.elements
     )
     return (node.name, node.type, values)
+
+
+def output_type(output: FragmentOutput) -> HostType:
+    """Return the type of a fragment stage's output."""
+    scalar = {"float": FLOAT, "int": INT, "uint": UINT}[output.kind]
+    return scalar if output.components == 1 else VECTORS[scalar, output.components]

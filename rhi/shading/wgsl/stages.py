@@ -13,7 +13,7 @@ import re
 from typing import Final
 
 from rhi.contract.descriptors import BindingKind, FragmentOutput, Stage, StageText
-from rhi.contract.layout import FLOAT, INT, UINT, HostType, MatrixType, StructType
+from rhi.contract.layout import INT, UINT, HostType, MatrixType, StructType
 from rhi.contract.states import AlphaFunction
 from rhi.shading.glsl.vulkan import SETS
 from rhi.shading.ir import tree
@@ -21,9 +21,9 @@ from rhi.shading.ir.interface import Interface, Varying
 from rhi.shading.ir.text import Lines
 from rhi.shading.language.annotations import Role
 from rhi.shading.language.shader import Declaration, StorageClass
-from rhi.shading.language.types import VECTORS, VOID, ImageType, StorageType, TextureType, scalar_of
+from rhi.shading.language.types import VOID, ImageType, StorageType, TextureType, scalar_of
 from rhi.shading.text.names import Names
-from rhi.shading.text.writer import constant_key
+from rhi.shading.text.writer import constant_key, output_type
 from rhi.shading.wgsl.builtins import EXTENSIONS, INPUTS
 from rhi.shading.wgsl.memory import UNIFORM
 from rhi.shading.wgsl.names import RESERVED, texel_format
@@ -245,8 +245,7 @@ class _WgslStageWriter:
                 ]
         elif self.stage.stage is Stage.FRAGMENT:
             for output in interface.outputs:
-                scalar = {"float": FLOAT, "int": INT, "uint": UINT}[output.kind]
-                form = self.writer.type(scalar if output.components == 1 else VECTORS[scalar, output.components])
+                form = self.writer.type(output_type(output))
                 outputs.append((f"@location({output.location})", form, self._result(output.name)))
             if interface.depth:
                 outputs.append(("@builtin(frag_depth)", "f32", self._result(interface.depth)))
