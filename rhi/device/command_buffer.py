@@ -37,7 +37,7 @@ from rhi.contract.states import AlphaTest, default_values
 from rhi.device.core.core import Core
 from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.state_cache import StateVector
-from rhi.device.encoder import Encoder, check_drawable
+from rhi.device.encoder import Encoder, check_mesh
 from rhi.device.queries.occlusion import Conditional, OcclusionQuery, QueryScope
 from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import Timers
@@ -155,7 +155,7 @@ class CommandBuffer(Encoder):
             own: Program[...] = self._programs[program]
         except (KeyError, TypeError, ValueError):  # a memoryview's hash may raise the last one
             own = self._resolve_program(program, "commands.draw")
-        check_drawable(self._recorder, mesh, "commands.draw")
+        check_mesh(self._recorder, mesh, "commands.draw", Drawable)
         own.draw_with(mesh, instances, bindings)
 
     if not TYPE_CHECKING:

@@ -269,7 +269,7 @@ class Encoder:
     ) -> tuple[Program[...], NDArray[Any]]:
         """Return the program as this encoder uses it, and the array of draws as backends need it."""
         own = self._resolve_program(program, call)
-        check_drawable(self._core, mesh, call)
+        check_mesh(self._core, mesh, call, Drawable)
         return own, check_draws(self._core, mesh, draws, own.descriptor.attributes, call)
 
     def _refuse_quads(self, mesh: Drawable, call: str) -> None:
@@ -422,13 +422,8 @@ def _already_checked(mesh: object) -> None:
     """Do nothing: the check of a `Program.bind` that was done before."""
 
 
-def check_drawable(core: Core, mesh: object, call: str) -> None:
-    """Refuse anything that no draw can read vertices from."""
-    if not isinstance(mesh, Drawable):
-        core.refuse(rules.DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")
-
-
-def check_mesh(core: Core, mesh: object, call: str) -> None:
-    """Refuse anything but a `Mesh`: arguments in a buffer can't know where a transient one lies."""
-    if not isinstance(mesh, Mesh):
+def check_mesh(core: Core, mesh: object, call: str, kind: type[Drawable] = Mesh) -> None:
+    """Refuse anything but a `Mesh`: arguments in a buffer can't know where a transient one lies. With `Drawable` as
+    `kind`, refuse anything that no draw can read vertices from."""
+    if not isinstance(mesh, kind):
         core.refuse(rules.DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")

@@ -28,7 +28,7 @@ from rhi.backends.cl.programs import ComputePrograms
 from rhi.backends.cl.raster.query_sets import ClQuerySet
 from rhi.backends.cl.raster.rasteriser import Rasteriser
 from rhi.contract import descriptors
-from rhi.contract.backend import Capabilities, PreparedQueries
+from rhi.contract.backend import PreparedQueries
 from rhi.contract.descriptors import Id
 from rhi.contract.formats import Format
 from rhi.contract.limits import dispatch_faults
@@ -83,7 +83,7 @@ class ClBackend:
         self._draw_state = self._rasteriser.state
         self._draws = self._rasteriser.draws
         self._vertex_arrays = self._rasteriser.vertex_arrays
-        self._capabilities = query_capabilities(context, self._rasteriser.works)
+        self.capabilities = query_capabilities(context, self._rasteriser.works)
         self._sample_queries = self._rasteriser.queries
         self._flush = self._rasteriser.flush
         self._fence = Fence(context.queue, in_flight)
@@ -95,10 +95,6 @@ class ClBackend:
         self.completed, self.wait = self._fence.poll, self._fence.wait
         self.begin_query, self.end_query = self._sample_queries.begin, self._sample_queries.end
         self.end_conditional = self._rasteriser.end_conditional
-
-    @property
-    def capabilities(self) -> Capabilities:
-        return self._capabilities
 
     @property
     def quick_work(self) -> int:

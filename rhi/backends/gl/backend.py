@@ -47,7 +47,7 @@ from rhi.backends.gl.samplers import Samplers
 from rhi.backends.gl.states import RenderStates
 from rhi.backends.gl.textures import Textures
 from rhi.commands.recorder import CommandMethods
-from rhi.contract.backend import Capabilities, PreparedQueries
+from rhi.contract.backend import PreparedQueries
 from rhi.contract.descriptors import (
     Attachment,
     BufferDescriptor,
@@ -114,8 +114,8 @@ class GlBackend:
         context.mglo.__enter__()
         gl = self.gl = EntryPoints(context.mglo._context.load)
         found = query_capabilities(gl, context.version_code, context.extensions)
-        self._capabilities = replace(found, shares_textures=shared is not None)
-        is_llvmpipe = "llvmpipe" in self._capabilities.device
+        self.capabilities = replace(found, shares_textures=shared is not None)
+        is_llvmpipe = "llvmpipe" in self.capabilities.device
         if is_llvmpipe:
             keep_freed_memory()
         self._unfinished = UnfinishedDraws(gl, keeps_order=not is_llvmpipe)
@@ -142,7 +142,7 @@ class GlBackend:
         self._framebuffer = 0
         self._condition: tuple[Id, bool] | None = None
         self._labels = 0
-        self._states = RenderStates(gl, self._capabilities.depth_bias_clamp, self._change_alpha_test)
+        self._states = RenderStates(gl, self.capabilities.depth_bias_clamp, self._change_alpha_test)
         self._bind_uniform = self._buffers.bind_uniform
         self._bind_storage = self._buffers.bind_storage
         self._bind_texture, self._texture_names = gl.BindTextureUnit, self._textures.names
@@ -152,10 +152,6 @@ class GlBackend:
         )
         if self._drop is not None:
             self._drop.atexit = False
-
-    @property
-    def capabilities(self) -> Capabilities:
-        return self._capabilities
 
     def on_interruption(self, call: Callable[[], None]) -> None:
         self._interrupted = call

@@ -14,20 +14,13 @@ from numpy.typing import NDArray
 from rhi.backends.gl import enums
 from rhi.backends.gl.buffers import Buffers
 from rhi.backends.gl.entry_points import EntryPoints
-from rhi.backends.gl.formats import INDEX_TYPES
+from rhi.backends.gl.formats import INDEX_TYPES, find_enums
 from rhi.backends.gl.programs import LinkedProgram, VertexArrays
 from rhi.backends.gl.quads import QuadIndices
 from rhi.contract.descriptors import DRAW, Id, Primitive, VertexArrayDescriptor
 from rhi.contract.formats import IndexFormat
 
-MODES: Final = {
-    Primitive.POINTS: enums.POINTS,
-    Primitive.LINES: enums.LINES,
-    Primitive.LINE_STRIP: enums.LINE_STRIP,
-    Primitive.TRIANGLES: enums.TRIANGLES,
-    Primitive.TRIANGLE_STRIP: enums.TRIANGLE_STRIP,
-    Primitive.TRIANGLE_FAN: enums.TRIANGLE_FAN,
-}
+MODES: Final = find_enums(Primitive, QUADS="TRIANGLES")
 
 DrawCalls: TypeAlias = tuple[Callable[..., object], Iterable[tuple[Any, ...]]]
 """A function, and the arguments for each call of it."""

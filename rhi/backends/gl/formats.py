@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from enum import Enum
+from typing import Final, NamedTuple, TypeVar
 
 from rhi.backends.gl import enums
 from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import VertexFormat
 from rhi.contract.formats import Format, IndexFormat
+
+C = TypeVar("C", bound=Enum)
+
+
+def find_enums(kind: type[C], **words: str) -> dict[C, int]:
+    """Return GL's enumerants of a choice's members: they have the same names, but for some `words` in them."""
+    names = {member: member.name for member in kind}
+    for ours, theirs in words.items():
+        names = {member: name.replace(ours, theirs) for member, name in names.items()}
+    return {member: getattr(enums, name) for member, name in names.items()}
 
 
 class PixelFormat(NamedTuple):

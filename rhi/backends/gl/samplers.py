@@ -7,24 +7,15 @@ from typing import Final
 
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
+from rhi.backends.gl.formats import find_enums
 from rhi.backends.gl.states import COMPARISONS
 from rhi.contract.descriptors import Filter, Id, SamplerDescriptor, Wrap
 
-_WRAPS: Final = {
-    Wrap.REPEAT: enums.REPEAT,
-    Wrap.MIRROR: enums.MIRRORED_REPEAT,
-    Wrap.CLAMP: enums.CLAMP_TO_EDGE,
-    Wrap.BORDER: enums.CLAMP_TO_BORDER,
-}
-_FILTERS: Final = {Filter.NEAREST: enums.NEAREST, Filter.LINEAR: enums.LINEAR}
-_MINIFIERS: Final = {
-    (Filter.NEAREST, None): enums.NEAREST,
-    (Filter.LINEAR, None): enums.LINEAR,
-    (Filter.NEAREST, Filter.NEAREST): enums.NEAREST_MIPMAP_NEAREST,
-    (Filter.LINEAR, Filter.NEAREST): enums.LINEAR_MIPMAP_NEAREST,
-    (Filter.NEAREST, Filter.LINEAR): enums.NEAREST_MIPMAP_LINEAR,
-    (Filter.LINEAR, Filter.LINEAR): enums.LINEAR_MIPMAP_LINEAR,
-}
+_WRAPS: Final = find_enums(Wrap, MIRROR="MIRRORED_REPEAT", CLAMP="CLAMP_TO_EDGE", BORDER="CLAMP_TO_BORDER")
+_FILTERS: Final = find_enums(Filter)
+_MINIFIERS: Final[dict[tuple[Filter, Filter | None], int]] = {
+    (texel, mip): getattr(enums, f"{texel.name}_MIPMAP_{mip.name}") for texel in Filter for mip in Filter
+} | {(texel, None): value for texel, value in _FILTERS.items()}
 
 
 class Samplers:

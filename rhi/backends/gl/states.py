@@ -12,33 +12,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
+from rhi.backends.gl.formats import find_enums
 from rhi.backends.gl.platform_states import DepthClamp
 from rhi.contract import states
-from rhi.contract.formats import Choice
 
-C = TypeVar("C", bound=Choice)
-
-
-def _find_enums(kind: type[C], **words: str) -> dict[C, int]:
-    """Return GL's enumerants of a choice's members: they have the same names, but for some `words` in them."""
-    names = {member: member.name for member in kind}
-    for ours, theirs in words.items():
-        names = {member: name.replace(ours, theirs) for member, name in names.items()}
-    return {member: getattr(enums, name) for member, name in names.items()}
-
-
-COMPARISONS: Final = _find_enums(states.Comparison, LESS_EQUAL="LEQUAL", GREATER_EQUAL="GEQUAL", NOT_EQUAL="NOTEQUAL")
+COMPARISONS: Final = find_enums(states.Comparison, LESS_EQUAL="LEQUAL", GREATER_EQUAL="GEQUAL", NOT_EQUAL="NOTEQUAL")
 _DEPTH_FUNCTIONS: Final = {f: COMPARISONS[states.Comparison(f.value)] for f in states.DepthFunction}
 _FACES: Final = {states.CullMode.FRONT: enums.FRONT, states.CullMode.BACK: enums.BACK}
 _WINDINGS: Final = {states.FrontFace.COUNTER_CLOCKWISE: enums.CW, states.FrontFace.CLOCKWISE: enums.CCW}  # y is flipped
-_FACTORS: Final = _find_enums(states.BlendFactor, SOURCE="SRC", DESTINATION="DST", CONSTANT="CONSTANT_COLOR")
+_FACTORS: Final = find_enums(states.BlendFactor, SOURCE="SRC", DESTINATION="DST", CONSTANT="CONSTANT_COLOR")
 _EQUATIONS: Final = {
     states.BlendOperation.ADD: enums.FUNC_ADD,
     states.BlendOperation.SUBTRACT: enums.FUNC_SUBTRACT,
@@ -46,7 +35,7 @@ _EQUATIONS: Final = {
     states.BlendOperation.MINIMUM: enums.MIN,
     states.BlendOperation.MAXIMUM: enums.MAX,
 }
-_STENCIL_OPERATIONS: Final = _find_enums(states.StencilOperation, INCREMENT="INCR", DECREMENT="DECR")
+_STENCIL_OPERATIONS: Final = find_enums(states.StencilOperation, INCREMENT="INCR", DECREMENT="DECR")
 _PROGRAMMED: Final = (states.AlphaTest, states.AlphaFunction, states.AlphaReference)
 """The states that programs follow, in place of GL."""
 _SCISSOR_LIMIT: Final = 1 << 16  # larger than any target, and x + width can't overflow
@@ -74,10 +63,7 @@ class RenderStates:
         self._has_offset_clamp = has_offset_clamp
         self._size = (0, 0)
         self._depth_range: tuple[float, float] | None = None
-        self.values: dict[type, Any] = {
-            state: (value,) * states.MAX_TARGETS if state in states.PER_TARGET else value
-            for state, value in states.DEFAULTS.items()
-        } | {states.PlatformState: ()}
+        self.values: dict[type, Any] = dict(zip(states.STATE_TYPES, states.default_values(), strict=True))
         self._apply: dict[type, Callable[[Any], None]] = {
             states.CullMode: self._cull,
             states.FrontFace: lambda value: gl.FrontFace(_WINDINGS[value]),

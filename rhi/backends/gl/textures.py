@@ -17,16 +17,11 @@ from typing_extensions import Buffer as BytesLike
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.errors import drain_errors, find_error
-from rhi.backends.gl.formats import CLEAR_FORMATS, COMPRESSED, PIXEL_FORMATS, PixelFormat
+from rhi.backends.gl.formats import CLEAR_FORMATS, COMPRESSED, PIXEL_FORMATS, PixelFormat, find_enums
 from rhi.contract.descriptors import Id, Region, TextureDescriptor, TextureKind
 
 _ANY_SIZE: Final = (1 << 31) - 1
-_TARGETS: Final = {
-    TextureKind.D2: enums.TEXTURE_2D,
-    TextureKind.D2_ARRAY: enums.TEXTURE_2D_ARRAY,
-    TextureKind.D3: enums.TEXTURE_3D,
-    TextureKind.CUBE: enums.TEXTURE_CUBE_MAP,
-}
+_TARGETS: Final = find_enums(TextureKind, D2="TEXTURE_2D", D3="TEXTURE_3D", CUBE="TEXTURE_CUBE_MAP")
 _TRANSFERS: Final = {
     enums.PACK_ALIGNMENT: 1, enums.PACK_ROW_LENGTH: 0, enums.PACK_IMAGE_HEIGHT: 0, enums.PACK_SKIP_PIXELS: 0,
     enums.PACK_SKIP_ROWS: 0, enums.PACK_SKIP_IMAGES: 0, enums.PACK_SWAP_BYTES: 0,

@@ -28,7 +28,6 @@ from rhi.backends.wgpu.stream import Stream
 from rhi.backends.wgpu.textures import Textures
 from rhi.backends.wgpu.tools import Tools
 from rhi.contract import descriptors
-from rhi.contract.backend import Capabilities
 from rhi.contract.descriptors import Id
 from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.states import StateChange
@@ -56,12 +55,12 @@ class WgpuBackend:
         self._tools = Tools(device, self._buffers)
         self._textures = Textures(device, self._stream, self._buffers, self._tools)
         self._samplers = Samplers(device)
-        self._capabilities = query_capabilities(host, self._textures)
+        self.capabilities = query_capabilities(host, self._textures)
         self._bindings = BoundResources(
-            device, self._stream, self._buffers, self._textures, self._samplers, self._capabilities.unfilterable_formats
+            device, self._stream, self._buffers, self._textures, self._samplers, self.capabilities.unfilterable_formats
         )
         self._states = States()
-        self._pipelines = Pipelines(device, self._capabilities)
+        self._pipelines = Pipelines(device, self.capabilities)
         self._draws = Draws(
             device, self._stream, self._buffers, self._bindings, self._states, self._pipelines, self._tools,
             host.features,
@@ -97,10 +96,6 @@ class WgpuBackend:
         self.end_pass = self._stream.end_pass
         self.push_label, self.pop_label = self._stream.push_label, self._stream.pop_label
         self.signal, self.completed = self._stream.signal, self._fence.poll
-
-    @property
-    def capabilities(self) -> Capabilities:
-        return self._capabilities
 
     def on_interruption(self, call: Callable[[], None]) -> None:
         """Nothing outside of this device changes its bindings."""

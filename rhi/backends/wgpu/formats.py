@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Final
+from enum import Enum
+from typing import Final, TypeVar
 
 from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import Primitive, TextureKind, VertexFormat, Wrap
 from rhi.contract.formats import Format
 from rhi.contract.states import BlendFactor, BlendOperation, StencilOperation
 from rhi.shading.wgsl.names import texel_format
+
+C = TypeVar("C", bound=Enum)
+
+
+def word(name: str) -> str:
+    """Return WebGPU's word for a comparison or a filter, whose names are the same."""
+    return name.lower().replace("_", "-")
+
+
+def _find_words(kind: type[C], **words: str) -> dict[C, str]:
+    """Return WebGPU's words for a choice's members: they have the same values, but for some `words` in them."""
+    values = {member: str(member.value) for member in kind}
+    for ours, theirs in words.items():
+        values = {member: value.replace(ours, theirs) for member, value in values.items()}
+    return {member: word(value) for member, value in values.items()}
+
 
 FORMATS: Final = {format: texel_format(format) for format in Format}
 COMPRESSED: Final = {
@@ -20,21 +37,10 @@ COMPRESSED: Final = {
     CompressedFormat.BC6H: "bc6h-rgb-ufloat", CompressedFormat.BC6H_SIGNED: "bc6h-rgb-float",
     CompressedFormat.BC7: "bc7-rgba-unorm", CompressedFormat.BC7_SRGB: "bc7-rgba-unorm-srgb",
 }  # fmt: skip
-FACTORS: Final = {
-    BlendFactor.ZERO: "zero", BlendFactor.ONE: "one", BlendFactor.SOURCE_COLOR: "src",
-    BlendFactor.ONE_MINUS_SOURCE_COLOR: "one-minus-src", BlendFactor.SOURCE_ALPHA: "src-alpha",
-    BlendFactor.ONE_MINUS_SOURCE_ALPHA: "one-minus-src-alpha", BlendFactor.DESTINATION_COLOR: "dst",
-    BlendFactor.ONE_MINUS_DESTINATION_COLOR: "one-minus-dst", BlendFactor.DESTINATION_ALPHA: "dst-alpha",
-    BlendFactor.ONE_MINUS_DESTINATION_ALPHA: "one-minus-dst-alpha", BlendFactor.CONSTANT: "constant",
-    BlendFactor.ONE_MINUS_CONSTANT: "one-minus-constant", BlendFactor.SOURCE_ALPHA_SATURATE: "src-alpha-saturated",
-}  # fmt: skip
-OPERATIONS: Final = {
-    BlendOperation.ADD: "add",
-    BlendOperation.SUBTRACT: "subtract",
-    BlendOperation.REVERSE_SUBTRACT: "reverse-subtract",
-    BlendOperation.MINIMUM: "min",
-    BlendOperation.MAXIMUM: "max",
-}
+FACTORS: Final = _find_words(
+    BlendFactor, source_color="src", destination_color="dst", source="src", destination="dst", saturate="saturated"
+)
+OPERATIONS: Final = _find_words(BlendOperation, minimum="min", maximum="max")
 STENCIL: Final = {
     StencilOperation.KEEP: "keep",
     StencilOperation.ZERO: "zero",
@@ -64,21 +70,6 @@ VERTICES: Final = {
     VertexFormat.SNORM8X4: "snorm8x4", VertexFormat.UNORM16X2: "unorm16x2", VertexFormat.SNORM16X2: "snorm16x2",
     VertexFormat.UINT8X4: "uint8x4", VertexFormat.UINT16X2: "uint16x2",
 }  # fmt: skip
-DIMENSIONS: Final = {
-    TextureKind.D2: "2d",
-    TextureKind.D2_ARRAY: "2d-array",
-    TextureKind.D3: "3d",
-    TextureKind.CUBE: "cube",
-}
-WRAPS: Final = {
-    Wrap.REPEAT: "repeat",
-    Wrap.MIRROR: "mirror-repeat",
-    Wrap.CLAMP: "clamp-to-edge",
-    Wrap.BORDER: "clamp-to-edge",
-}
+DIMENSIONS: Final = _find_words(TextureKind)
+WRAPS: Final = _find_words(Wrap, mirror="mirror_repeat", clamp="clamp_to_edge", border="clamp_to_edge")
 """Address modes; `Wrap.BORDER` is refused by the device."""
-
-
-def word(name: str) -> str:
-    """Return WebGPU's word for a comparison or a filter, whose names are the same."""
-    return name.lower().replace("_", "-")

@@ -19,8 +19,7 @@ from rhi.contract.descriptors import Primitive, Stage, VertexArrayDescriptor
 from rhi.contract.formats import Format, IndexFormat
 from rhi.contract.states import (
     DEFAULTS,
-    MAX_TARGETS,
-    PER_TARGET,
+    STATE_TYPES,
     AlphaFunction,
     AlphaReference,
     AlphaTest,
@@ -47,6 +46,7 @@ from rhi.contract.states import (
     StencilTest,
     StencilWriteMask,
     Viewport,
+    default_values,
 )
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_CAPABILITY
@@ -72,9 +72,7 @@ class States:
     """
 
     def __init__(self) -> None:
-        self.values: dict[type, Any] = {
-            state: (value,) * MAX_TARGETS if state in PER_TARGET else value for state, value in DEFAULTS.items()
-        }
+        self.values: dict[type, Any] = dict(zip(STATE_TYPES, default_values(), strict=True))
         self.changed = True
         self.moved = True
         self.is_reversed = False  # the viewport's depth

@@ -35,9 +35,7 @@ from rhi.backends.cl.raster.targets import (
 from rhi.contract.descriptors import Attachment, DepthAttachment, PassDescriptor
 from rhi.contract.formats import Format
 from rhi.contract.states import (
-    DEFAULTS,
-    MAX_TARGETS,
-    PER_TARGET,
+    STATE_TYPES,
     CullMode,
     DepthBias,
     FrontFace,
@@ -47,6 +45,7 @@ from rhi.contract.states import (
     Scissor,
     StateChange,
     Viewport,
+    default_values,
 )
 
 _MAX_MEMO: Final = 4096
@@ -68,9 +67,7 @@ class DrawState:
         self.ready_for: VertexKernels | None = None
         self.pipeline: Pipeline | None = None
         self.target: PassSurfaces | None = None
-        self.values: dict[type, Any] = {
-            state: (value,) * MAX_TARGETS if state in PER_TARGET else value for state, value in DEFAULTS.items()
-        }
+        self.values: dict[type, Any] = dict(zip(STATE_TYPES, default_values(), strict=True))
         self.has_clears = False  # whether some of the target may still have to be cleared
         self._formats: tuple[tuple[Format, ...], Format | None] = ((), None)
         self._memo: dict[tuple[object, ...], tuple[MergerKey, Kernel, bytes, dict[str, float]]] = {}
