@@ -23,7 +23,6 @@ from renderer.content import BUILT_IN
 from renderer.lab.comparison import Column, Record, Subject, average, compare, ratio, time
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Orthographic, Recompute, Scene, SceneBuilder, rotation, translation
-from renderer.visibility import FrustumCulling
 
 SPACING = 3.0
 VIEWS = {"nothing": 0.0, "half": 0.5, "everything": 1.0}
@@ -78,7 +77,7 @@ class Variant:
 
     def __init__(self, device: rhi.Device, scene: Scene) -> None:
         self.device = device
-        self.renderer = Renderer(device, scene, visibility=FrustumCulling(scene), size=(64, 64))
+        self.renderer = Renderer(device, scene, visibility="frustum", size=(64, 64))
         self.camera = look(1, 0.0)
         self.frames = 0
 

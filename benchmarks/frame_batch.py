@@ -84,16 +84,17 @@ def measure_frames(backend: str, scene: Scene, name: str, rounds: int, *, walks:
 def find_overlap(backend: str, scene: Scene, *, waits: bool, frames: int = 12) -> Record:
     """Return how many of some frames began before the GPU had ended the one before; print their last timer trees."""
     trees: list[list[rhi.TimerNode]] = []
-    with rhi.create_device(backend, timing=True) as device:
-        visibility = make_visibility("none", scene, device)
-        with Renderer(device, scene, visibility=visibility, size=(640, 360)) as renderer:
-            for frame in range(frames):
-                renderer.render(scene.paths["ground"].camera(600 + frame))
-                if waits:
-                    device.finish()
-                if device.timers and (not trees or device.timers is not trees[-1]):
-                    trees.append(device.timers)
-            device.finish()
+    with (
+        rhi.create_device(backend, timing=True) as device,
+        Renderer(device, scene, visibility="none", size=(640, 360)) as renderer,
+    ):
+        for frame in range(frames):
+            renderer.render(scene.paths["ground"].camera(600 + frame))
+            if waits:
+                device.finish()
+            if device.timers and (not trees or device.timers is not trees[-1]):
+                trees.append(device.timers)
+        device.finish()
     for (root,) in trees[-4:]:
         note(root.format())
     spans = [(before.gpu_span, node.cpu_span) for (before,), (node,) in pairwise(trees)]

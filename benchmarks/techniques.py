@@ -32,7 +32,6 @@ from renderer.lab.measure import settle
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling
 from renderer.techniques import TECHNIQUES, AutoTechnique, Deferred, LightPrePass, Technique
-from renderer.visibility import FrustumCulling
 from rhi import Device
 
 SCENES: Final = "hall,city,grid:16,grid:128,floor:16,floor:128,floor:512"
@@ -95,7 +94,7 @@ def measure_scene(device: Device, text: str, given: argparse.Namespace) -> Itera
     """Yield the rows of a scene: ratios are to forward shading, or to what `auto` has chosen."""
     scene, camera = load(text)
     techniques = list_techniques(device, is_rival=given.auto)
-    with Renderer(device, scene, visibility=FrustumCulling(scene), size=given.size) as renderer:
+    with Renderer(device, scene, visibility="frustum", size=given.size) as renderer:
         renderer.technique = auto = AutoTechnique(scene, device)
         settle(renderer, camera)
         base = auto.chosen if given.auto else "forward"

@@ -27,7 +27,6 @@ from renderer.renderer import Renderer
 from renderer.scene import Camera, HeightField
 from renderer.scene.height_fields import bisect
 from renderer.tessellation import TessellationSettings
-from renderer.visibility import make_visibility
 
 Floats = NDArray[np.float64]
 EDGES: Final = (32.0, 16.0, 8.0, 4.0, 2.0)
@@ -109,25 +108,25 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
     """Yield the row of each length."""
     scene = load_scene(given.scene)
     cameras = [parse_camera("sky", scene, frame).with_aspect(SIZE[0] / SIZE[1]) for frame in FRAMES]
-    with rhi.create_device(given.backend) as device:
-        visibility = make_visibility("frustum", scene, device)
-        with Renderer(device, scene, size=SIZE, visibility=visibility) as renderer:
-            edges = [Edge(renderer, edge, cameras[0]) for edge in EDGES]
+    with (
+        rhi.create_device(given.backend) as device,
+        Renderer(device, scene, size=SIZE, visibility="frustum") as renderer,
+    ):
+        edges = [Edge(renderer, edge, cameras[0]) for edge in EDGES]
 
-            def rounds() -> Iterator[int]:
-                for number in range(given.rounds * len(cameras)):
-                    for one in edges:
-                        one.camera = cameras[number % len(cameras)]
-                    yield number
+        def rounds() -> Iterator[int]:
+            for number in range(given.rounds * len(cameras)):
+                for one in edges:
+                    one.camera = cameras[number % len(cameras)]
+                yield number
 
-            subjects = [Subject({}, one.choose) for one in edges]
-            subjects += [Subject({}, one.draw, one.choose, device=device) for one in edges]
-            rows = compare(subjects, {"ms": time(digits=1, processor=True)}, rounds())
-            for one, choosing, drawing in zip(edges, rows, rows[len(edges) :], strict=False):
-                about = {"backend": given.backend, "edge": one.settings.edge_pixels}
-                found = {"choose": choosing["ms"], "draw": drawing["ms"], "kernels": drawing["kernels"]}
-                yield {**about, **one.find(cameras), **found}
-        visibility.destroy()
+        subjects = [Subject({}, one.choose) for one in edges]
+        subjects += [Subject({}, one.draw, one.choose, device=device) for one in edges]
+        rows = compare(subjects, {"ms": time(digits=1, processor=True)}, rounds())
+        for one, choosing, drawing in zip(edges, rows, rows[len(edges) :], strict=False):
+            about = {"backend": given.backend, "edge": one.settings.edge_pixels}
+            found = {"choose": choosing["ms"], "draw": drawing["ms"], "kernels": drawing["kernels"]}
+            yield {**about, **one.find(cameras), **found}
 
 
 OPTIONS: Final = (

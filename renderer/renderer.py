@@ -136,7 +136,7 @@ class Renderer:
         scene: Scene,
         *,
         technique: Technique | None = None,
-        visibility: VisibilityAlgorithm | None = None,
+        visibility: VisibilityAlgorithm | str = "auto",
         size: tuple[int, int] = (960, 540),
         blending: Blending = Blending.SORTED,
         precision: Precision = Precision.FAST,
@@ -149,7 +149,7 @@ class Renderer:
         Args:
             technique: how the scene is drawn; forward shading by default. `AutoTechnique` measures which one is the
                 fastest; its picture may change by 2 of 255 levels when it changes its mind.
-            visibility: an algorithm made for `scene`; by default `auto`, which measures which one is the fastest.
+            visibility: an algorithm made for `scene`, or the name of one; `auto` measures which one is the fastest.
             size: (width, height) of the image in pixels.
             blending: how transparent surfaces that cover each other are put together.
             precision: that of the techniques' shaders; with FAST, of those that don't ask for EXACT themselves.
@@ -169,8 +169,8 @@ class Renderer:
         self.layers: list[Layer] = []
         self.show: Callable[[Texture], None] = device.present
         self._own: list[VisibilityAlgorithm] = []
-        if visibility is None:
-            visibility = make_visibility("auto", scene, device)
+        if isinstance(visibility, str):
+            visibility = make_visibility(visibility, scene, device)
             self._own.append(visibility)
         self._plans: dict[tuple[object, ...], Plan[Frame]] = {}
         self._seen = SeenFeatures(scene)

@@ -23,7 +23,6 @@ from renderer.shadows.lamps import NEAR
 from renderer.techniques import Forward, Technique
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.variants import Lighting, lit_pass
-from renderer.visibility import NoCulling
 from rhi.shading import abs, max, vec3, vec4
 
 Pixels = NDArray[np.uint8]
@@ -78,7 +77,7 @@ def render(
 ) -> tuple[Pixels, NDArray[np.float32]]:
     """Return the picture of a frame, and the atlas of its maps, empty without any."""
     kind = technique or Forward()
-    with Renderer(device, scene, technique=kind, visibility=NoCulling(scene), size=size) as renderer:
+    with Renderer(device, scene, technique=kind, visibility="none", size=size) as renderer:
         renderer.shadows.settings = settings or ShadowSettings()
         picture = renderer.render(camera).image.read()[..., :3]
         has_maps = bool(renderer.shadows.reports)

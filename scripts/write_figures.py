@@ -38,7 +38,7 @@ from renderer.renderer import Renderer  # noqa: E402
 from renderer.scene import StereoRig  # noqa: E402
 from renderer.stereo import Stereo  # noqa: E402
 from renderer.techniques import Forward, Inferred  # noqa: E402
-from renderer.visibility import FrustumCulling, VisibilitySettings  # noqa: E402
+from renderer.visibility import VisibilitySettings  # noqa: E402
 
 Rows = Mapping[str, Sequence[str]]
 """The cells of some columns, by the first cell of their row."""
@@ -146,7 +146,7 @@ def find_glass() -> Rows:
     camera = parse_camera("overview", scene)
     with (
         rhi.create_device("gl") as device,
-        Renderer(device, scene, size=(960, 270), visibility=FrustumCulling(scene)) as renderer,
+        Renderer(device, scene, size=(960, 270), visibility="frustum") as renderer,
     ):
         drawn, made = (
             [eye.read()[..., :3].astype(np.float64) for eye in renderer.render(camera).pictures]
@@ -166,7 +166,7 @@ def find_leaf_sizes() -> Rows:
     ]
     with (
         rhi.create_device("gl") as device,
-        Renderer(device, scene, size=(192, 108), visibility=FrustumCulling(scene)) as renderer,
+        Renderer(device, scene, size=(192, 108), visibility="frustum") as renderer,
     ):
         for path in ("ground", "sky"):
             frames = list_frames(600, 16, len(scene.paths[path]))

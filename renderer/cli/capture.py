@@ -25,7 +25,7 @@ from renderer.content import parse_shots
 from renderer.lab.measure.capture import CapturedFrame, capture_frames, list_passes, write_frames
 from renderer.lab.measure.table import format_table
 from renderer.renderer import Renderer
-from renderer.visibility import check_algorithm, make_visibility
+from renderer.visibility import check_algorithm
 
 _OPTIONS: Final = (
     options.SCENE,
@@ -55,7 +55,7 @@ def _run(given: argparse.Namespace) -> None:
             device,
             scene,
             technique=make_technique(given, scene, device),
-            visibility=make_visibility(given.visibility, scene, device),
+            visibility=given.visibility,
             size=given.size,
         ) as renderer:
             list(capture_frames(renderer, shots[:1]))

@@ -33,7 +33,6 @@ from renderer.lab.comparison import Record
 from renderer.lab.light_culling import compare_light_culling
 from renderer.lights.culling import CONE_TESTS, SPHERE_TESTS
 from renderer.renderer import Renderer
-from renderer.visibility import make_visibility
 
 _SWITCHES: Final = {"on": (True,), "off": (False,), "both": (True, False)}
 
@@ -62,8 +61,7 @@ def _measure(given: argparse.Namespace) -> Report:
     scene = open_scene(given.scene)
     camera = parse_camera(given.camera or next(iter(scene.views)), scene, given.frame)
     with rhi.create_device(given.backend) as device:
-        visibility = make_visibility("frustum", scene, device)
-        with Renderer(device, scene, size=given.size, visibility=visibility) as renderer:
+        with Renderer(device, scene, size=given.size, visibility="frustum") as renderer:
             rows = compare_light_culling(
                 renderer,
                 camera,

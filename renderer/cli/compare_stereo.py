@@ -66,12 +66,7 @@ def _measure(given: argparse.Namespace) -> Report:
 
 
 def _cast(scene: Scene, has_shadows: bool) -> Scene:
-    lights = scene.lights
-    if has_shadows:
-        lights.cast_shadows()
-    else:
-        for some in (lights.directional, lights.point, lights.spot):
-            some["casts_shadow"] = False
+    scene.lights.cast_shadows(has_shadows)
     return scene
 
 

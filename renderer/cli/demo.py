@@ -30,7 +30,6 @@ from renderer.lab.comparison import Column, Frames, Subject, average, compare, r
 from renderer.lab.measure import format_rows
 from renderer.renderer import FrameStatistics, Renderer
 from renderer.scene import FRAME_COUNT
-from renderer.visibility import make_visibility
 
 _PICTURED = {"ground": 900, "sky": 700}
 """The frame of each path that is written as a picture."""
@@ -61,8 +60,7 @@ def _run(given: argparse.Namespace) -> None:
         for name, path in scene.paths.items():
             for device in devices:
                 for algorithm in _ALGORITHMS:
-                    visibility = make_visibility(algorithm, scene, device)
-                    renderer = stack.enter_context(Renderer(device, scene, visibility=visibility, size=given.size))
+                    renderer = stack.enter_context(Renderer(device, scene, visibility=algorithm, size=given.size))
                     frames = Frames(renderer, *map(path.shot, numbers))
                     about = {"path": name, "visibility": algorithm, "backend": device.backend_name}
                     subjects.append(Subject(about, frames, count=frames.count))

@@ -32,7 +32,6 @@ from renderer.lab.measure.plans import PlanReport, SimulationReport, describe_pl
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.techniques import AutoTechnique, Technique
-from renderer.visibility import FrustumCulling
 
 _OPTIONS: Final = (
     options.SCENE,
@@ -68,8 +67,7 @@ def choose_technique(given: argparse.Namespace, scene: Scene, camera: Camera) ->
     with rhi.create_device(given.backend) as device:
         technique = make_technique(given, scene, device)
         if isinstance(technique, AutoTechnique):
-            visibility = FrustumCulling(scene)
-            with Renderer(device, scene, technique=technique, visibility=visibility, size=given.size) as renderer:
+            with Renderer(device, scene, technique=technique, visibility="frustum", size=given.size) as renderer:
                 settle(renderer, camera)
         chosen = explain_technique(technique, given)
         return technique.current if isinstance(technique, AutoTechnique) else technique, chosen

@@ -8,8 +8,9 @@ through the hall.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import IntEnum
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,14 +197,7 @@ def _add_flags(builder: SceneBuilder, rng: np.random.Generator, places: Floats, 
     width, height = _CLOTH
     colors = [((0.72, 0.10, 0.12), (0.92, 0.86, 0.70)), ((0.10, 0.22, 0.55), (0.90, 0.90, 0.88)),
               ((0.08, 0.42, 0.26), (0.95, 0.75, 0.20))]  # fmt: skip
-    cloths = np.array(
-        [
-            builder.add_material(
-                texture=builder.add_image(paint_stripes(first, second, 3)), specular_color=(0.05, 0.05, 0.05)
-            )
-            for first, second in colors
-        ]
-    )
+    cloths = _add_striped(builder, colors, 3)
     iron = builder.add_material(base_color=(0.08, 0.08, 0.09), specular_color=(0.5, 0.5, 0.5), shininess=80.0)
     pole = builder.add_mesh(shapes.lathe([(0.06, 0.0), (0.04, 4.6), (0.09, 4.7), (0.0, 4.8)], detail), "pole")
     cloth = [builder.add_mesh(_cloth(part, detail), f"cloth {part}") for part in range(SEGMENTS)]
@@ -220,6 +214,13 @@ def _add_flags(builder: SceneBuilder, rng: np.random.Generator, places: Floats, 
         segments.append(above)
     lower, upper = (corner.repeat(count, axis=0) for corner in _sway_bounds())
     builder.animate(np.concatenate(segments), _Sway(hinges, phase), (lower, upper))
+
+
+def _add_striped(builder: SceneBuilder, colors: Sequence[Any], stripes: int, **values: Any) -> Rows:
+    """Add a cloth's material for each pair of colours; return their ids."""
+    images = [builder.add_image(paint_stripes(first, second, stripes)) for first, second in colors]
+    plain = {"specular_color": (0.05, 0.05, 0.05), **values}
+    return np.array([builder.add_material(texture=image, **plain) for image in images])
 
 
 class _Sway:
@@ -322,16 +323,7 @@ def _add_banners(builder: SceneBuilder, places: Floats, sheet: Sheet, seed: int)
     count = len(places)
     wood = builder.add_material(base_color=(0.16, 0.09, 0.05), specular_color=(0.1, 0.1, 0.1))
     colors = (((0.72, 0.10, 0.12), (0.95, 0.80, 0.38)), ((0.12, 0.24, 0.60), (0.92, 0.90, 0.84)))
-    cloths = np.array(
-        [
-            builder.add_material(
-                texture=builder.add_image(paint_stripes(first, second, 5)),
-                specular_color=(0.05, 0.05, 0.05),
-                double_sided=True,
-            )
-            for first, second in colors
-        ]
-    )
+    cloths = _add_striped(builder, colors, 5, double_sided=True)
     turned = multiply(translation(places), rotation((0, 1, 0), np.full(count, 0.5 * np.pi)))
     bars = builder.add_nodes(multiply(turned, scaling((_BANNER[0] + 0.5, 0.07, 0.07))))
     builder.add_objects(bars, builder.add_mesh(shapes.box(1), "bar"), wood)

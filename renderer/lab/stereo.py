@@ -16,7 +16,6 @@ from renderer.renderer import Renderer
 from renderer.scene import CameraPath, Scene, StereoRig
 from renderer.stereo import OUTPUTS, Stereo
 from renderer.techniques import Technique
-from renderer.visibility import FrustumCulling
 from rhi import Device
 
 MONO: Final = "mono"
@@ -70,7 +69,7 @@ def compare_stereo(
                 subjects = []
                 for name in [MONO, *stereos]:
                     renderer = opened.enter_context(
-                        Renderer(device, scene, technique=technique(), visibility=FrustumCulling(scene), size=size)
+                        Renderer(device, scene, technique=technique(), visibility="frustum", size=size)
                     )
                     renderer.stereo = make_stereo(name, rig)
                     way = _Way(renderer, *shots)

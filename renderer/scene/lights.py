@@ -98,10 +98,10 @@ class Lights:
     def __len__(self) -> int:
         return len(self.directional) + len(self.point) + len(self.spot)
 
-    def cast_shadows(self) -> None:
-        """Let all lights that were added so far cast shadows."""
+    def cast_shadows(self, casts: bool = True) -> None:
+        """Let all lights that were added so far cast shadows, or none of them."""
         for lights in (self.directional, self.point, self.spot):
-            lights["casts_shadow"] = True
+            lights["casts_shadow"] = casts
 
     def add_directional(
         self,

@@ -16,7 +16,7 @@ from renderer.scene import Camera, Scene
 from renderer.techniques.deferred_cells import ClusteredDeferred, TiledDeferred
 from renderer.techniques.forward import Forward
 from renderer.techniques.technique import Technique
-from renderer.visibility.trial import SpeedTrial
+from renderer.visibility.trial import OnTrial, SpeedTrial
 from rhi import Device
 
 CANDIDATES: Final[dict[str, Callable[[], Technique]]] = {
@@ -34,7 +34,7 @@ _SOME: Final = 16
 """Added to numbers of lights before they are compared, so that a few more aren't another view."""
 
 
-class AutoTechnique:
+class AutoTechnique(OnTrial):
     """Tries each candidate for some frames, then stays with the fastest until the view has changed (`SpeedTrial`).
 
     The candidates' pictures differ by at most 2 of 255 levels, so a trial isn't seen. A trial frame waits for the
@@ -68,24 +68,9 @@ class AutoTechnique:
         self.because = "nothing is measured before the first frame"
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """The names of the candidates for this device and what was in view so far."""
-        return self._trial.names
-
-    @property
-    def chosen(self) -> str:
-        """The name of the fastest candidate, or during a trial of the one on trial."""
-        return self._trial.chosen
-
-    @property
     def current(self) -> Technique:
         """The technique that draws the next frame."""
         return self._techniques[self._trial.chosen]
-
-    @property
-    def is_trying(self) -> bool:
-        """Whether the next frame is a trial frame."""
-        return self._trial.is_trying
 
     def declare(self, needs: Needs) -> Sequence[Pass[Frame]]:
         """Return the passes of the technique in use."""

@@ -13,7 +13,7 @@ the lights, in which an instance is a pair of an object and a light; so are all 
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -23,6 +23,7 @@ from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, cho
 from renderer.scene.arrays import Rows
 from renderer.shaders.structs import Object, SurfaceVarying
 from renderer.techniques.parts.finish import finish_image, forward_passes
+from renderer.techniques.parts.light_volumes import declare_lights
 from renderer.techniques.parts.resolve import EXACT_BITS, SUM_FORMATS, check_bits, sum_pass
 from renderer.techniques.parts.scene_shader import ForwardShader, LampShader, SurfaceShader
 from renderer.techniques.parts.variants import (
@@ -115,8 +116,7 @@ class ForwardMultipass:
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return a base pass, one for each kind of lamp in view, and one that maps their sum to colours."""
-        lamps = list_lamps(needs)
-        if not lamps:
+        if not list_lamps(needs):
             return forward_passes(needs)
         base = Pass(
             "base",
@@ -128,20 +128,10 @@ class ForwardMultipass:
                 Target("depth", DEPTH_FORMAT),
             ),
         )
-        passes, light = [base], "light"
-        for effect in lamps:
-            result = f"light with {effect.value}"
-            passes.append(
-                Pass(
-                    effect.value,
-                    partial(_add_lamps, effect=effect),
-                    f"adds a light at a time; {needs.explain(effect)}",
-                    reads=("shown", "depth"),
-                    changes={light: result},
-                )
-            )
-            light = result
-        return *passes, sum_pass(needs, light), *finish_image(needs, FORWARD)
+        passes, (light,) = declare_lights(
+            needs, ["light"], ("shown", "depth"), _add_lamps, are_written=True, because="adds a light at a time; "
+        )
+        return base, *passes, sum_pass(needs, light), *finish_image(needs, FORWARD)
 
 
 def _draw_base(frame: Frame) -> None:
@@ -151,8 +141,8 @@ def _draw_base(frame: Frame) -> None:
     frame.draw_visible(base)
 
 
-def _add_lamps(frame: Frame, effect: Effect) -> None:
-    draw_pairs(frame, effect, frame.targets["light"], ShownPairs)
+def _add_lamps(frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool) -> None:
+    draw_pairs(frame, effect, frame.targets[targets[0]], ShownPairs)
 
 
 def draw_pairs(frame: Frame, effect: Effect, color: Texture, *bases: type[Any]) -> None:

@@ -27,3 +27,15 @@ class Technique(Protocol):
         while `needs.key` stays the same, so it depends on nothing else; passes find all else in their `Frame`.
         """
         ...
+
+
+class WrappedTechnique:
+    """The base of techniques that have the passes of another one, and more."""
+
+    def __init__(self, technique: Technique) -> None:
+        self._technique = technique
+
+    @property
+    def name(self) -> str:
+        """The name of the technique that draws the image."""
+        return self._technique.name

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.frame import Frame, Needs, Pass, Target
-from renderer.techniques.technique import Technique
+from renderer.techniques.technique import Technique, WrappedTechnique
 
 
-class Watched:
+class Watched(WrappedTechnique):
     """A technique whose passes are followed by one that reads contents of the plan, as the pass that writes them leaves
     them: a later pass may draw over them, and textures are shared. It waits for the device.
 
@@ -22,14 +22,9 @@ class Watched:
 
     def __init__(self, technique: Technique, contents: str) -> None:
         """Choose contents by their name in the plan, such as `surface` of a geometry buffer."""
+        super().__init__(technique)
         self.texels: NDArray[Any] | None = None
-        self._technique = technique
         self._contents = contents
-
-    @property
-    def name(self) -> str:
-        """The name of the technique that draws the image."""
-        return self._technique.name
 
     def declare(self, needs: Needs) -> Sequence[Pass[Frame]]:
         """Return the technique's passes, and one that reads the contents.

@@ -26,7 +26,6 @@ from renderer.viewer.look import Configurator, Look, OriginalState
 from renderer.viewer.picking import Hit, Ray, find_hit
 from renderer.viewer.reasons import explain_drawn
 from renderer.viewer.recording import LONGEST, CameraRecorder, CameraReplay
-from renderer.visibility import NoCulling
 from renderer.visibility.boxes.volumes import find_in_view
 from rhi import Device, RhiError
 from rhi.errors import refuse
@@ -119,7 +118,7 @@ class ViewerStage:
     ) -> tuple[Renderer, Configurator]:
         with ExitStack() as made:
             textures = look.settings.textures
-            renderer = Renderer(device, scene, visibility=NoCulling(scene), size=size, textures=textures)
+            renderer = Renderer(device, scene, visibility="none", size=size, textures=textures)
             made.callback(renderer.destroy)
             configurator = Configurator(renderer, look, original, self.layers)
             made.pop_all()

@@ -10,12 +10,12 @@ from typing import Final
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityAlgorithm, VisibilityStatistics
 from renderer.visibility.scene_pass import ScenePass
-from renderer.visibility.trial import SpeedTrial
+from renderer.visibility.trial import OnTrial, SpeedTrial
 from renderer.visibility.walk import CullingWalk, WalksNodes
 from rhi import Device
 
 
-class AutoCulling:
+class AutoCulling(OnTrial):
     """Tries each candidate for some frames, then stays with the fastest until the view has changed (`SpeedTrial`).
 
     In a trial frame the CPU waits for the GPU, so that the frame's cost is known; the wait counts as stalled.
@@ -42,21 +42,6 @@ class AutoCulling:
         self._makers = dict(makers)
         self._device = device
         self._trial = SpeedTrial(scene, list(makers), frames=frames, rest=rest)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names of all candidates."""
-        return self._trial.names
-
-    @property
-    def chosen(self) -> str:
-        """The name of the fastest candidate, or during a trial of the one on trial."""
-        return self._trial.chosen
-
-    @property
-    def is_trying(self) -> bool:
-        """Whether the next frame is a trial frame."""
-        return self._trial.is_trying
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what the chosen algorithm draws."""

@@ -14,18 +14,25 @@ from renderer.visibility.scene_pass import ScenePass
 from rhi import Device
 
 
-class NoCulling:
-    """Draws all objects: the reference that other algorithms are measured against."""
+class DevicelessCulling:
+    """The base of algorithms that ask no device."""
 
     opens_pass: Final = True
-
-    def __init__(self, scene: Scene, *_: object) -> None:
-        """Neither a device nor settings are needed."""
-        self._objects, self._rows = scene.objects, np.arange(len(scene.objects))
 
     @staticmethod
     def find_obstacle(_: Device) -> None:
         """Find none: every device can run it."""
+
+    def destroy(self) -> None:
+        """Do nothing: there are no resources on the device."""
+
+
+class NoCulling(DevicelessCulling):
+    """Draws all objects: the reference that other algorithms are measured against."""
+
+    def __init__(self, scene: Scene, *_: object) -> None:
+        """Neither a device nor settings are needed."""
+        self._objects, self._rows = scene.objects, np.arange(len(scene.objects))
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw every object that is shown."""
@@ -33,19 +40,14 @@ class NoCulling:
         scene_pass.draw_alone(rows)
         return VisibilityStatistics(len(self._rows), len(rows), by_frustum=True)
 
-    def destroy(self) -> None:
-        """Do nothing: there are no resources on the device."""
 
-
-class FrustumCulling:
+class FrustumCulling(DevicelessCulling):
     """Draws the objects whose bounds are not outside the frustum.
 
     Objects with fixed bounds are in a hierarchy that is built once by surface area. The others are tested one by one:
     that takes less time than building a hierarchy over them. The result is the set that `boxes.culling.find_visible`
     gives for all objects.
     """
-
-    opens_pass: Final = True
 
     def __init__(self, scene: Scene, *_: object) -> None:
         """Neither a device nor settings are needed."""
@@ -54,10 +56,6 @@ class FrustumCulling:
         lower, upper = scene.objects.lower[rows], scene.objects.upper[rows]
         self.hierarchy = build_by_area(lower, upper)
         self._static = Culler(self.hierarchy, lower, upper)
-
-    @staticmethod
-    def find_obstacle(_: Device) -> None:
-        """Find none: every device can run it."""
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw the objects whose bounds are not outside the frustum."""
@@ -82,6 +80,3 @@ class FrustumCulling:
             plane_tests=counts.planes,
             by_frustum=True,
         )
-
-    def destroy(self) -> None:
-        """Do nothing: there are no resources on the device."""

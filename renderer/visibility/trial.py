@@ -119,3 +119,24 @@ class SpeedTrial:
             return False
         moved = float(np.linalg.norm(camera.position - then.position))
         return moved > self._reach or float(camera.forward @ then.forward) < _TURNED
+
+
+class OnTrial:
+    """The base of what tries candidates."""
+
+    _trial: SpeedTrial
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the candidates; of techniques, for this device and what was in view so far."""
+        return self._trial.names
+
+    @property
+    def chosen(self) -> str:
+        """The name of the fastest candidate, or during a trial of the one on trial."""
+        return self._trial.chosen
+
+    @property
+    def is_trying(self) -> bool:
+        """Whether the next frame is a trial frame."""
+        return self._trial.is_trying

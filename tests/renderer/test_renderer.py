@@ -203,6 +203,14 @@ def queries_left(device: rhi.Device) -> int:
     return len(made - {command.values[0] for command in device.stream.filter(Op.DESTROY)})
 
 
+def test_an_algorithm_is_made_for_its_name(null: rhi.Device, city: Scene) -> None:
+    with Renderer(null, city, visibility="frustum", size=(64, 36)) as renderer:
+        assert isinstance(renderer.visibility, FrustumCulling)
+    with pytest.raises(rhi.ValidationError, match="frustum") as caught:
+        Renderer(null, city, visibility="frustrum", size=(64, 36))
+    assert caught.value.rule.id == "visibility-unknown-name"
+
+
 def test_the_algorithm_that_a_renderer_made_is_given_back_and_one_that_it_got_is_not(
     gl: rhi.Device, city: Scene
 ) -> None:

@@ -286,8 +286,7 @@ def cast_shadows(place: float, device: Device) -> Found:
     """
     scene, (judged, bare) = make_shade(place), judge_shade()
     image = draw(device, scene, look_down(place), WIDE, changes=_MAPS)
-    for lights in (scene.lights.directional, scene.lights.point, scene.lights.spot):
-        lights["casts_shadow"] = False
+    scene.lights.cast_shadows(False)
     lit = draw(device, scene, look_down(place), WIDE)[..., :3]
     shown = image[..., :3].astype(np.float64)
     y, x = np.indices(judged.shape[:2])

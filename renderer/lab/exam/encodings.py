@@ -20,6 +20,8 @@ from renderer.lab.measure.encodings import (
     Encoding,
     StoredValue,
     find_degrees,
+    find_depth_errors,
+    find_pixel_errors,
     find_vector_errors,
     pack_values,
     run_round_trip,
@@ -292,10 +294,7 @@ def find_far_positions(lens: str) -> tuple[Camera, Encoding]:
 
 def find_position_errors(camera: Camera, values: Floats, read: Floats) -> tuple[Floats, Floats]:
     """Return how far positions are off along the view, as shares of their distance, and across it, in pixels."""
-    seen = read[:, 4:7] @ camera.rotation.T
-    clip = np.concatenate([seen, np.ones((len(seen), 1))], axis=1) @ camera.projection.matrix.T
-    place = (0.5 + clip[:, :2] / clip[:, 3:] * (0.5, -0.5)) * SIZE
-    return np.abs(-seen[:, 2] / values[:, 2] - 1.0), np.abs(place - values[:, :2]).max(1)
+    return 1e-6 * find_depth_errors(values, read, camera), find_pixel_errors(values, read, camera)
 
 
 def find_places(device: Device) -> Found:

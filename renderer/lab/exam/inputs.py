@@ -32,7 +32,7 @@ from renderer.scene.cloth import Fabric, Gust, Wind, make_sheet
 from renderer.scene.materials import RANGES
 from renderer.shadows import ShadowSettings
 from renderer.tessellation.settings import TessellationSettings
-from renderer.visibility import NoCulling, VisibilitySettings
+from renderer.visibility import VisibilitySettings
 from rhi import Device, RhiError, create_device
 
 ENDLESS: Final = {"Perspective.far", "StereoRig.convergence", "StereoRig.comfortable.farthest", "make_grid.reach"}
@@ -173,7 +173,7 @@ def give_no_numbers(_: Device) -> Found:
 
 
 def _open(device: Device, scene: Scene) -> Renderer:
-    return Renderer(device, scene, visibility=NoCulling(scene), size=(16, 16))
+    return Renderer(device, scene, visibility="none", size=(16, 16))
 
 
 def _give(scene: Scene, renderer: Renderer, name: str, number: float) -> None:

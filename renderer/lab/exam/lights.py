@@ -279,8 +279,7 @@ _IMAGE_SIZES: Final = ((1366, 768), (1680, 1050), (1280, 720), (41, 41), (1, 1))
 
 def hold_pixels(device: Device) -> Found:
     """Ask for the cells of pixels, those at the edges included, and look that each is inside the sides of its cell."""
-    wrong: dict[str, object] = {}
-    total = 0
+    wrong: dict[str, int] = {}
     for size in _IMAGE_SIZES:
         for tile in (1, 8, 41, 64):
             lens = Perspective(aspect=size[0] / size[1], far=50.0)
@@ -288,21 +287,19 @@ def hold_pixels(device: Device) -> Found:
             x, y = (np.maximum(np.append(rng.integers(0, n, 500), [0, n - 1, n // tile * tile - 1]), 0) for n in size)
             answers = ask_cells(device, grid, ask(len(x), pixel=np.column_stack([x, y]), z=7.0))
             columns, rows = -(-size[0] // tile), -(-size[1] // tile)
-            total += int((grid.count.x, grid.count.y) != (columns, rows))
             valid = (answers["cell"] >= 0) & (answers["cell"] < columns * rows)
             height = 7.0 * np.tan(lens.fov / 2)
             clip = np.column_stack([(2 * x + 1) / size[0] - 1.0, 1.0 - (2 * y + 1) / size[1]])
             at = clip * (height * lens.aspect, height)
             inside = ((answers["sides"][:, :2] < at) & (at < answers["sides"][:, 2:])).all(1)
-            count = int((~(valid & inside)).sum())
-            total += count
+            count = int((~(valid & inside)).sum()) + ((grid.count.x, grid.count.y) != (columns, rows))
             wrong[f"{size[0]} × {size[1]}, tiles of {tile}"] = count
-    return Found(total, wrong)
+    return Found(sum(wrong.values()), wrong)
 
 
 def begin_at_the_eye(device: Device) -> Found:
     """Decide about points at the corners of cells of parallel lenses that begin at the eye, and behind it."""
-    total, numbers = 0, dict[str, object]()
+    wrong: dict[str, int] = {}
     for name, near in (("parallel", 0.0), ("parallel, behind", -20.0)):
         grid = make_test_grid(name)
         tiles = np.array([(0, 0), (170, 95), (85, 40)], np.int32)
@@ -312,10 +309,8 @@ def begin_at_the_eye(device: Device) -> Found:
         rows["centre"], rows["radius"], rows["tile"] = corners[:, 0], 1e-6, tiles
         rows["near"], rows["far"] = near, grid.far
         kept = run_sphere_tests(device, grid, rows)
-        count = sum(int((~one).sum()) for one in kept.values()) + (grid.near != near)
-        total += count
-        numbers[f"near plane at {near:g} m"] = f"{count} wrong"
-    return Found(total, numbers)
+        wrong[f"near plane at {near:g} m"] = sum(int((~one).sum()) for one in kept.values()) + (grid.near != near)
+    return Found(sum(wrong.values()), wrong)
 
 
 SLICED: Final = {
@@ -359,8 +354,7 @@ def divide_whole_numbers(device: Device) -> Found:
 
 def find_boundaries(device: Device) -> Found:
     """Ask for the slices at each boundary, an ulp before and behind it, and between them."""
-    numbers: dict[str, object] = {}
-    total = 0
+    numbers: dict[str, int] = {}
     for name, grid in SLICED.items():
         count = grid.count.z
         exact = sl.evaluate(slice_start, grid, np.arange(count + 1), dtype=np.float64)
@@ -374,43 +368,34 @@ def find_boundaries(device: Device) -> Found:
         inside = np.random.default_rng(1).uniform(bounds[0], bounds[-1], 3000).astype(np.float32)
         inside = inside[(inside >= bounds[0]) & (inside < bounds[-1])]
         ends = ask_cells(device, grid, ask(len(inside), z=inside))["ends"]
-        wrong += int((~((ends[:, 0] <= inside) & (inside < ends[:, 1]))).sum())
-        total += wrong
-        numbers[name] = f"{wrong} wrong"
-    return Found(total, numbers)
+        numbers[name] = wrong + int((~((ends[:, 0] <= inside) & (inside < ends[:, 1]))).sum())
+    return Found(sum(numbers.values()), numbers)
 
 
 def keep_cones(device: Device) -> Found:
     """Run the tests of cones of 0.1° to 180° on pairs that overlap, of six lenses."""
-    numbers: dict[str, object] = {}
-    total, holds = 0, {}
+    dropped, holds = dict[str, int](), {}
     for lens in LENSES:
         pairs, left_out = make_cone_pairs(lens), dict[str, float]()
         for name, kept in run_cone_tests(device, pairs).items():
-            dropped = int((pairs.overlap & ~kept).sum())
-            numbers[f"{lens}, {name}"] = dropped
-            total += dropped
+            dropped[f"{lens}, {name}"] = int((pairs.overlap & ~kept).sum())
             left_out[name] = float((~kept).mean())
         holds[f"{lens}: the tightest test leaves out a tenth"] = left_out["tight"] > 0.1
         holds[f"{lens}: some pairs overlap, and some don't"] = bool(0.3 < pairs.overlap.mean() < 0.9)
-    return Found(total, numbers, holds)
+    return Found(sum(dropped.values()), dropped, holds)
 
 
 def keep_on_the_axis(device: Device) -> Found:
     """Run the tests on a cell on the axes of cones, where the square of the distance from the axis, as a difference of
     squares, may be negative; on NumPy, in float32 and float64."""
     cell = Cell(low=(-0.1, -0.1), low_slope=(0, 0), high=(0.1, 0.1), high_slope=(0, 0), near=9.9, far=10.1)
-    numbers: dict[str, object] = {}
-    total = 0
+    dropped = dict.fromkeys(CONE_TESTS, 0)
     for name, test in CONE_TESTS.items():
-        dropped = 0
         for dtype in (np.float32, np.float64):
             for z in (7.2, 8.123457, 9.7):
                 cones = make_cones(ANGLES, (0.0, 0.0, z))
-                dropped += int((~sl.evaluate(test.function, cell, cones, 1e-5, dtype=dtype)).sum())
-        numbers[name] = dropped
-        total += dropped
-    return Found(total, numbers)
+                dropped[name] += int((~sl.evaluate(test.function, cell, cones, 1e-5, dtype=dtype)).sum())
+    return Found(sum(dropped.values()), dropped)
 
 
 def make_cones(angles: Floats, apex: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> NDArray[Any]:
@@ -478,18 +463,15 @@ def skew_sides(device: Device) -> Found:
 
 def keep_spheres(device: Device) -> Found:
     """Run all tests on random pairs of a cell and a sphere that nearly touch, of six lenses."""
-    numbers: dict[str, object] = {}
-    total, holds = 0, {}
+    wrong, holds = dict[str, int](), {}
     for lens in LENSES:
         pairs = make_pairs(lens, PAIRS)
         kept = run_sphere_tests(device, pairs.grid, pack_pairs(pairs))
-        dropped = sum(int((pairs.overlap & ~one).sum()) for one in kept.values())
         beyond = is_beyond_padding(pairs)
-        numbers[f"{lens}: dropped"] = dropped
-        numbers[f"{lens}: kept by exact tests"] = over = sum(int((kept[name] & beyond).sum()) for name in EXACT)
-        total += dropped + over
+        wrong[f"{lens}: dropped"] = sum(int((pairs.overlap & ~one).sum()) for one in kept.values())
+        wrong[f"{lens}: kept by exact tests"] = sum(int((kept[name] & beyond).sum()) for name in EXACT)
         holds[f"{lens}: some pairs are beyond what padding keeps"] = bool(beyond.mean() > 0.2)
-    return Found(total, numbers, holds)
+    return Found(sum(wrong.values()), wrong, holds)
 
 
 def is_beyond_padding(pairs: Pairs) -> NDArray[np.bool_]:

@@ -23,7 +23,7 @@ from renderer.scene.arrays import Rows
 from renderer.scene.cloth import Cloths, Fabric, Gust, Wind, make_sheet
 from renderer.shadows.maps import FarDepth
 from renderer.techniques import TECHNIQUES
-from renderer.visibility import FrustumCulling, NoCulling, find_visible, list_algorithms
+from renderer.visibility import find_visible, list_algorithms
 from rhi import CullMode, Device, Format, create_device
 from rhi.math import multiply
 from rhi.shading import fragment_coordinate, vec4
@@ -48,20 +48,16 @@ class Clock:
 def count_late_steps(_: Device) -> Found:
     """Count the frames whose step isn't theirs: frame f of a clock of n steps a second is at f / n, rounded to a
     double."""
-    numbers: dict[str, object] = {}
-    total, floats = 0, 0
+    late, floats = {f"{rate} steps a second": 0 for rate in _INTERVALS}, 0
     for rate in _INTERVALS:
-        wrong = 0
         for begin in (0, rate * 1_000_000, rate * int(_YEARS)):
             for frame in range(begin, begin + 2000):
                 clock = Clock(1.0 / rate)
-                wrong += int(clock.catch_up.target(clock, frame / rate) != frame)
-                wrong += int(clock.catch_up.target(clock, frame * clock.interval) != frame)
+                for seconds in (frame / rate, frame * clock.interval):
+                    late[f"{rate} steps a second"] += int(clock.catch_up.target(clock, seconds) != frame)
                 floats += int(int(np.float32(frame / rate) * np.float32(rate)) != frame)
-        numbers[f"{rate} steps a second"] = wrong
-        total += wrong
     holds = {"in float32 most frames would show another step": floats > 10_000}
-    return Found(total, numbers, holds)
+    return Found(sum(late.values()), late, holds)
 
 
 def wave_for_years(_: Device) -> Found:
@@ -101,26 +97,23 @@ def draw_wide(device: Device) -> Found:
     """Draw images of the device's greatest width, up to 16,384 pixels: the places of all pixels, and a city with and
     without culling."""
     width = min(16_384, device.capabilities.max_texture_size)
-    total, numbers = 0, dict[str, object]()
+    wrong: dict[str, int] = {}
     for size in ((width, 2), (2, width)):
         target, triangle = device.texture(size, Format.RGBA32F), device.mesh(3)
         with device.render_pass(target), device.states(CullMode.NONE):
             device.draw(device.program(ShowPixel), triangle)
         found: NDArray[Any] = target.read()
         x, y = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
-        wrong = int((found[..., :2] != np.stack([x, y], 2)).any(2).sum())
-        numbers[f"{size[0]} × {size[1]}: places"] = wrong
-        total += wrong
+        wrong[f"{size[0]} × {size[1]}: places"] = int((found[..., :2] != np.stack([x, y], 2)).any(2).sum())
         target.destroy()
         triangle.destroy()
     city = make_city()
     with Uncut(device, city, along("ground", 600)(city), (width, 2)) as uncut:
         for name in ("frustum", "two_pass"):
             if name in list_algorithms(device):
-                numbers[f"{width} × 2, {name}"] = wrong = sum(uncut.try_algorithm(name))
-                total += wrong
+                wrong[f"{width} × 2, {name}"] = sum(uncut.try_algorithm(name))
         colors = len(np.unique(uncut.frames[0].reshape(-1, 4), axis=0))
-    return Found(total, numbers, {"there is something to see": colors > 50})
+    return Found(sum(wrong.values()), wrong, {"there is something to see": colors > 50})
 
 
 def draw_a_pixel(device: Device) -> Found:
@@ -132,8 +125,7 @@ def draw_a_pixel(device: Device) -> Found:
         camera = Camera.look_at((0.5, 1.5, -4.0), (0.5, 0.6, -6.5), projection=Perspective(fov=1.2))
         shown = {}
         for name in ("forward", "deferred"):
-            culling = FrustumCulling(scene)
-            with Renderer(device, scene, technique=TECHNIQUES[name](), size=size, visibility=culling) as renderer:
+            with Renderer(device, scene, technique=TECHNIQUES[name](), size=size, visibility="frustum") as renderer:
                 shown[name] = renderer.render(camera).image.read().astype(int)
         off = float(np.abs(shown["forward"] - shown["deferred"])[..., :3].max())
         lit += int(shown["forward"][..., :3].max() > 100)
@@ -219,9 +211,8 @@ def cull_a_million(device: Device) -> Found:
     builder.add_objects(nodes, mesh, material)
     builder.lights.add_directional((-0.4, -1.0, -0.3))
     scene = builder.build()
-    culling = FrustumCulling(scene)
     camera = Camera.look_at((0, 20, 0), (10, 15, -30), projection=Perspective(fov=0.6, far=900.0))
-    with create_device("null") as null, Renderer(null, scene, size=(64, 36), visibility=culling) as renderer:
+    with create_device("null") as null, Renderer(null, scene, size=(64, 36), visibility="frustum") as renderer:
         drawn = renderer.render(camera).visible
     planes = camera.with_aspect(64 / 36).frustum.planes
     wanted = np.flatnonzero(find_visible(planes, scene.objects.lower, scene.objects.upper))
@@ -229,7 +220,7 @@ def cull_a_million(device: Device) -> Found:
     total = len(np.setxor1d(drawn, wanted))
     if device.capabilities.renders:
         shown = []
-        for algorithm in (NoCulling(scene), culling):
+        for algorithm in ("none", "frustum"):
             with Renderer(device, scene, size=(64, 36), visibility=algorithm) as renderer:
                 shown.append(renderer.render(camera).image.read())
         numbers["wrong pixels"] = wrong = int((shown[0] != shown[1]).any(2).sum())
@@ -242,8 +233,7 @@ def draw_for_hours(_: Device) -> Found:
     created or kept, and that the frame of the same time and place is the first one's, command by command."""
     scene = load_scene("hall:columns=4,flags=2,fountains=0")
     path = scene.paths["ground"]
-    culling = FrustumCulling(scene)
-    with create_device("null") as null, Renderer(null, scene, size=(32, 18), visibility=culling) as renderer:
+    with create_device("null") as null, Renderer(null, scene, size=(32, 18), visibility="frustum") as renderer:
 
         def draw_lap() -> None:
             for frame in range(len(path)):

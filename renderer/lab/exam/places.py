@@ -16,7 +16,6 @@ from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Perspective, Scene, SceneBuilder, StereoRig, scaling, translation
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES
-from renderer.visibility import FrustumCulling, NoCulling
 from rhi import Device
 from rhi.math import multiply
 
@@ -45,8 +44,7 @@ def draw_pillars(device: Device, place: float, technique: str, stereo: Stereo | 
     """Return the pictures of all eyes."""
     scene = make_pillars(place)
     camera = Camera.look_at((place, 1.0, place + 2.0), (place, 0.5, place - 8.0), projection=Perspective())
-    culling = FrustumCulling(scene)
-    with Renderer(device, scene, technique=TECHNIQUES[technique](), size=SIZE, visibility=culling) as renderer:
+    with Renderer(device, scene, technique=TECHNIQUES[technique](), size=SIZE, visibility="frustum") as renderer:
         renderer.stereo = stereo
         return [picture.read() for picture in renderer.render(camera).pictures]
 
@@ -54,21 +52,17 @@ def draw_pillars(device: Device, place: float, technique: str, stereo: Stereo | 
 def move_away(place: float, techniques: tuple[str, ...], device: Device) -> Found:
     """Draw pillars at the origin and far from it with several techniques, `TWO_EYES` among them or not, and count the
     pixels that differ."""
-    numbers: dict[str, object] = {}
-    frames: dict[str, NDArray[Any]] = {}
-    total = 0
+    wrong, frames = dict[str, int](), dict[str, NDArray[Any]]()
     for name in techniques:
         stereo = Stereo(StereoRig(0.125, 8.0), "color") if name == TWO_EYES else None
         technique = "forward" if stereo else name
         here, there = (draw_pillars(device, where, technique, stereo) for where in (0.0, place))
-        wrong = sum(int((one != other).any(2).sum()) for one, other in zip(here, there, strict=True))
-        numbers[name] = wrong
-        total += wrong
+        wrong[name] = sum(int((one != other).any(2).sum()) for one, other in zip(here, there, strict=True))
         frames |= {f"{name}, at the origin": here[0], f"{name}, far": there[0]}
     off = float(np.float32(place + 1 / 1024)) - (place + 1 / 1024)
     seen = len(np.unique(here[0])) > 50
     holds = {"float32 can't hold the places": abs(off) > 5e-4, "there is something to see": seen}
-    return Found(total, numbers, holds, lambda: frames)
+    return Found(sum(wrong.values()), wrong, holds, lambda: frames)
 
 
 _COLUMNS: Final = 8
@@ -97,7 +91,7 @@ def draw_layers(device: Device, depth: Depth) -> tuple[NDArray[np.bool_], NDArra
     scene = builder.build()
     lens = Perspective(np.pi / 2, 1.0, near=1e-3, far=1e7, depth=depth)
     camera = Camera.look_at((0, 0, 0), (0, 0, -1), projection=lens)
-    with Renderer(device, scene, visibility=NoCulling(scene), size=(64, 64)) as renderer:
+    with Renderer(device, scene, visibility="none", size=(64, 64)) as renderer:
         image: NDArray[Any] = renderer.render(camera).image.read()
     return image[..., 2].astype(int) > image[..., 0].astype(int) + 40, image
 
@@ -136,7 +130,7 @@ def draw_without_size(device: Device) -> Found:
     camera = Camera.look_at((0, 0, 0.5), (0, 0, -5.0), projection=Perspective())
     shown = []
     for scene in (plain, more):
-        with Renderer(device, scene, size=SIZE, visibility=NoCulling(scene)) as renderer:
+        with Renderer(device, scene, size=SIZE, visibility="none") as renderer:
             shown.append(renderer.render(camera).image.read())
     wrong = (shown[0] != shown[1]).any(2)
     numbers = {"pixels that differ": int(wrong.sum())}

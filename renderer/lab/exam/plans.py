@@ -13,7 +13,6 @@ from renderer.lab.exam.case import Found, Measures
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder
 from renderer.techniques import TECHNIQUES
-from renderer.visibility import NoCulling
 from rhi import Device, Format, ValidationError, create_device
 
 COUNT: Final = 300
@@ -116,7 +115,7 @@ def make_plain_box(add_lamp: bool = False) -> Scene:
 def _list_lamp_passes(device: Device, name: str, scene: Scene) -> list[str]:
     camera = Camera.look_at((0, 0, 10), (0, 0, 0))
     technique: Any = TECHNIQUES[name]()
-    with Renderer(device, scene, technique=technique, visibility=NoCulling(scene), size=(64, 32)) as renderer:
+    with Renderer(device, scene, technique=technique, visibility="none", size=(64, 32)) as renderer:
         renderer.render(camera)
         _, plan = renderer.plan(camera)
     return [one.name for one in plan.passes if any(word in one.name for word in _LAMPS)]

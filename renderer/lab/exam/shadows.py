@@ -15,7 +15,6 @@ from renderer.scene import Camera, Perspective, Scene, SceneBuilder, scaling, tr
 from renderer.scene.arrays import Floats
 from renderer.shadows import ShadowSettings
 from renderer.shadows.cascades import Cascade, fit_cascades
-from renderer.visibility import NoCulling
 from rhi import Device
 
 SETTINGS: Final = ShadowSettings(cascades=1, cascade_size=128, distance=20.0)
@@ -47,7 +46,7 @@ def render_slope(
     """Return a frame of the floor, with shadows if there are settings."""
     scene = make_slope(degrees, normal_map)
     scene.lights.directional["casts_shadow"] = settings is not None
-    with Renderer(device, scene, visibility=NoCulling(scene), size=(SIZE, SIZE)) as renderer:
+    with Renderer(device, scene, visibility="none", size=(SIZE, SIZE)) as renderer:
         if settings is not None:
             renderer.shadows.settings = settings
         return renderer.render(FLOOR).image.read()
@@ -55,13 +54,10 @@ def render_slope(
 
 def find_acne(device: Device, settings: ShadowSettings = SETTINGS) -> Found:
     """Draw a lit floor with shadows and without, at all slopes, and count the pixels that differ."""
-    numbers: dict[str, object] = {}
-    total, pictures = 0, dict[str, Picture]()
+    wrong, pictures = dict[str, int](), dict[str, Picture]()
     for degrees in SLOPES:
         want, shown = (render_slope(device, degrees, one) for one in (None, settings))
-        wrong = (shown != want).any(-1)
-        numbers[f"{degrees:g}°"] = int(wrong.sum())
-        total += int(wrong.sum())
+        wrong[f"{degrees:g}°"] = int((shown != want).any(-1).sum())
         pictures[f"{degrees:g}°"] = shown
     holds = {}
     for degrees in (45.0, 75.0):
@@ -69,7 +65,7 @@ def find_acne(device: Device, settings: ShadowSettings = SETTINGS) -> Found:
         darker = (shown[..., :3].astype(int) < want[..., :3].astype(int) - 8).any(-1)
         holds[f"without bias the floor shades itself at {degrees:g}°"] = bool(darker.mean() > 0.1)
         pictures[f"{degrees:g}° without bias"] = shown
-    return Found(total, numbers, holds, lambda: pictures)
+    return Found(sum(wrong.values()), wrong, holds, lambda: pictures)
 
 
 def _fit(camera: Camera, direction: Floats, settings: ShadowSettings) -> list[Cascade]:

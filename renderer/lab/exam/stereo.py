@@ -14,7 +14,6 @@ from renderer.renderer import Renderer
 from renderer.scene import Camera, Orthographic, Perspective, Projection, Scene, StereoRig, measure_parallax
 from renderer.scene.arrays import Floats
 from renderer.stereo import ANAGLYPHS, Stereo, mix_anaglyph
-from renderer.visibility import FrustumCulling
 from rhi import Device
 
 SIZE: Final = (97, 55)  # odd: neither halves evenly
@@ -63,7 +62,7 @@ def make_street() -> tuple[Scene, Camera]:
 def show_eyes(device: Device, stereo: Stereo | None) -> tuple[NDArray[Any], list[NDArray[Any]]]:
     """Return the image of the street, and the pictures of the eyes."""
     scene, camera = make_street()
-    with Renderer(device, scene, size=SIZE, visibility=FrustumCulling(scene)) as renderer:
+    with Renderer(device, scene, size=SIZE, visibility="frustum") as renderer:
         renderer.stereo = stereo
         result = renderer.render(camera, 10.0)
         return result.image.read(), [picture.read() for picture in result.pictures]
@@ -121,7 +120,7 @@ def draw_each_eye(device: Device) -> Found:
     """Draw both eyes in one frame, and each alone, and count the pixels that differ."""
     _, camera = make_street()
     scene, _ = make_street()
-    with Renderer(device, scene, size=SIZE, visibility=FrustumCulling(scene)) as renderer:
+    with Renderer(device, scene, size=SIZE, visibility="frustum") as renderer:
         renderer.stereo = Stereo(RIG, "color")
         both = [picture.read() for picture in renderer.render(camera, 10.0).pictures]
         renderer.stereo = None

@@ -26,19 +26,17 @@ _FAR_SMALLER: Final = 0.1  # of the image: what a threshold of 10 samples may lo
 
 def look_alike(number: int, device: Device) -> Found:
     """Draw the images of a case with each algorithm that the device runs, and count the pixels that differ."""
-    numbers: dict[str, object] = {}
+    numbers, holds = dict[str, int](), dict[str, bool]()
     worst = ("", "", -1)
-    total, holds = 0, dict[str, bool]()
     for title, image in IMAGES.items():
         if image.number != number:
             continue
         wrong, seen = _compare(device, image)
         holds |= {f"{title}: {statement}": is_true for statement, is_true in seen.items()}
         numbers |= {f"{title}, {name}": sum(count) for name, count in wrong.items()}
-        total += sum(map(sum, wrong.values()))
         name = max(wrong, key=lambda name: max(wrong[name]))
         worst = max(worst, (title, name, max(wrong[name])), key=lambda one: one[2])
-    return Found(total, numbers, holds, partial(_picture, device, worst[0], worst[1]))
+    return Found(sum(numbers.values()), numbers, holds, partial(_picture, device, worst[0], worst[1]))
 
 
 def _compare(device: Device, image: CullingImage) -> tuple[dict[str, list[int]], dict[str, bool]]:
@@ -82,17 +80,14 @@ def answer_late(device: Device) -> Found:
     """Let answers come after so many looks, and count the pixels that differ in a walk with a jump."""
     city = make_city()
     with Uncut(device, city, [*along("ground", 600, 604, 608)(city), *teleport(city)[3:6]]) as uncut:
-        wrong: dict[str, object] = {}
-        total = 0
+        wrong: dict[str, int] = {}
         for latency in LATENCIES:
             for name in list_algorithms(device):
                 if name not in ASKING:
                     continue
                 with late_answers(latency):
-                    count = sum(uncut.try_algorithm(name))
-                wrong[f"{name}, after {latency} looks"] = count
-                total += count
-    return Found(total, wrong, uncut.holds)
+                    wrong[f"{name}, after {latency} looks"] = sum(uncut.try_algorithm(name))
+    return Found(sum(wrong.values()), wrong, uncut.holds)
 
 
 def ask_in_one_batch(device: Device) -> Found:

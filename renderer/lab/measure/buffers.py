@@ -13,7 +13,6 @@ from renderer.scene.arrays import Floats
 from renderer.shaders.encodings import decode_change, decode_normal, decode_uv
 from renderer.techniques import DeferredPlus
 from renderer.techniques.parts.material_rectangles import MaterialRectangles
-from renderer.visibility import FrustumCulling
 from rhi import Device
 from rhi.shading import evaluate
 
@@ -29,8 +28,7 @@ def picture_buffers(device: Device, scene: Scene, camera: Camera, size: tuple[in
     Above: the image, normals, materials. Below: texture coordinates, the logarithm of their derivatives (bright where a
     texture is far away), and the rectangles of materials. Without images there are no texture coordinates: black.
     """
-    technique, visibility = DeferredPlus(multi_pass=True), FrustumCulling(scene)
-    with Renderer(device, scene, technique=technique, visibility=visibility, size=size) as renderer:
+    with Renderer(device, scene, technique=DeferredPlus(multi_pass=True), visibility="frustum", size=size) as renderer:
         targets = renderer.render(camera).targets
         image, depth, words = targets["image"].read(), targets["depth"].read(), targets["packed"].read()
         rectangles = renderer.view.workspace(MaterialRectangles).read()

@@ -345,16 +345,18 @@ def sample_pixels(rng: np.random.Generator, count: int) -> Floats:
     return values.astype(np.float32).astype(np.float64)
 
 
-def find_depth_errors(given: Floats, read: Floats) -> Floats:
+_CAMERA: Final = make_camera(Depth.REVERSED)
+
+
+def find_depth_errors(given: Floats, read: Floats, camera: Camera = _CAMERA) -> Floats:
     """Return the errors of distances along the view, in millionths of them."""
-    along = read[:, 4:7] @ make_camera(Depth.REVERSED).forward
+    along = read[:, 4:7] @ camera.forward
     errors: Floats = 1e6 * np.abs(along / given[:, 2] - 1.0)
     return errors
 
 
-def find_pixel_errors(given: Floats, read: Floats) -> Floats:
+def find_pixel_errors(given: Floats, read: Floats, camera: Camera = _CAMERA) -> Floats:
     """Return how many pixels what was read is beside what was given, in the image."""
-    camera = make_camera(Depth.REVERSED)
     seen = read[:, 4:7] @ camera.rotation.T
     clip = np.concatenate([seen, np.ones((len(seen), 1))], axis=1) @ camera.projection.matrix.T
     place = (0.5 + clip[:, :2] / clip[:, 3:] * (0.5, -0.5)) * SIZE

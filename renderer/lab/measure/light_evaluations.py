@@ -45,6 +45,7 @@ from renderer.techniques.parts.geometry_buffer import find_contents
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
 from renderer.techniques.parts.resolve import LIGHT_FORMAT
 from renderer.techniques.parts.variants import Lighting, draw_full_screen, list_lamps, scene_pass
+from renderer.techniques.technique import WrappedTechnique
 from rhi import BlendFunction, DepthFunction, DepthWrite, Format, State
 from rhi.shading import Shader, Texture2D, floor, fragment_coordinate, ivec2, vec3, vec4
 
@@ -104,16 +105,8 @@ class VolumeFragments(VolumeShader):
         return vec4(1.0)
 
 
-class Counted:
+class Counted(WrappedTechnique):
     """The passes of another technique, and one that counts light evaluations."""
-
-    def __init__(self, technique: Technique) -> None:
-        self._technique = technique
-
-    @property
-    def name(self) -> str:
-        """The name of the technique that draws the image."""
-        return self._technique.name
 
     def declare(self, needs: Needs) -> Sequence[Pass[Frame]]:
         """Return the technique's passes, and one that writes `light evaluations` if there are lamps to evaluate."""

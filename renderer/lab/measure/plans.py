@@ -18,7 +18,6 @@ from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.shadows import MapReport
 from renderer.techniques import Technique
-from renderer.visibility import make_visibility
 from rhi import Commands, Op
 
 
@@ -97,17 +96,17 @@ def describe_plan(scene: Scene, technique: Technique, camera: Camera, size: tupl
     Args:
         size: (width, height) of the image in pixels.
     """
-    with rhi.create_device("null") as device:
-        algorithm = make_visibility("frustum", scene, device)
-        with Renderer(device, scene, technique=technique, visibility=algorithm, size=size) as renderer:
-            drawn = renderer.render(camera).frames[0].drawn.opaque
-            needs, plan = renderer.plan(camera)
-            commands = _divide_by_pass(device, plan)
-            orders = compare_orders(scene, camera, drawn, _find_geometry(commands))
-            maps = renderer.shadows.reports
-            simulations = _describe_simulations(renderer, camera) if len(renderer.simulator) else None
-            memory = describe_memory(device.stream, renderer.images)
-        algorithm.destroy()
+    with (
+        rhi.create_device("null") as device,
+        Renderer(device, scene, technique=technique, visibility="frustum", size=size) as renderer,
+    ):
+        drawn = renderer.render(camera).frames[0].drawn.opaque
+        needs, plan = renderer.plan(camera)
+        commands = _divide_by_pass(device, plan)
+        orders = compare_orders(scene, camera, drawn, _find_geometry(commands))
+        maps = renderer.shadows.reports
+        simulations = _describe_simulations(renderer, camera) if len(renderer.simulator) else None
+        memory = describe_memory(device.stream, renderer.images)
     by_name = {name: texture for texture in plan.textures for name in texture.names}
 
     def describe(one: Pass[Frame]) -> PassRow:

@@ -22,7 +22,6 @@ from renderer.lab.measure.memory import describe_memory
 from renderer.lab.need.ladder import LADDER, build_scene, move_eye
 from renderer.renderer import Renderer
 from renderer.techniques import Forward
-from renderer.visibility import make_visibility
 from rhi import Commands, Op
 from rhi.testing import assert_free, frames
 from rhi.trace import Differences, diff
@@ -122,8 +121,7 @@ class Ascent:
         """Switch on what the first `count` rungs have, but for the number of one to be `without`."""
         self.scene, self._rows = build_scene(count)
         self._count, self.frame = count, 0
-        visibility = make_visibility("frustum", self.scene, device)
-        self.renderer = Renderer(device, self.scene, technique=Forward(), visibility=visibility, size=size)
+        self.renderer = Renderer(device, self.scene, technique=Forward(), visibility="frustum", size=size)
         for number in range(count):
             self.switch(number, is_on=number != without)
 
@@ -149,7 +147,6 @@ class Ascent:
         for layer in self.renderer.layers:
             layer.destroy()
         self.renderer.destroy()
-        self.renderer.visibility.destroy()
 
 
 def count_rung(number: int) -> CountedFrame:

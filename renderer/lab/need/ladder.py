@@ -85,38 +85,17 @@ def _add_box(
     builder.add_objects(builder.add_node(place), builder.add_mesh(BUILT_IN["box"]()), material)
 
 
-def _switch_sun(renderer: Renderer, _: int, is_on: bool) -> None:
+def _switch_light(kind: str, values: tuple[Any, ...], renderer: Renderer, _: int, is_on: bool) -> None:
     lights = renderer.scene.lights
-    lights.directional = lights.directional[:0]
+    setattr(lights, kind, getattr(lights, kind)[:0])
     if is_on:
-        lights.add_directional((0.8, -1.0, 0.3), (1.0, 0.93, 0.82), 0.8)
+        getattr(lights, f"add_{kind}")(*values)
 
 
-def _switch_lamp(renderer: Renderer, _: int, is_on: bool) -> None:
-    lights = renderer.scene.lights
-    lights.point = lights.point[:0]
-    if is_on:
-        lights.add_point((1.3, 1.3, 1.1), 5.0, (1.0, 0.55, 0.2), 3.5)
-
-
-def _switch_spot(renderer: Renderer, _: int, is_on: bool) -> None:
-    lights = renderer.scene.lights
-    lights.spot = lights.spot[:0]
-    if is_on:
-        lights.add_spot((2.6, 3.2, 1.0), (-0.1, -1.0, -0.1), 6.0, 0.15, 0.35, (0.35, 0.55, 1.0), 20.0)
-
-
-def _switch_sun_shadow(renderer: Renderer, _: int, is_on: bool) -> None:
-    renderer.scene.lights.directional["casts_shadow"] = is_on
-
-
-def _switch_lamp_shadows(renderer: Renderer, _: int, is_on: bool) -> None:
-    renderer.scene.lights.point["casts_shadow"] = is_on
-    renderer.scene.lights.spot["casts_shadow"] = is_on
-
-
-def _switch_sphere(renderer: Renderer, _: int, is_on: bool) -> None:
-    renderer.scene.lights.point["source_radius"] = 0.25 if is_on else 0.0
+def _switch_rows(kinds: tuple[str, ...], name: str, value: float, renderer: Renderer, _: int, is_on: bool) -> None:
+    """Give a field of all lights of these kinds a value, or 0."""
+    for kind in kinds:
+        getattr(renderer.scene.lights, kind)[name] = value if is_on else 0.0
 
 
 def _place_textured(builder: SceneBuilder) -> int:
@@ -161,16 +140,8 @@ def _switch_glass(renderer: Renderer, material: int, is_on: bool) -> None:
     renderer.scene.materials[material]["alpha_mode"] = AlphaMode.BLEND if is_on else AlphaMode.OPAQUE
 
 
-def _switch_haze(renderer: Renderer, _: int, is_on: bool) -> None:
-    renderer.scene.haze = 0.05 if is_on else 0.0
-
-
-def _switch_glow(renderer: Renderer, _: int, is_on: bool) -> None:
-    renderer.scene.glow = Glow(0.1) if is_on else None
-
-
-def _switch_fog(renderer: Renderer, _: int, is_on: bool) -> None:
-    renderer.scene.fog = Fog(0.25, falloff=1.2) if is_on else None
+def _switch_air(name: str, value: object, nothing: object, renderer: Renderer, _: int, is_on: bool) -> None:
+    setattr(renderer.scene, name, value if is_on else nothing)
 
 
 def _place_terrain(builder: SceneBuilder) -> int:
@@ -225,6 +196,7 @@ def _switch_stereo(renderer: Renderer, _: int, is_on: bool) -> None:
     renderer.stereo = Stereo(StereoRig(0.063, 7.0), "dubois") if is_on else None
 
 
+_SPOT: Final = ((2.6, 3.2, 1.0), (-0.1, -1.0, -0.1), 6.0, 0.15, 0.35, (0.35, 0.55, 1.0), 20.0)
 LADDER: Final = (
     Rung("empty", "an object behind the eye, no light but the sky's", place=_place_hidden),
     Rung("box", "a box on a ground", place=_place_box),
@@ -234,7 +206,7 @@ LADDER: Final = (
         Footprint(
             "sun", words=("DirectionalLight",), bindings=("directional*",), resources=("directional lights",)
         ),
-        switch=_switch_sun,
+        switch=partial(_switch_light, "directional", ((0.8, -1.0, 0.3), (1.0, 0.93, 0.82), 0.8)),
     ),
     Rung(
         "lamp",
@@ -243,13 +215,13 @@ LADDER: Final = (
             "lamp", words=("PointLight",), bindings=("point_lights", "light_rows"),
             resources=("point lights", "light rows"),
         ),
-        switch=_switch_lamp,
+        switch=partial(_switch_light, "point", ((1.3, 1.3, 1.1), 5.0, (1.0, 0.55, 0.2), 3.5)),
     ),
     Rung(
         "spot",
         "a spot light",
         Footprint("spot", words=("SpotLight",), bindings=("spot_lights",), resources=("spot lights",)),
-        switch=_switch_spot,
+        switch=partial(_switch_light, "spot", _SPOT),
     ),
     Rung(
         "shadow",
@@ -258,20 +230,20 @@ LADDER: Final = (
             "shadow", programs=("DepthOnly",), bindings=("suns", "shadow_*"),
             resources=("shadow atlas", "SunTable"), events=("shadow maps",),
         ),
-        switch=_switch_sun_shadow,
+        switch=partial(_switch_rows, ("directional",), "casts_shadow", True),
         modules=("renderer.shadows",),
     ),
     Rung(
         "lamp shadows",
         "both lamps cast shadows",
         Footprint("lamp shadows", bindings=("lamps", "lamp_*"), resources=("LampTable", "lamp slots", "lamp maps")),
-        switch=_switch_lamp_shadows,
+        switch=partial(_switch_rows, ("point", "spot"), "casts_shadow", True),
     ),
     Rung(
         "sphere",
         "the point light is a sphere",
         Footprint("sphere", words=("sphere_cosine",), bindings=("source_radii",), resources=("source radii",)),
-        switch=_switch_sphere,
+        switch=partial(_switch_rows, ("point",), "source_radius", 0.25),
     ),
     Rung(
         "texture",
@@ -300,7 +272,7 @@ LADDER: Final = (
             "glow", words=("keep_light",), bindings=("spread", "mixture"),
             events=("glow", "tones"),
         ),
-        switch=_switch_glow,
+        switch=partial(_switch_air, "glow", Glow(0.1), None),
         modules=("renderer.techniques.parts.glow",),
     ),
     Rung(
@@ -315,13 +287,13 @@ LADDER: Final = (
         "haze",
         "haze in the air",
         Footprint("haze", words=("through_haze",), bindings=("haze",), resources=("Haze",)),
-        switch=_switch_haze,
+        switch=partial(_switch_air, "haze", 0.05, 0.0),
     ),
     Rung(
         "fog",
         "fog that lies on the ground",
         Footprint("fog", words=("through_all_fog", "FogConstants"), bindings=("fog",), events=("sky",)),
-        switch=_switch_fog,
+        switch=partial(_switch_air, "fog", Fog(0.25, falloff=1.2), None),
     ),
     Rung(
         "terrain",

@@ -15,7 +15,7 @@ import rhi.shading as sl
 from renderer.frame import IMAGE_FORMAT, Frame, Needs, Pass, Target, find_last
 from renderer.shaders.pixels import BackgroundScreen
 from renderer.techniques.parts.variants import draw_full_screen
-from renderer.techniques.technique import Technique
+from renderer.techniques.technique import WrappedTechnique
 
 REACH: Final = 16
 """The pixels along an edge, each way, in which its end is looked for."""
@@ -102,16 +102,8 @@ class Fxaa(BackgroundScreen):
         return self.source.load(sl.clamp(place, sl.ivec2(0), self.source.size() - 1))
 
 
-class Smoothed:
+class Smoothed(WrappedTechnique):
     """A technique whose image is smoothed by FXAA."""
-
-    def __init__(self, technique: Technique) -> None:
-        self._technique = technique
-
-    @property
-    def name(self) -> str:
-        """The name of the technique that draws the image."""
-        return self._technique.name
 
     def declare(self, needs: Needs) -> Sequence[Pass[Frame]]:
         """Return the technique's passes, and one that smooths the image."""

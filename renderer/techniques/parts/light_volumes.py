@@ -35,7 +35,7 @@ from renderer.shaders.structs import Incidence, ViewConstants
 from renderer.shadows import ShadowReceiver
 from renderer.techniques.parts.full_screen import BEHIND, find_far
 from renderer.techniques.parts.resolve import EXACT_BITS, SUM_FORMATS
-from renderer.techniques.parts.variants import bind, find_variant
+from renderer.techniques.parts.variants import bind, find_variant, list_lamps
 from rhi import (
     BlendFunction,
     ColorWrite,
@@ -198,26 +198,29 @@ def declare_lights(
     run: Callable[..., None],
     scale: float = 1.0,
     bits: int = EXACT_BITS,
+    *,
+    are_written: bool = False,
+    because: str = "",
 ) -> tuple[list[Pass[Frame]], list[str]]:
     """Return the passes that add the light of each kind of lights in view to light buffers, and their contents' names
     after the last pass: none if there are no such lights.
 
     Args:
         scale: the size of the buffers in that of the frame. bits: those of a channel, of `SUM_FORMATS`.
+        are_written: whether an earlier pass has written the buffers, to which the light is added.
+        because: what the passes do, before what needs them.
         run: issues the commands; is given the frame and, by name, `effect`, the names of the `targets`, and whether it
             `clears` them.
     """
     passes: list[Pass[Frame]] = []
-    last: list[str] = []
-    for effect in LAMPS:
-        if effect not in needs.effects:
-            continue
+    last = list(buffers) if are_written else []
+    for effect in list_lamps(needs):
         names = [f"{buffer} with {effect.value}" for buffer in buffers] if last else list(buffers)
         passes.append(
             Pass(
                 effect.value,
                 partial(run, effect=effect, targets=names, clears=not last),
-                needs.explain(effect),
+                because + needs.explain(effect),
                 reads=reads,
                 writes=() if last else tuple(Target(name, SUM_FORMATS[bits], scale) for name in names),
                 changes=dict(zip(last, names, strict=True)) if last else {},

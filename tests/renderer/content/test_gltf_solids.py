@@ -39,7 +39,7 @@ def make_file(mode, **more):
     return document
 
 
-def draw(device, scene, technique=None, visibility=None, camera=None):
+def draw(device, scene, technique=None, visibility="auto", camera=None):
     """Return the picture (h, w, 3) and what it took."""
     seen = camera or Camera.look_at(
         [0, 0, EYE], [0, 0, 0], projection=Perspective(FOV, SIZE[0] / SIZE[1], near=0.1, far=100)
