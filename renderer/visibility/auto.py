@@ -61,13 +61,15 @@ class AutoCulling:
     @property
     def is_trying(self) -> bool:
         """Whether the next frame is a trial frame."""
-        return self._trial.is_trying
+        return self._trial.is_trying and self._is_ready
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what the chosen algorithm draws."""
         trial = self._trial
         trial.look(camera)
-        if trial.is_trying and not self._is_ready(camera):
+        if self._prepare is not None:
+            self._preparation, self._prepare = self._prepare(camera.projection.depth), None
+        if trial.is_trying and not self._is_ready:
             return _render(self.latest or self._find(trial.chosen), camera, scene_pass)
         candidate = self._find(trial.chosen)
         if trial.is_trying:
@@ -85,11 +87,11 @@ class AutoCulling:
         for candidate in self.candidates.values():
             candidate.destroy()
 
-    def _is_ready(self, camera: Camera) -> bool:
-        """Return whether nothing is being built, of what candidates need or else."""
-        if self._prepare is not None and self._preparation is None:
-            self._preparation = self._prepare(camera.projection.depth)
-        return (self._preparation is None or self._preparation.done()) and not self._device.is_building
+    @property
+    def _is_ready(self) -> bool:
+        """Whether nothing is being built, of what candidates need or else."""
+        is_prepared = self._prepare is None and (self._preparation is None or self._preparation.done())
+        return is_prepared and not self._device.is_building
 
     def _try(self, candidate: VisibilityAlgorithm, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         device = self._device
