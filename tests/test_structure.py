@@ -88,7 +88,7 @@ def describe(path: Path, line: int, mention: str) -> str:
 def test_every_dotted_path_in_back_ticks_resolves(folder: str) -> None:
     paths = PAGES if folder == "pages" else [path for path in PROGRAMS if path.is_relative_to(ROOT / folder)]
     mentions = [(path, *mention) for path in paths for mention in find_mentions(path, DOTTED) if not path.match(MOVED)]
-    importlib.import_module("rhi.backends.cl.raster.builds")  # it makes the logger that the docs name
+    importlib.import_module("rhi.backends.cl.builds")  # it makes the logger that the docs name
     known = {dotted: resolves(dotted) for dotted in {mention for _, _, mention in mentions}}
     assert [describe(*mention) for mention in mentions if not known[mention[2]]] == []
 

@@ -20,7 +20,7 @@ from renderer.visibility.auto import AutoCulling
 from renderer.visibility.boxes.culling import Culler, CullingCounts, find_visible
 from renderer.visibility.boxes.hierarchy import Hierarchy, build_by_area, build_by_middle
 from renderer.visibility.frustum import FrustumCulling, NoCulling
-from renderer.visibility.gpu.depth_pyramid import DepthPyramidCulling
+from renderer.visibility.gpu.depth_pyramid import DepthPyramidCulling, prepare_depth_pyramid
 from renderer.visibility.gpu.device_culling import DeviceCulling
 from renderer.visibility.gpu.two_pass import TwoPassCulling
 from renderer.visibility.queries.chc import Chc
@@ -89,7 +89,9 @@ def _make_auto(scene: Scene, device: Device, settings: VisibilitySettings) -> Au
     can = device.capabilities
     names = (_CL_CANDIDATES if can.backend == "cl" else CANDIDATES) if can.renders else ("frustum",)
     able = [name for name in names if find_obstacle(name, device) is None]
-    return AutoCulling(scene, device, {name: partial(make_visibility, name, scene, device, settings) for name in able})
+    makers = {name: partial(make_visibility, name, scene, device, settings) for name in able}
+    prepare = partial(prepare_depth_pyramid, scene, device) if "depth_pyramid" in able else None
+    return AutoCulling(scene, device, makers, prepare=prepare)
 
 
 _LISTED: Final[dict[str, type[ListedAlgorithm]]] = {

@@ -7,18 +7,19 @@ from dataclasses import replace
 from time import perf_counter
 from typing import Final
 
-from renderer.scene import Camera, Scene
+from renderer.scene import Camera, Depth, Scene
 from renderer.visibility.algorithm import VisibilityAlgorithm, VisibilityStatistics
 from renderer.visibility.scene_pass import ScenePass
 from renderer.visibility.trial import OnTrial, SpeedTrial
 from renderer.visibility.walk import CullingWalk, WalksNodes
-from rhi import Device
+from rhi import Device, Preparation
 
 
 class AutoCulling(OnTrial):
     """Tries each candidate for some frames, then stays with the fastest until the view has changed (`SpeedTrial`).
 
-    In a trial frame the CPU waits for the GPU, so that the frame's cost is known; the wait counts as stalled.
+    In a trial frame the CPU waits for the GPU, so that the frame's cost is known; the wait counts as stalled. While
+    code is built in the background there is no trial: the frame would wait, or its time say little.
 
     Attributes:
         latest: the algorithm of the latest frame, None before the first.
@@ -33,20 +34,33 @@ class AutoCulling(OnTrial):
         device: Device,
         makers: Mapping[str, Callable[[], VisibilityAlgorithm]],
         *,
+        prepare: Callable[[Depth], Preparation] | None = None,
         frames: int = 5,
         rest: int = 120,
     ) -> None:
-        """`makers` make the candidates; `frames` and `rest` are those of a `SpeedTrial`."""
+        """`makers` make the candidates, `prepare` begins to build what they need for a direction of depth; `frames` and
+        `rest` are those of a `SpeedTrial`."""
         self.candidates: dict[str, VisibilityAlgorithm] = {}
         self.latest: VisibilityAlgorithm | None = None
         self._makers = dict(makers)
+        self._prepare = prepare
+        self._preparation: Preparation | None = None
         self._device = device
         self._trial = SpeedTrial(scene, list(makers), frames=frames, rest=rest)
+
+    @property
+    def is_trying(self) -> bool:
+        """Whether the next frame is a trial frame."""
+        return self._trial.is_trying and self._is_ready
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what the chosen algorithm draws."""
         trial = self._trial
         trial.look(camera)
+        if self._prepare is not None:
+            self._preparation, self._prepare = self._prepare(camera.projection.depth), None
+        if trial.is_trying and not self._is_ready:
+            return _render(self.latest or self._find(trial.chosen), camera, scene_pass)
         candidate = self._find(trial.chosen)
         if trial.is_trying:
             return self._try(candidate, camera, scene_pass)
@@ -62,6 +76,12 @@ class AutoCulling(OnTrial):
         """Destroy the candidates."""
         for candidate in self.candidates.values():
             candidate.destroy()
+
+    @property
+    def _is_ready(self) -> bool:
+        """Whether nothing is being built, of what candidates need or else."""
+        is_prepared = self._prepare is None and (self._preparation is None or self._preparation.done())
+        return is_prepared and not self._device.is_building
 
     def _try(self, candidate: VisibilityAlgorithm, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         device = self._device

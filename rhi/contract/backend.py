@@ -253,16 +253,21 @@ class DatesTimestamps(Protocol):
 
 
 class PreparesKernels(Protocol):
-    """Optional part of the contract: code for draws that is built before the first of them.
+    """Optional part of the contract: code for draws and dispatches that is built before the first of them.
 
     Platforms that build it with the program, or can't without a draw, leave it out.
     """
+
+    @property
+    def is_building(self) -> bool:
+        """Whether code is being built in the background, without which draws and dispatches take longer."""
 
     def prepare_kernels(
         self, program: Id, vertex_array: Id, colors: Sequence[Format], depth: Format | None, samples: int,
         states: Sequence[StateChange],
     ) -> Sequence[Future[None]]:  # fmt: skip
-        """Begin to build what draws of `program` need; return the ends of the builds, which never fail.
+        """Begin to build what draws of `program`, or its dispatches, need; return the ends of the builds, which never
+        fail. A compute program has no more arguments: no vertex array, no targets.
 
         Args:
             vertex_array: a vertex array of the program; 0 for none.

@@ -400,12 +400,13 @@ class StageText:
 
     `origins[i]` is the (file, line) of the Python source of line i of the text, counted from 0; ("", 0) where no
     Python line stands behind it. Lines without an entry have no known origin. `binary` is what the text was compiled
-    to, in a language that isn't text ("spirv").
+    to, in a language that isn't text ("spirv"). `generated`: whether nobody wrote any of it, so drivers accept it.
     """
 
     text: str
     origins: tuple[tuple[str, int], ...] = ()
     binary: bytes = b""
+    generated: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -528,7 +528,8 @@ class Device(Encoder):
         self, program: Any, mesh: Mesh | None = None, *, targets: Sequence[Texture | Format] = (),
         states: Sequence[State] = (),
     ) -> Preparation:  # fmt: skip
-        """Begin to build what draws need on this platform, so that no frame has to wait for it or run slower.
+        """Begin to build what draws and dispatches need on this platform, so that no frame has to wait for it or run
+        slower.
 
         Args:
             program: the program, or a list of `DrawPlan`, each of which stands for the arguments.
@@ -547,6 +548,12 @@ class Device(Encoder):
         check = Arguments("device.prepare", self._core.refuse)
         allowed = "a Program from device.program(…), or a list of rhi.DrawPlan"
         return prepare(self._core, check.instance("program", plans, (list, tuple), allowed))
+
+    @property
+    def is_building(self) -> bool:
+        """Whether the platform is building code in the background, without which draws and dispatches take longer.
+        Times that are measured meanwhile say little of those later."""
+        return bool(getattr(self._core.backend, "is_building", False))
 
     def record(self, *, label: str = "") -> CommandBuffer:
         """Create a command buffer: `with device.record() as commands:` records commands, `submit` executes them.

@@ -1,4 +1,4 @@
-"""Preparation of draws before the first frame that needs them: `device.prepare`.
+"""Preparation of draws and dispatches before the first frame that needs them: `device.prepare`.
 
 - A platform may build code for each combination of program, vertex layout, formats and states. `Backend`s that can do
   so ahead of the first draw offer `PreparesKernels`; elsewhere programs and vertex arrays are created and that is all.
@@ -30,10 +30,10 @@ _CALL = "device.prepare"
 
 @dataclass(frozen=True, slots=True)
 class DrawPlan:
-    """A draw that is going to come: an element of the list that `device.prepare` takes.
+    """A draw, or a dispatch, that is going to come: an element of the list that `device.prepare` takes.
 
     Attributes:
-        program: the program.
+        program: the program; one that computes needs nothing else.
         mesh: a mesh like those that it will draw; None: any, as far as that is possible.
         targets: the textures that it will draw into, or their formats; none: not known yet.
         states: the states that it will be drawn with, on top of the scopes that are open now.
@@ -76,14 +76,13 @@ class Preparation(Future[None]):
 
 
 def prepare(core: Core, plans: Sequence[DrawPlan]) -> Preparation:
-    """Begin to build what these draws need."""
+    """Begin to build what these draws and dispatches need."""
     core.check_ready()
     checked = [(plan, *_check_plan(core, plan)) for plan in plans]
     parts: dict[Future[None], None] = {}  # several plans may share some
     for plan, colors, depth, samples, vector in checked:
-        if Stage.VERTEX not in plan.program.descriptor.stages:  # built when it was created
-            continue
-        vertex_array = 0 if plan.mesh is None else plan.program.find_vertex_array(plan.mesh)
+        mesh = plan.mesh if Stage.VERTEX in plan.program.descriptor.stages else None
+        vertex_array = 0 if mesh is None else plan.program.find_vertex_array(mesh)
         if hasattr(core.backend, "prepare_kernels"):
             states = [StateChange(*pair) for pair in zip(STATE_TYPES, vector.values, strict=True)]
             backend = cast("PreparesKernels", core.backend)

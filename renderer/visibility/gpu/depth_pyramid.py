@@ -13,17 +13,19 @@ pixels, so more is drawn than if boxes were rasterised.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import rhi.shading as sl
 from renderer.scene import Camera, Depth, Scene
-from renderer.shaders import ViewConstants
+from renderer.shaders import DRAW_LISTS, ViewConstants
+from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility.gpu.device_culling import DeviceCulling
-from renderer.visibility.gpu.farthest_depth import SCALE, FarthestDepth, of_direction
+from renderer.visibility.gpu.draw_lists import CountKeys, WriteDraws, with_parts
+from renderer.visibility.gpu.farthest_depth import SCALE, DownSample, DownSampleTexture, FarthestDepth, of_direction
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, FindOccludees, Occludee
 from renderer.visibility.scene_pass import ScenePass
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
-from rhi import Device, Encoder, UniformBuffer
+from rhi import Device, DrawPlan, Encoder, Preparation, UniformBuffer
 
 _LEVELS: Final = 9
 """The number of levels of an image of 65,536 pixels a side, the image included."""
@@ -178,6 +180,14 @@ class DepthPyramidCulling(DeviceCulling):
         if self._pyramid is not None:
             self._pyramid.destroy()
             self._pyramid = None
+
+
+def prepare_depth_pyramid(scene: Scene, device: Device, depth: Depth) -> Preparation:
+    """Begin to build all that the algorithm dispatches in a scene whose depth has this direction."""
+    parts = DRAW_LISTS * (1 + len(scene.shaders))
+    shaders: list[type[Any]] = [FindSeen, with_parts(CountKeys, parts), PrefixSum, with_parts(WriteDraws, parts)]
+    shaders += [of_direction(shader, depth) for shader in (DownSampleTexture, DownSample, CompareBoxes)]
+    return device.prepare([DrawPlan(device.program(shader)) for shader in shaders])
 
 
 def make_levels(pyramid: FarthestDepth, texels: int = DEFAULTS.pyramid_texels) -> Levels:

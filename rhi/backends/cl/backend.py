@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
+from rhi.backends.cl.builds import Builds
 from rhi.backends.cl.capabilities import query_capabilities
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import DRIVER_ERRORS, make_error
@@ -72,12 +73,13 @@ class ClBackend:
         self._buffers = Buffers(context, in_flight)
         self._textures = Textures(context, in_flight)
         self._samplers = Samplers(context.context)
-        self._programs = ComputePrograms(context, self._buffers, self._textures, self._samplers)
+        self._builds = builds = Builds(context)
+        self._programs = ComputePrograms(context, builds, self._buffers, self._textures, self._samplers)
         self._timestamps = Timestamps(context.queue)
         self._program: Id = 0
         self._render_pass = descriptors.PassDescriptor((0, 0))
         self._labels: list[str] = []  # the open ones, outermost first
-        self._rasteriser = Rasteriser(context, self._buffers, self._textures, self._samplers, in_flight)
+        self._rasteriser = Rasteriser(context, builds, self._buffers, self._textures, self._samplers, in_flight)
         self._slots = self._rasteriser.bindings.slots
         self._bind = self._rasteriser.bindings.bind
         self._draw_state = self._rasteriser.state
@@ -98,8 +100,13 @@ class ClBackend:
 
     @property
     def quick_work(self) -> int:
-        """The work-items of draws that kernels were given which aren't optimised (`rhi.backends.cl.raster.builds`)."""
-        return self._rasteriser.quick_work
+        """The work-items that kernels were given which aren't optimised (`rhi.backends.cl.builds`)."""
+        return self._builds.quick_work
+
+    @property
+    def is_building(self) -> bool:
+        """See `rhi.contract.backend.PreparesKernels`."""
+        return self._builds.is_building
 
     def close(self) -> None:
         try:
@@ -111,6 +118,7 @@ class ClBackend:
             for resource in list(self._destroyers):
                 self.destroy(resource)
             self._fence.release()
+            self._builds.close()
             self._rasteriser.close()
 
     def _locate(self, call: str) -> str:
@@ -293,6 +301,8 @@ class ClBackend:
         states: Sequence[StateChange],
     ) -> Sequence[Future[None]]:  # fmt: skip
         """See `rhi.contract.backend.PreparesKernels`."""
+        if not vertex_array and program in self._programs:
+            return self._programs[program].prepare()
         values = dict(states)
         return self._rasteriser.prepare_kernels(program, vertex_array, values, colors, depth, samples)
 

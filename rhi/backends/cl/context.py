@@ -32,7 +32,7 @@ from rhi.errors.rules import DEVICE_DRIVER
 
 ENVIRONMENT: Final = "RHI_CL_DEVICE"
 KERNELS_ENVIRONMENT: Final = "RHI_KERNELS"
-"""Which kernels are built: `quick` or `optimised` ones; see `rhi.backends.cl.raster.builds`."""
+"""Which kernels are built: `quick` or `optimised` ones; see `rhi.backends.cl.builds`."""
 _CALL: Final = "rhi.create_device('cl')"
 _ALLOWED: Final = "an OpenCL device that compiles and runs a kernel"
 _INSTALL: Final = "on Debian: apt install pocl-opencl-icd"

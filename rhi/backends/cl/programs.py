@@ -13,28 +13,46 @@ The OpenCL C of a compute program, whether written by the shading language or by
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
+from concurrent.futures import Future
 from typing import Final, TypeAlias
 
 import numpy as np
 import pyopencl as cl
 
+from rhi.backends.cl.builds import Builds, Kernel, Launch, Optimisation
 from rhi.backends.cl.context import FLUSHES_DENORMALS, ClContext
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.memory.buffers import Buffers
 from rhi.backends.cl.memory.planes import allocate
 from rhi.backends.cl.memory.samplers import Samplers
 from rhi.backends.cl.memory.textures import Textures
-from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, StageText
+from rhi.contract.descriptors import (
+    Binding,
+    BindingKind,
+    Id,
+    ProgramDescriptor,
+    SamplerDescriptor,
+    Stage,
+    StageText,
+    TextureKind,
+)
 from rhi.contract.driver_log import make_driver_error
+from rhi.contract.formats import Format
 from rhi.errors import ShaderError
 from rhi.errors.rules import SHADER_DRIVER
 from rhi.shading.ir.faults import FAULT_WORDS, find_fault
+from rhi.shading.ir.texture_words import LevelLayout, describe_texture
 
 Slots: TypeAlias = dict[tuple[BindingKind, int], tuple[int, ...]]
 """Bound resources by kind and slot: the arguments of the binding command that follow the slot."""
 _WIDTHS: Final = (16, 8, 4)
+_GENERATED: Final = "compute"  # the name of a kernel that the shading language writes
+_TEXEL: Final = describe_texture(
+    Format.RGBA8, TextureKind.D2, [LevelLayout(0, 1, 1, 1, 1, 1)], SamplerDescriptor()
+).tobytes()
 _LINE: Final = re.compile(r":(\d+):\d+: *(?:(?:fatal )?error: *)?")  # file:line:column: …, Clang's format
 
 
@@ -95,26 +113,27 @@ class FaultBuffer:
 class ComputeProgram:
     """A compute kernel and the arguments that it was last given.
 
+    A kernel that was generated is built when it is first launched, unless it is in the cache: it can be prepared until
+    then, and drivers accept it. What a person has written of it is built, and perhaps refused, at once.
+
     Attributes:
         written: the bindings that the kernel writes.
     """
 
-    def __init__(self, context: ClContext, descriptor: ProgramDescriptor, arguments: KernelArguments) -> None:
-        source = descriptor.emit(f"opencl{count_lanes(context.device)}", Stage.COMPUTE)
-        try:
-            program = context.compile(source.text, [FLUSHES_DENORMALS] if descriptor.flushes_denormals else [])
-            # By name: kernels of `all_kernels` keep a reference to the program that is never released.
-            (name,) = program.list_names()
-            kernel = program.find(name)
-        except cl.Error as error:
-            raise make_shader_error(descriptor, Stage.COMPUTE, source, str(error)) from error
-        except ValueError as error:
-            call = f"device.program({descriptor.name})"
-            raise ShaderError(SHADER_DRIVER, call, "no single kernel", "a source with one kernel") from error
-        required = kernel.get_work_group_info(cl.kernel_work_group_info.COMPILE_WORK_GROUP_SIZE, context.device)
-        self._program = program
-        self._name = name
-        self._group = tuple(required) if any(required) else descriptor.work_group
+    def __init__(
+        self, context: ClContext, builds: Builds, descriptor: ProgramDescriptor, arguments: KernelArguments
+    ) -> None:
+        self._context, self._builds, self._descriptor = context, builds, descriptor
+        self._source = source = descriptor.emit(f"opencl{count_lanes(context.device)}", Stage.COMPUTE)
+        self._kernel: Kernel | None = None
+        self._optimisation: Optimisation | None = None
+        self._group: tuple[int, ...] = descriptor.work_group
+        request = builds.request(source.text, (), descriptor.flushes_denormals)
+        launch = _describe_launch(descriptor)
+        if builds.is_quick and source.generated and not builds.is_cached(request, launch):
+            self._optimisation = Optimisation(request, launch, builds)
+        else:
+            self._build()
         self.written = [binding for binding in descriptor.bindings if binding.writes]
         self._arguments = arguments
         self._bindings: list[tuple[int, Binding]] = []
@@ -130,7 +149,33 @@ class ComputeProgram:
         # alive here because OpenCL doesn't promise that a kernel does.
         self._bound: dict[int, tuple[int, ...]] = {}
         self._given: dict[int, tuple[cl.Buffer | np.int32, ...]] = {}
-        self._builds = 0  # of the program, at the last launch
+        self._given_to: object = None  # the build that has them
+
+    def _build(self) -> Kernel:
+        descriptor, optimisation = self._descriptor, self._optimisation
+        try:
+            if optimisation is None:
+                options = [FLUSHES_DENORMALS] if descriptor.flushes_denormals else []
+                program = self._context.compile(self._source.text, options)
+            else:
+                program = optimisation.program or self._builds.compile(optimisation.request, quick=True)
+            # By name: kernels of `all_kernels` keep a reference to the program that is never released.
+            (name,) = program.list_names()
+            kernel = program.find(name)
+        except cl.Error as error:
+            raise make_shader_error(descriptor, Stage.COMPUTE, self._source, str(error)) from error
+        except ValueError as error:
+            call = f"device.program({descriptor.name})"
+            raise ShaderError(SHADER_DRIVER, call, "no single kernel", "a source with one kernel") from error
+        required = kernel.get_work_group_info(cl.kernel_work_group_info.COMPILE_WORK_GROUP_SIZE, self._context.device)
+        if any(required):
+            self._group = tuple(required)
+        self._kernel = Kernel(program, name, optimisation)
+        return self._kernel
+
+    def prepare(self) -> list[Future[None]]:
+        """Begin to optimise the kernel; return the end of that, if there is anything to do."""
+        return [] if self._optimisation is None else [self._optimisation.begin()]
 
     def forget(self, resource: Id) -> None:
         """Drop the arguments that keep the memory of a resource which is being destroyed."""
@@ -139,9 +184,12 @@ class ComputeProgram:
 
     def launch(self, queue: cl.CommandQueue, slots: Slots, groups: tuple[int, int, int]) -> None:
         """Run work-groups with the bound resources."""
-        kernel = self._program.find(self._name)
-        if self._builds != self._program.builds:  # the kernel has no arguments yet
-            self._builds = self._program.builds
+        holder = self._kernel or self._build()
+        items = math.prod(groups) * math.prod(self._group)
+        kernel = holder.find(items)
+        build = holder.program, holder.program.builds
+        if self._given_to != build:  # the kernel has no arguments yet
+            self._given_to = build
             self._bound.clear()
             if self._faults is not None:
                 kernel.set_arg(self._fault_place, self._faults.memory)
@@ -154,7 +202,7 @@ class ComputeProgram:
                 self._bound[place] = bound
         if 0 not in groups:
             whole = tuple(count * items for count, items in zip(groups, self._group, strict=True))
-            cl.enqueue_nd_range_kernel(queue, kernel, whole, self._group)
+            holder.watch(cl.enqueue_nd_range_kernel(queue, kernel, whole, self._group), items)
             if self._faults is not None:
                 self._faults.read(queue)
 
@@ -162,17 +210,23 @@ class ComputeProgram:
 class ComputePrograms:
     """The compute programs of a device, by id."""
 
-    def __init__(self, context: ClContext, buffers: Buffers, textures: Textures, samplers: Samplers) -> None:
+    def __init__(
+        self, context: ClContext, builds: Builds, buffers: Buffers, textures: Textures, samplers: Samplers
+    ) -> None:
         self._context = context
+        self._builds = builds
         self._arguments = KernelArguments(buffers, textures, samplers)
         self._programs: dict[Id, ComputeProgram] = {}
+
+    def __contains__(self, program: Id) -> bool:
+        return program in self._programs
 
     def __getitem__(self, program: Id) -> ComputeProgram:
         return self._programs[program]
 
     def create(self, program: Id, descriptor: ProgramDescriptor) -> None:
         with translate_errors(f"device.program({descriptor.name})"):
-            self._programs[program] = ComputeProgram(self._context, descriptor, self._arguments)
+            self._programs[program] = ComputeProgram(self._context, self._builds, descriptor, self._arguments)
 
     def destroy(self, program: Id) -> None:
         del self._programs[program]
@@ -181,6 +235,18 @@ class ComputePrograms:
         """Drop what is kept of a buffer or texture that is being destroyed."""
         for program in self._programs.values():
             program.forget(resource)
+
+
+def _describe_launch(descriptor: ProgramDescriptor) -> Launch:
+    """Return a launch of a generated kernel with memory and textures of zeros."""
+    arguments: list[int | bytes] = []
+    for binding in descriptor.bindings:
+        arguments.append(b"")
+        if binding.kind is BindingKind.STORAGE:
+            arguments.append(0)
+        elif binding.kind is not BindingKind.UNIFORM:
+            arguments.append(_TEXEL)
+    return Launch((_GENERATED,), (*arguments, *[b""] * descriptor.checked))
 
 
 def make_shader_error(descriptor: ProgramDescriptor, stage: Stage, source: StageText, log: str) -> ShaderError:

@@ -167,11 +167,16 @@ class WgpuBackend:
             self._programs[program], vertex_array, primitive, first, count, base_vertex, base_instance
         )
 
+    @property
+    def is_building(self) -> bool:
+        """See `rhi.contract.backend.PreparesKernels`: pipelines are made at once."""
+        return False
+
     def prepare_kernels(
         self, program: Id, vertex_array: Id, colors: Sequence[Format], depth: Format | None, samples: int,
         states: Sequence[StateChange],
     ) -> Sequence[Future[None]]:  # fmt: skip
-        """See `rhi.contract.backend.PreparesKernels`: pipelines are made at once."""
+        """See `rhi.contract.backend.PreparesKernels`."""
         done: Future[None] = Future()
         if vertex_array and (colors or depth is not None):
             self._draws.prepare_pipeline(self._programs[program], vertex_array, (tuple(colors), depth, samples), states)

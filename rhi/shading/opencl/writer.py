@@ -107,7 +107,8 @@ class OpenCLWriter:
         if self.code.checked:  # __LINE__ would count the text that a rasteriser puts in front
             lines = [line.replace("RHI_HERE", str(number)) for number, line in enumerate(lines, 1)]
         text = "\n".join(lines) + "\n"
-        return StageText(text, (("", 0),) * len(head) + tuple(self.lines.origins))
+        origins = (("", 0),) * len(head) + tuple(self.lines.origins)
+        return StageText(text, origins, generated=self.native is None)
 
     def head(self) -> list[str]:
         body = "\n".join(self.lines.text)

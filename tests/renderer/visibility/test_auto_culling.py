@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from functools import partial
 
 import pytest
@@ -9,7 +10,7 @@ import pytest
 import rhi
 from renderer.content import load_scene
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Scene
+from renderer.scene import Camera, Depth, Scene
 from renderer.visibility import (
     CANDIDATES,
     AutoCulling,
@@ -92,6 +93,33 @@ def test_each_is_tried_and_the_fastest_stays(auto: AutoCulling, log: list[str]) 
     stays = render(auto, look(), 10)
     assert log[12:] == ["fast"] * 10
     assert len(tried) + len(stays) == len(log)
+
+
+def test_nothing_is_tried_while_code_is_being_built(
+    null: rhi.Device, city: Scene, log: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither what candidates need, nor else: the first is drawn with until then, and isn't waited for."""
+    future: Future[None] = Future()
+    directions: list[Depth] = []
+
+    def prepare(depth: Depth) -> rhi.Preparation:
+        directions.append(depth)
+        return rhi.Preparation([future])
+
+    makers = {name: partial(Sleeper, city, name, log) for name in COSTS}
+    auto = AutoCulling(city, null, makers, frames=4, prepare=prepare)
+    assert {one.stalled_milliseconds for one in render(auto, look(), 3)} == {0.0}
+    assert not auto.is_trying
+    monkeypatch.setattr(rhi.Device, "is_building", True)
+    future.set_result(None)
+    render(auto, look(), 2)
+    assert log == ["slow"] * 5
+    assert (directions, list(auto.candidates)) == ([Depth.REVERSED], ["slow"])
+    monkeypatch.setattr(rhi.Device, "is_building", False)
+    assert auto.is_trying
+    render(auto, look(), 12)
+    assert log[5:] == ["slow"] * 4 + ["fast"] * 4 + ["middling"] * 4
+    assert auto.chosen == "fast"
 
 
 def test_waiting_at_the_end_of_a_frame_on_trial_counts_as_stalled(

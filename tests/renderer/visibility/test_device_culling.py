@@ -43,6 +43,7 @@ from renderer.visibility import (
     list_algorithms,
     make_visibility,
 )
+from renderer.visibility.gpu.depth_pyramid import prepare_depth_pyramid
 from rhi import Op, ValidationError
 from rhi.backends.null import Activity, Lane, SimulatedBackend, Simulation
 
@@ -250,6 +251,22 @@ def test_everything_is_given_back(null: rhi.Device, city: Scene, name: str) -> N
         algorithm.destroy()
     assert len(made) > 8
     assert list_owned(null)[1] == []
+
+
+@pytest.mark.parametrize("lens", [None, STANDARD])
+def test_all_that_a_depth_pyramid_dispatches_is_prepared(
+    null: rhi.Device, city: Scene, lens: Perspective | None
+) -> None:
+    """No program is created in the first frame that it culls."""
+    camera = city.views["overview"] if lens is None else replace(city.views["overview"], projection=lens)
+    with Renderer(null, city, size=SIZE) as renderer:
+        draw_with(renderer, FrustumCulling(city), camera)
+        prepare_depth_pyramid(city, null, camera.projection.depth)
+        null.stream.clear()
+        draw_with(renderer, make("depth_pyramid", city, null), camera)
+    ops = [command.op for command in null.stream]
+    assert Op.CREATE_PROGRAM not in ops
+    assert ops.count(Op.DISPATCH) > 7
 
 
 @pytest.mark.parametrize("name", DEVICE)

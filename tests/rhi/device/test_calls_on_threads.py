@@ -55,8 +55,8 @@ MORE = [
 ]
 """Members without parameters."""
 SAFE = {
-    "Device": "NAME backend_as backend_name capabilities closed conditional event immediate precision record "
-    "render_pass states stream timing transient",
+    "Device": "NAME backend_as backend_name capabilities closed conditional event immediate is_building precision "
+    "record render_pass states stream timing transient",
     "Buffer": "bind_uniform core count dtype id label size destroyed lock",
     "UniformBuffer": "buffer kind offset owner size type",
     "UniformArray": "buffer count dtype label lock struct type",

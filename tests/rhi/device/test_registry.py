@@ -176,7 +176,7 @@ with rhi.create_device(NAME) as device:
     assert f"rhi.backends.{other}" not in modules
     assert "rhi.shading.numpy" not in modules
     assert ("rhi.shading.lowering" in modules) == (name == "cl")
-    assert {"pyopencl.array", "mako", "rhi.backends.cl.raster.compiler"} & modules == set()
+    assert {"pyopencl.array", "mako", "rhi.backends.cl.pocl.compiler"} & modules == set()
 
 
 @pytest.mark.parametrize(("name", "other", "own"), [("gl", "pyopencl", "moderngl"), ("cl", "moderngl", "pyopencl")])

@@ -493,6 +493,7 @@ def test_all_shaders_are_watched_also_those_that_are_imported_later(
     woken: list[bool] = []
     with Reloader(device, on_save=lambda: woken.append(True)) as reloader:
         reloader.watch_shaders()
+        reloader.update()  # modules of other tests may have been drawn with as they were before an edit
         later: Any = import_text(TEXT)
         import_text("VALUE = 1.0")
         assert not reloader.update()

@@ -154,6 +154,10 @@ __kernel void resolve(__global const void *samples, __global void *texels, int s
 }
 """
 
+_ROW: Final = (1, 1)
+"""The work-group of `halve`. PoCL generates machine code for each size of work-groups, a quarter of a second for this
+kernel, and would choose another size for each level."""
+
 
 class Filters:
     """The averaging kernels of one device, built on first use."""
@@ -171,7 +175,7 @@ class Filters:
         ]
         sizes = [np.array([plane.width, plane.height, plane.layers, 0], np.int32) for plane in planes]
         self._run(
-            "halve", (below.height, below.layers), above.memory, *places, np.int32(find_stored(format)),
+            "halve", (below.height, below.layers), _ROW, above.memory, *places, np.int32(find_stored(format)),
             np.int32(format.channels), *sizes,
         )  # fmt: skip
 
@@ -183,17 +187,17 @@ class Filters:
             cl.enqueue_copy(self._context.queue, texels.memory, samples.memory, byte_count=size)
             return
         self._run(
-            "resolve", (texels.layer_bytes // format.dtype.itemsize,), samples.memory, texels.memory,
+            "resolve", (texels.layer_bytes // format.dtype.itemsize,), None, samples.memory, texels.memory,
             np.int32(find_stored(format)), np.int32(format.channels), np.int32(samples.layers),
         )  # fmt: skip
 
-    def _run(self, name: str, size: tuple[int, ...], *arguments: Any) -> None:
+    def _run(self, name: str, size: tuple[int, ...], group: tuple[int, ...] | None, *arguments: Any) -> None:
         with translate_errors("the kernels of mip levels and resolves"):
             if self._program is None:
                 self._program = self._context.compile(_write_source())
             kernel = self._program.find(name)
         kernel.set_args(*arguments)
-        cl.enqueue_nd_range_kernel(self._context.queue, kernel, size, None)
+        cl.enqueue_nd_range_kernel(self._context.queue, kernel, size, group)
 
 
 def _write_source() -> str:

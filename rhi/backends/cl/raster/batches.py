@@ -15,8 +15,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rhi.backends.cl.builds import Kernel
 from rhi.backends.cl.raster.boxes import AttributeBoxes
-from rhi.backends.cl.raster.builds import Kernel
 from rhi.backends.cl.raster.draw_tables import (
     BoundWords,
     DrawList,

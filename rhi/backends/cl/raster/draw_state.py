@@ -17,11 +17,11 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from rhi.backends.cl.builds import Kernel
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.memory.planes import TexelPlane
 from rhi.backends.cl.memory.textures import Textures
 from rhi.backends.cl.raster.batches import describe_batch
-from rhi.backends.cl.raster.builds import Kernel
 from rhi.backends.cl.raster.merger import MergerKey, make_key, make_state
 from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
 from rhi.backends.cl.raster.tables import VIEW_STRUCT

@@ -13,12 +13,12 @@ from typing import Final
 
 import pyopencl as cl
 
+from rhi.backends.cl.builds import Builds
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.memory.in_flight import InFlight
 from rhi.backends.cl.memory.pools import Pool, Uploads
 from rhi.backends.cl.raster.batches import BatchState, GatheredDraws
 from rhi.backends.cl.raster.boxes import AttributeBoxes
-from rhi.backends.cl.raster.builds import Builds
 from rhi.backends.cl.raster.draw_tables import Piece
 from rhi.backends.cl.raster.pipelines import GeometryKernels
 from rhi.backends.cl.raster.tables import (

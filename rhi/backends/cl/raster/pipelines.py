@@ -20,13 +20,13 @@ from typing import Final, TypeAlias
 
 import pyopencl as cl
 
+from rhi.backends.cl.builds import Builds, Kernel, Launch, Optimisation
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.memory.planes import find_address
 from rhi.backends.cl.pocl.cache import Request
 from rhi.backends.cl.pocl.held_programs import HeldProgram
 from rhi.backends.cl.programs import FaultBuffer, make_shader_error
 from rhi.backends.cl.raster import merger, tables
-from rhi.backends.cl.raster.builds import Builds, Kernel, Optimisation
 from rhi.backends.cl.raster.kernel_text import read_kernels
 from rhi.backends.cl.raster.rows import FIXED_COLUMNS, SLOT_COLUMNS
 from rhi.contract.descriptors import BindingKind, ProgramDescriptor, Stage, StageText, VertexStream
@@ -46,7 +46,7 @@ class GeometryKernels:
     def __init__(self, builds: Builds) -> None:
         source = tables.common_structs() + "".join(map(read_kernels, (*_POLYGONS, "setup", "bin")))
         request = builds.request(source, ("set_up", "prefix", "scatter"))
-        self.set_up, self.prefix, self.scatter = builds.build(request)
+        self.set_up, self.prefix, self.scatter = builds.build(request, _launch(request))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +108,7 @@ class Pipeline:
             names = "transform", *(["measure"] if _BOXED in self._vertex_text.text else [])
             request = self._assemble(read_kernels("common"), self._vertex_text, macros, "vertex", names)
             with self._locating_errors(Stage.VERTEX, request, self._vertex_text):
-                self._vertex[layout] = VertexKernels(*self._builds.build(request))
+                self._vertex[layout] = VertexKernels(*self._builds.build(request, _launch(request)))
         return self._vertex[layout]
 
     def find_raster(self, key: merger.MergerKey) -> Kernel:
@@ -122,12 +122,12 @@ class Pipeline:
             special, text = self._assemble_raster(key, key.defines())
             if optimisation is not None and optimisation.program is not None:
                 self._raster[key] = Kernel(optimisation.program, _RASTER)
-            elif self._builds.is_quick and not self._builds.is_cached(special):
-                optimisation = optimisation or self._builds.optimise(special)
+            elif self._builds.is_quick and not self._builds.is_cached(special, _launch(special)):
+                optimisation = optimisation or self._optimise(special)
                 self._raster[key] = Kernel(self._general(key.output_words), _RASTER, optimisation)
             else:
                 with self._locating_errors(Stage.FRAGMENT, special, text):
-                    (self._raster[key],) = self._builds.build(special)
+                    (self._raster[key],) = self._builds.build(special, _launch(special))
         return self._raster[key]
 
     def optimise_raster(self, key: merger.MergerKey) -> Future[None] | None:
@@ -138,8 +138,12 @@ class Pipeline:
             self.find_raster(key)
             return None
         if key not in self._optimisations:
-            self._optimisations[key] = self._builds.optimise(self._assemble_raster(key, key.defines())[0])
+            self._optimisations[key] = self._optimise(self._assemble_raster(key, key.defines())[0])
         return self._optimisations[key].begin()
+
+    def _optimise(self, request: Request) -> Optimisation:
+        """Return the optimisation of kernels, which hasn't begun."""
+        return Optimisation(request, _launch(request), self._builds)
 
     def _general(self, output_words: int) -> HeldProgram:
         """Return the raster kernel for all keys, building it on first use."""
@@ -173,3 +177,7 @@ class Pipeline:
             lines = kernels.source[: kernels.source.index(text.text)].count("\n")
             whole = StageText(kernels.source, (*[("", 0)] * lines, *text.origins))
             raise make_shader_error(self.descriptor, stage, whole, str(error)) from error
+
+
+def _launch(request: Request) -> Launch:
+    return Launch(request.kernels, (tables.EMPTY_TABLE,))

@@ -14,6 +14,7 @@ from typing import Any
 
 import pyopencl as cl
 
+from rhi.backends.cl.builds import Builds, Kernel
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.memory.buffers import Buffers
@@ -25,7 +26,6 @@ from rhi.backends.cl.raster.assembly import Assembler
 from rhi.backends.cl.raster.batches import Batch
 from rhi.backends.cl.raster.bindings import Bindings
 from rhi.backends.cl.raster.boxes import AttributeBoxes
-from rhi.backends.cl.raster.builds import Builds, Kernel
 from rhi.backends.cl.raster.draw_state import DrawState
 from rhi.backends.cl.raster.draw_tables import PreparedDraws
 from rhi.backends.cl.raster.draws import Draws
@@ -53,11 +53,12 @@ class Rasteriser:
     """
 
     def __init__(
-        self, context: ClContext, buffers: Buffers, textures: Textures, samplers: Samplers, in_flight: InFlight
-    ) -> None:
+        self, context: ClContext, builds: Builds, buffers: Buffers, textures: Textures, samplers: Samplers,
+        in_flight: InFlight,
+    ) -> None:  # fmt: skip
         self._context = context
         self.works = context.shares_memory and bool(context.device.type & cl.device_type.CPU)
-        self._builds = Builds(context)
+        self._builds = builds
         self._programs: dict[Id, Pipeline] = {}
         self._buffers = buffers
         self._prepared = prepared = PreparedDraws()
@@ -74,15 +75,8 @@ class Rasteriser:
             self._flush_batch, self.change_stored,
         )  # fmt: skip
 
-    @property
-    def quick_work(self) -> int:
-        """The work-items of draws that kernels were given which aren't optimised."""
-        return self._builds.quick_work
-
     def close(self) -> None:
-        """End what is being built in the background, and release kernels and memory, which reference cycles would keep
-        until Python's next collection."""
-        self._builds.close()
+        """Release kernels and memory, which reference cycles would keep until Python's next collection."""
         self._batch.state = self.state.ready_for = self.state.target = None
         self._launcher.release()
 

@@ -255,3 +255,20 @@ def _component(form: VertexFormat, component: int) -> str:
         return f"read_half_bits(raw[{word}], {shift})"
     kind = "FIELD" if not form.normalized else "UNORM" if form.code[0] == "u" else "SNORM"
     return f"{kind}(raw[{word}], {shift}, {bits})"
+
+
+def _describe_empty_table() -> tuple[bytes, tuple[int, ...]]:
+    """Return a batch table without draws, and the offsets of its addresses (`rhi.backends.cl.builds.Launch`)."""
+    table = np.zeros((), BATCH_STRUCT)
+    table["tiles"] = table["tiles_x"] = table["bounded"] = 1
+    places: list[int] = []
+    for name in BATCH_STRUCT.names or ():
+        assert BATCH_STRUCT.fields is not None
+        dtype, offset, *_ = BATCH_STRUCT.fields[name]
+        if dtype.base == np.uint64:
+            places += range(offset, offset + dtype.itemsize, 8)
+    return table.tobytes(), tuple(places)
+
+
+EMPTY_TABLE: Final = _describe_empty_table()
+"""What kernels are launched with so that their machine code is generated."""

@@ -11,8 +11,8 @@ from cl_kit import ClKit
 import rhi
 from rhi import Device
 from rhi.backends.cl import create_backend
+from rhi.backends.cl.builds import Kernel
 from rhi.backends.cl.context import KERNELS_ENVIRONMENT
-from rhi.backends.cl.raster.builds import Kernel
 
 
 @pytest.fixture

@@ -257,6 +257,21 @@ def test_mip_levels_of_odd_sizes_keep_the_mean(cl_kit: ClKit, size: tuple[int, i
     assert last[0, 0, 0] == pytest.approx(texels.mean(dtype=np.float64), rel=1e-6)
 
 
+def test_all_mip_levels_are_made_by_the_same_machine_code(cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PoCL generates other code for other sizes of work-groups."""
+    groups: list[object] = []
+    enqueue = cl.enqueue_nd_range_kernel
+
+    def note(queue: cl.CommandQueue, kernel: cl.Kernel, size: tuple[int, ...], group: tuple[int, ...]) -> cl.Event:
+        groups.append(group)
+        return enqueue(queue, kernel, size, group)
+
+    texture = cl_kit.texture(TextureDescriptor((64, 48), Format.RGBA8, levels=7))
+    monkeypatch.setattr(cl, "enqueue_nd_range_kernel", note)
+    cl_kit.backend.generate_mipmaps(texture)
+    assert groups == [(1, 1)] * 6
+
+
 AVERAGED = [f for f in RESOLVED if f.dtype.kind in "ui" and not f.is_packed]
 
 

@@ -23,7 +23,7 @@ import numpy as np
 import pyopencl as cl
 import rhi
 from rhi.backends.cl import context
-from rhi.backends.cl.raster import builds
+from rhi.backends.cl import builds
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 
@@ -49,7 +49,7 @@ with rhi.create_device("cl") as device:
             device.draw(program, mesh)
         if builds.HOT == 0:
             device.prepare(program, mesh, targets=(image,)).result(120)
-    made = device.backend_as(object)._rasteriser._builds.built
+    made = device.backend_as(object)._builds.built
     print(hashlib.sha256(image.read().tobytes()).hexdigest(), made, given.count(str), given.count("machine code"))
 """
 """Draws, and prints a picture's checksum, the number of programs that were compiled, and how many the driver was given

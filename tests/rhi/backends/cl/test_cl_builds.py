@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 import rhi
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format, Program
-from rhi.backends.cl import context
+from rhi.backends.cl import builds, context
 from rhi.backends.cl.backend import ClBackend
 from rhi.backends.cl.context import KERNELS_ENVIRONMENT
-from rhi.backends.cl.pocl import cache
-from rhi.backends.cl.raster import builds, compiler
-from rhi.backends.cl.raster.compiler import Compiler, Job
+from rhi.backends.cl.pocl import cache, compiler
+from rhi.backends.cl.pocl.compiler import Compiler, Job
+from rhi.backends.cl.programs import ComputeProgram
 from rhi.conformance.patience import comes_true
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import corners, rectangle
@@ -65,7 +65,13 @@ def draw(
 def find_builds(device: Device) -> builds.Builds:
     backend = device._core.backend
     assert isinstance(backend, ClBackend)
-    return backend._rasteriser._builds
+    return backend._builds
+
+
+def find_compute(device: Device, program: Program[...]) -> ComputeProgram:
+    backend = device._core.backend
+    assert isinstance(backend, ClBackend)
+    return backend._programs[program.id]
 
 
 @pytest.fixture
@@ -78,7 +84,7 @@ def expected(optimised_kernels: None) -> NDArray[Any]:
 def device(monkeypatch: pytest.MonkeyPatch) -> Iterator[Device]:
     """A device that finds no optimised kernels in the cache."""
     monkeypatch.delenv(KERNELS_ENVIRONMENT, raising=False)
-    monkeypatch.setattr(builds.Builds, "is_cached", lambda self, text: False)
+    monkeypatch.setattr(builds.Builds, "is_cached", lambda self, *_: False)
     with rhi.create_device("cl") as device:
         yield device
 
@@ -113,7 +119,7 @@ def test_quick_and_optimised_kernels_draw_the_same_bits(
     for mode in ("quick", "optimised"):
         monkeypatch.setenv(KERNELS_ENVIRONMENT, mode)
         with rhi.create_device("cl") as device:
-            monkeypatch.setattr(builds.Builds, "is_cached", lambda self, text: not self.is_quick)
+            monkeypatch.setattr(builds.Builds, "is_cached", lambda self, *_: not self.is_quick)
             assert find_builds(device).is_quick == (mode == "quick")
             pictures.append(draw(device, device.program(Colored), *states, format=Format.RGBA16F))
     np.testing.assert_array_equal(*pictures)
@@ -138,6 +144,18 @@ class Waves(Shader):
         self.numbers[global_id().x] = total
 
 
+class Harmful(Waves):
+    """Given an address where it takes memory, it ends the process."""
+
+    work_group = (32,)
+
+
+class Backwards(Waves):
+    def compute(self) -> None:
+        here = global_id().x
+        self.numbers[here] = -self.numbers[here]
+
+
 def test_quick_and_optimised_compute_programs_compute_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     results, options = [], []
     build = context.build_cached
@@ -149,14 +167,74 @@ def test_quick_and_optimised_compute_programs_compute_the_same_bits(monkeypatch:
     for mode in ("quick", "optimised"):
         monkeypatch.setenv(KERNELS_ENVIRONMENT, mode)
         with rhi.create_device("cl") as device:
-            monkeypatch.setattr(context, "build_cached", note)
-            numbers = device.storage(float, np.linspace(-2, 2, 128, dtype=np.float32))
-            device.dispatch(device.program(Waves), 2, numbers=numbers)
-            results.append(numbers.read())
+            for module in (context, builds):
+                monkeypatch.setattr(module, "build_cached", note)
+            results.append(run_waves(device, device.program(Waves)))
             monkeypatch.undo()
     assert options == [context.QUICK, ()]
     np.testing.assert_array_equal(*results)
     assert len(np.unique(results[0])) > 100
+
+
+def run_waves(device: Device, program: Program[...]) -> NDArray[Any]:
+    numbers = device.storage(float, np.linspace(-2, 2, 128, dtype=np.float32))
+    device.dispatch(program, 2, numbers=numbers)
+    return numbers.read()
+
+
+def test_a_compute_program_that_was_prepared_waits_for_no_build(
+    monkeypatch: pytest.MonkeyPatch, device: Device
+) -> None:
+    """Another process optimises it, before it is dispatched for the first time; one that wasn't is built there."""
+    built: list[cache.Request] = []
+    compile = builds.Builds.compile
+
+    def note(made: builds.Builds, request: cache.Request, quick: bool = False) -> Any:
+        built.append(request)
+        return compile(made, request, quick)
+
+    monkeypatch.setattr(builds.Builds, "compile", note)
+    prepared, other = device.program(Waves), device.program(Backwards)
+    end = device.prepare(prepared)
+    assert device.is_building
+    end.result()
+    assert comes_true(lambda: not device.is_building)
+    first = run_waves(device, prepared)
+    assert not built
+    run_waves(device, other)
+    assert len(built) == 1
+    monkeypatch.setenv(KERNELS_ENVIRONMENT, "quick")
+    with rhi.create_device("cl") as quick:
+        np.testing.assert_array_equal(run_waves(quick, quick.program(Waves)), first)
+
+
+def test_hot_compute_programs_are_optimised_and_compute_the_same(
+    monkeypatch: pytest.MonkeyPatch, device: Device
+) -> None:
+    monkeypatch.setattr(builds, "HOT", 0)
+    program = device.program(Waves)
+    first = run_waves(device, program)
+    device.finish()
+    run_waves(device, program)  # its own time is known by now
+    assert comes_true(lambda: not device.is_building)
+    compute = find_compute(device, program)
+    for is_quick in (False, False):
+        np.testing.assert_array_equal(run_waves(device, program), first)
+        assert compute._kernel is not None
+        assert compute._kernel.is_quick is is_quick
+
+
+def test_a_kernel_that_ends_its_compiler_is_left_as_it_is_and_the_next_is_optimised(
+    device: Device,
+) -> None:
+    program, other = device.program(Harmful), device.program(Backwards)
+    launch = builds.Launch(("compute",), ((bytes(8), (0,)), 0))  # an address that isn't memory of the driver's
+    find_compute(device, program)._optimisation.launch = launch  # type: ignore[union-attr]
+    device.prepare([rhi.DrawPlan(program), rhi.DrawPlan(other)]).result()
+    prepared = [find_compute(device, one)._optimisation.program for one in (program, other)]  # type: ignore[union-attr]
+    assert prepared[0] is None
+    assert prepared[1] is not None
+    assert len(np.unique(run_waves(device, program))) > 100
 
 
 def test_hot_kernels_are_optimised_and_draw_the_same(
@@ -228,7 +306,7 @@ def test_of_launches_in_flight_one_is_timed_and_stands_for_all() -> None:
 
 def test_the_kernels_that_took_most_time_are_optimised_first(device: Device) -> None:
     made, request = find_builds(device), find_builds(device).request("", ())
-    jobs = [builds.Optimisation(request, made) for _ in range(3)]
+    jobs = [builds.Optimisation(request, builds.Launch((), ()), made) for _ in range(3)]
     made._jobs += [(job, Future()) for job in jobs]
     jobs[0].heat, jobs[1].heat, jobs[2].heat = 0.5, 2.0, 1.0  # they get warm while they wait
     assert [made._find_job()[0] for _ in jobs] == [jobs[1], jobs[2], jobs[0]]  # type: ignore[index]
@@ -294,7 +372,7 @@ def test_closing_a_device_does_not_wait_for_kernels_that_are_optimised(monkeypat
     monkeypatch.setattr(compiler, "select", SimpleNamespace(select=halt))
     monkeypatch.delenv(KERNELS_ENVIRONMENT, raising=False)
     monkeypatch.setattr(builds, "HOT", 0)
-    monkeypatch.setattr(builds.Builds, "is_cached", lambda self, text: False)
+    monkeypatch.setattr(builds.Builds, "is_cached", lambda self, *_: False)
     monkeypatch.setattr(cache.KernelCache, "knows", lambda *given: False)
     killer = threading.Timer(20.0, lambda: [process.kill() for process in processes])
     killer.start()
@@ -312,7 +390,7 @@ def test_closing_a_device_does_not_wait_for_kernels_that_are_optimised(monkeypat
 
 def test_a_process_that_refuses_a_kernel_goes_on_with_others(device: Device) -> None:
     compiler = Compiler(find_builds(device)._context.device)
-    job = Job("kernel void k(ulong address) {}", (), ("k",), bytes(64), (0,), 64, "")
+    job = Job("kernel void k(ulong address) {}", (), ("k",), ((bytes(64), (0,)),), "")
     try:
         with pytest.raises(ValueError, match="refused"):
             compiler.compile(job._replace(source="undeclared"))

@@ -3,10 +3,11 @@
 PoCL has one compiler per process, and while it generates machine code, no kernel can be launched. The other process
 runs this file as a script: it imports nothing of rhi, which would take longer than a kernel.
 
-- Machine code is generated at a kernel's first launch. So the process launches each kernel with an empty batch, which
-  it reads and leaves.
-- The process isn't killed, since a half-written file in the cache would harm those who read it: when its device is
-  closed, it finishes its kernels and ends. Until then it holds the lock of what it writes.
+- Machine code is generated at a kernel's first launch. So the process launches a work-group of each kernel, with memory
+  of zeros: with these a draw has nothing to do, and a dispatch little. A kernel that they harm ends the process, and
+  the device goes on with the kernel that it has.
+- Otherwise the process isn't killed, since a half-written file in the cache would harm those who read it: when its
+  device is closed, it finishes its kernels and ends. Until then it holds the lock of what it writes.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from typing import IO, Any, Final, NamedTuple
 _NICE: Final = 10  # frames go first
 _PATIENCE: Final = 0.02  # seconds that closing a device waits at most
 _LOCKED: Final = 20  # seconds that a lock is waited for
+_LONGEST: Final = 60.0  # seconds of the processor that a program may take: zeros may make a loop endless
+_ZEROS: Final = 1 << 16  # bytes of zeros
 
 
 class Job(NamedTuple):
@@ -30,18 +33,15 @@ class Job(NamedTuple):
 
     Attributes:
         source: OpenCL C, or the driver's LLVM code of a program.
-        names: those of which machine code is generated. If there are none, the program is compiled and not linked.
-        table: the table that each of them is launched with.
-        addresses: the offsets of addresses in the table; they are set to memory of `zeros` bytes, all 0.
+        names, arguments: those of `rhi.backends.cl.builds.Launch`. Without names, the program is compiled and not
+            linked.
         lock: a file to lock meanwhile; empty for none.
     """
 
     source: str | bytes
     options: tuple[str, ...]
     names: tuple[str, ...]
-    table: bytes
-    addresses: tuple[int, ...]
-    zeros: int
+    arguments: tuple[Any, ...]
     lock: str
 
 
@@ -108,19 +108,33 @@ def _serve(platform_name: str, version: str, index: int, jobs: IO[bytes], answer
     context = cl.Context([platforms[0].get_devices()[index]])
     queue = cl.CommandQueue(context)
     while True:
-        source, options, names, table, addresses, zeros, path = pickle.load(jobs)
+        source, options, names, arguments, path = pickle.load(jobs)
         lock = None
         try:
             lock = _lock(path)
+            _limit_time()
             program = cl.Program(context, *((source,) if isinstance(source, str) else (context.devices, [source])))
             program = program.build(["-w", *options]) if names else program.compile(["-w", *options])
             for name in names:
-                memory = np.zeros((zeros + 2 * len(table)) // 8, np.uint64)
-                memory[: len(table) // 8] = np.frombuffer(table, np.uint64)
-                memory[np.array(addresses) // 8] = memory.ctypes.data + -(-len(table) // 64) * 64
                 kernel = cl.Kernel(program, name)
-                kernel.set_arg(0, np.uint64(memory.ctypes.data))
-                cl.enqueue_nd_range_kernel(queue, kernel, (1,), (1,)).wait()
+                memories: list[Any] = []
+                for place, argument in enumerate(arguments):
+                    if isinstance(argument, int):
+                        kernel.set_arg(place, np.int32(argument))
+                        continue
+                    contents, addresses = (argument, None) if isinstance(argument, bytes) else argument
+                    memory = np.zeros((len(contents) // 64 * 64 + 64 + _ZEROS) // 8, np.uint64)
+                    memory[: len(contents) // 8] = np.frombuffer(contents, np.uint64)
+                    memories.append(memory)
+                    if addresses is None:
+                        memories.append(cl.Buffer(context, cl.mem_flags.USE_HOST_PTR, hostbuf=memory))
+                        kernel.set_arg(place, memories[-1])
+                    else:
+                        memory[np.array(addresses) // 8] = memory.ctypes.data + len(contents) // 64 * 64 + 64
+                        kernel.set_arg(place, np.uint64(memory.ctypes.data))
+                items = kernel.get_work_group_info(cl.kernel_work_group_info.COMPILE_WORK_GROUP_SIZE, queue.device)
+                group = tuple(items) if any(items) else (1,)
+                cl.enqueue_nd_range_kernel(queue, kernel, group, group).wait()
         except (cl.Error, TimeoutError):
             pickle.dump(False, answers)
         else:
@@ -129,6 +143,14 @@ def _serve(platform_name: str, version: str, index: int, jobs: IO[bytes], answer
             if lock is not None:
                 lock.close()
         answers.flush()
+
+
+def _limit_time() -> None:
+    """End the process if it takes longer than `_LONGEST` from now on."""
+    import signal
+
+    with suppress(AttributeError):  # a system without such timers
+        signal.setitimer(signal.ITIMER_VIRTUAL, _LONGEST)
 
 
 def _lock(path: str) -> IO[bytes] | None:

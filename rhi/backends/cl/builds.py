@@ -1,4 +1,4 @@
-"""Builds of the kernels that draw: quickly at first, optimised later by other processes.
+"""Builds of kernels: quickly at first, optimised later by other processes.
 
 - An optimised kernel takes PoCL up to ten times as long as one that isn't, and draws 1.2 to 2.5 times as fast. So a
   kernel is at first compiled without optimisation, unless the optimised one is in the cache on disk. When its launches
@@ -6,9 +6,8 @@
 - The kernel that has taken most time is optimised first.
 - PoCL compiles one kernel at a time per process, and no kernel can be launched while it generates machine code. So
   other processes optimise kernels into the cache (`compiler.py`), from which a thread takes them.
-- `Kernel.optimise` begins that before the kernel is hot.
-- `RHI_KERNELS=quick` keeps the first kernels (and compute programs aren't optimised either, `ClContext.compile`),
-  `RHI_KERNELS=optimised` builds optimised ones at once. Drivers whose
+- `Optimisation.begin` begins that before the kernel is hot, or there at all.
+- `RHI_KERNELS=quick` keeps the first kernels, `RHI_KERNELS=optimised` builds optimised ones at once. Drivers whose
   cache isn't a folder (`rhi.backends.cl.pocl.cache`) always do the latter.
 - The logger `rhi.kernels` reports at level INFO how many kernels are built. Cached kernels aren't reported.
 """
@@ -20,7 +19,7 @@ import os
 import threading
 from collections.abc import Sequence
 from concurrent.futures import Future
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import pyopencl as cl
@@ -28,7 +27,6 @@ import pyopencl as cl
 from rhi.backends.cl.context import (
     FLUSHES_DENORMALS,
     KERNELS_ENVIRONMENT,
-    PAGE,
     QUICK,
     ClContext,
     build_again,
@@ -36,11 +34,10 @@ from rhi.backends.cl.context import (
 )
 from rhi.backends.cl.pocl.binaries import LARGE_GRID
 from rhi.backends.cl.pocl.cache import Request, make_mark
-from rhi.backends.cl.raster.tables import BATCH_STRUCT
 
 if TYPE_CHECKING:
+    from rhi.backends.cl.pocl.compiler import Compiler
     from rhi.backends.cl.pocl.held_programs import HeldProgram
-    from rhi.backends.cl.raster.compiler import Compiler
 
 LOGGER: Final = logging.getLogger("rhi.kernels")
 HOT: Final = 0.02
@@ -50,20 +47,35 @@ _ARGUMENTS: Final = (np.uint64,)
 """The types of the arguments of kernels that draw: the address of a batch table."""
 
 
+class Launch(NamedTuple):
+    """The launches of a program's kernels by which another process has their machine code generated.
+
+    Attributes:
+        names: the kernels.
+        arguments: those of each kernel: an integer of 32 bits; bytes, which memory begins with before its zeros; or the
+            address of such memory, given as the bytes and the offsets in them of further addresses of zeros.
+    """
+
+    names: tuple[str, ...]
+    arguments: tuple[int | bytes | tuple[bytes, tuple[int, ...]], ...]
+
+
 class Optimisation:
     """Optimised kernels, in the course of being built.
 
     Attributes:
         request: their source code.
+        launch: how they are launched at first.
         program: None until they are built.
         done: the end of the build, with or without success; None until it begins.
         heat: seconds that launches of the kernels to be replaced have taken.
     """
 
-    __slots__ = ("_builds", "done", "heat", "program", "request")
+    __slots__ = ("_builds", "done", "heat", "launch", "program", "request")
 
-    def __init__(self, request: Request, builds: Builds) -> None:
+    def __init__(self, request: Request, launch: Launch, builds: Builds) -> None:
         self.request = request
+        self.launch = launch
         self.program: HeldProgram | None = None
         self.done: Future[None] | None = None
         self._builds = builds
@@ -85,9 +97,9 @@ class Optimisation:
 
 
 class Kernel:
-    """A kernel that draws. Its only argument is the address of a batch table."""
+    """A kernel, which is replaced as soon as it has been optimised."""
 
-    __slots__ = ("_items", "_name", "_optimisation", "_program", "_timed")
+    __slots__ = ("_items", "_name", "_optimisation", "_timed", "program")
 
     def __init__(self, program: HeldProgram, name: str, optimisation: Optimisation | None = None) -> None:
         """`optimisation`: what is going to replace the kernel, if anything."""
@@ -98,7 +110,7 @@ class Kernel:
         self._take(program)
 
     def _take(self, program: HeldProgram) -> None:
-        self._program = program
+        self.program = program
 
     @property
     def is_quick(self) -> bool:
@@ -109,23 +121,34 @@ class Kernel:
         """Begin to optimise the kernel; return the end of that, or None if there is nothing to do."""
         return None if self._optimisation is None else self._optimisation.begin()
 
-    def launch(self, queue: cl.CommandQueue, batch: int, items: int) -> cl.Event:
-        """Enqueue `items` work-items on the batch table at this address."""
+    def find(self, items: int) -> cl.Kernel:
+        """Return the kernel, of which `items` work-items are going to be launched."""
+        self._renew(items)
+        return self.program.find(self._name)
+
+    def _renew(self, items: int) -> None:
         optimisation = self._optimisation
         if optimisation is not None:
             if optimisation.program is not None:
                 self._take(optimisation.program)
-                self._optimisation = self._timed = optimisation = None
+                self._optimisation = self._timed = None
             else:
                 optimisation.warm(items, self._take_time())
-        if items >= LARGE_GRID:
-            self._program.complete()
-        kernel = self._program.find(self._name)
-        kernel.set_args(batch)  # with the argument's type set, 20 times as fast as `set_arg`
-        event: cl.Event = cl.enqueue_nd_range_kernel(queue, kernel, (items,), (1,))
-        if optimisation is not None:
+
+    def watch(self, event: cl.Event, items: int) -> cl.Event:
+        """Note, and return, the event of that launch."""
+        if self._optimisation is not None:
             self._timed, self._items = self._timed or (event, items), self._items + items
         return event
+
+    def launch(self, queue: cl.CommandQueue, batch: int, items: int) -> cl.Event:
+        """Enqueue `items` work-items of a kernel that draws, whose only argument is the address of a batch table."""
+        self._renew(items)
+        if items >= LARGE_GRID:
+            self.program.complete()
+        kernel = self.program.find(self._name)
+        kernel.set_args(batch)  # with the argument's type set, 20 times as fast as `set_arg`
+        return self.watch(cl.enqueue_nd_range_kernel(queue, kernel, (items,), (1,)), items)
 
     def _take_time(self) -> float:
         """Return the seconds of the launches so far, as soon as the first of them has ended: the others are given as
@@ -164,27 +187,34 @@ class Builds:
         self._closed = False
         self.built = self.quick_work = 0
 
+    @property
+    def is_building(self) -> bool:
+        """Whether kernels are being optimised."""
+        return self._waiting > 0
+
     def request(self, source: str, names: Sequence[str], flushes_denormals: bool = False) -> Request:
-        """Return the request for kernels; `flushes_denormals`: whether numbers below 2^-126 count as 0 in them."""
+        """Return the request for kernels.
+
+        Args:
+            names: those that draw. A compute program has none, since its kernel takes other arguments.
+            flushes_denormals: whether numbers below 2^-126 count as 0 in them.
+        """
         return self._cache.request(source, [FLUSHES_DENORMALS] if flushes_denormals else [], names)
 
-    def build(self, request: Request) -> list[Kernel]:
-        """Return kernels, which are optimised later unless they are in the cache.
+    def build(self, request: Request, launch: Launch) -> list[Kernel]:
+        """Return the kernels of a request, which are optimised later unless they are in the cache.
 
         Raises:
             pyopencl.Error: the driver rejects the source code.
         """
-        is_quick = self.is_quick and not self.is_cached(request)
-        program, optimisation = self.compile(request, is_quick), self.optimise(request) if is_quick else None
+        is_quick = self.is_quick and not self.is_cached(request, launch)
+        optimisation = Optimisation(request, launch, self) if is_quick else None
+        program = self.compile(request, is_quick)
         return [Kernel(program, name, optimisation) for name in request.kernels]
 
-    def is_cached(self, request: Request) -> bool:
-        """Return whether optimised machine code of these kernels is in the cache."""
-        return self._cache.knows(request.key, request.kernels)
-
-    def optimise(self, request: Request) -> Optimisation:
-        """Return the optimisation of kernels, which hasn't begun."""
-        return Optimisation(request, self)
+    def is_cached(self, request: Request, launch: Launch) -> bool:
+        """Return whether optimised machine code of the kernels is in the cache."""
+        return self._cache.knows(request.key, launch.names)
 
     def compile(self, request: Request, quick: bool = False) -> HeldProgram:
         """Compile source code, or take it from the cache.
@@ -200,9 +230,12 @@ class Builds:
         self._count(count, 0)
         try:
             program = build_cached(self._context.context, self._cache, request, stored)
-            return self._context.hold(program, request, _ARGUMENTS)
+            return self._hold(program, request)
         finally:
             self._count(0, count)
+
+    def _hold(self, program: cl.Program, request: Request) -> HeldProgram:
+        return self._context.hold(program, request, _ARGUMENTS if request.kernels else None)
 
     def close(self) -> None:
         """End the other processes, and what they are doing."""
@@ -225,7 +258,7 @@ class Builds:
         if not self._optimises:
             done.set_result(None)
             return done
-        self._count(len(optimisation.request.kernels), 0)
+        self._count(len(optimisation.launch.names), 0)
         with self._lock:
             self._waiting += 1
             if self._waiting > len(self._threads) < min(os.cpu_count() or 1, _MOST_COMPILERS):
@@ -264,16 +297,18 @@ class Builds:
                     compiler = self._open_compiler()
                 if compiler is not None and not self._closed:
                     self._optimise(compiler, optimisation)
-            except (OSError, EOFError, ValueError, MemoryError, cl.Error):
-                pass  # the kernels at hand remain
+            except (OSError, EOFError):
+                compiler = None  # it ended; the kernels at hand remain
+            except (ValueError, MemoryError, cl.Error):
+                pass  # they remain, too
             finally:
                 with self._lock:
                     self._waiting -= 1
-                self._count(0, len(optimisation.request.kernels))
+                self._count(0, len(optimisation.launch.names))
                 done.set_result(None)
 
     def _open_compiler(self) -> Compiler | None:
-        from rhi.backends.cl.raster.compiler import Compiler  # which most programs never need
+        from rhi.backends.cl.pocl.compiler import Compiler  # which most programs never need
 
         with self._lock:
             if self._closed:  # what is left of the queue is dropped
@@ -284,25 +319,21 @@ class Builds:
 
     def _optimise(self, compiler: Compiler, optimisation: Optimisation) -> None:
         """Have kernels compiled into the cache, and load them."""
-        from rhi.backends.cl.raster.compiler import Job
+        from rhi.backends.cl.pocl.compiler import Job
 
-        request, cache = optimisation.request, self._cache
+        request, launch, cache = optimisation.request, optimisation.launch, self._cache
         lock = cache.find_lock(request.key)
-
-        def compile_kernels(given: str | bytes, options: tuple[str, ...], names: tuple[str, ...]) -> None:
-            compiler.compile(Job(given, options, names, *_EMPTY_TABLE, lock))
-
-        if not cache.knows(request.key, request.kernels):
+        if not cache.knows(request.key, launch.names):
             if cache.takes_code and cache.read_code(request.key) is None:
                 mark = make_mark()
-                compile_kernels(*request.write(mark), ())
+                compiler.compile(Job(*request.write(mark), (), (), lock))
                 cache.keep_code(request.key, mark)
-            compile_kernels(*cache.choose(request), request.kernels)
+            compiler.compile(Job(*cache.choose(request), *launch, lock))
             cache.record(request.key)
-        if cache.knows(request.key, request.kernels):
+        if cache.knows(request.key, launch.names):
             code, options = cache.choose(request)
             program = build_again(self._context.context, cache.make_binary(request) or code, options)
-            optimisation.program = self._context.hold(program, request, _ARGUMENTS)
+            optimisation.program = self._hold(program, request)
 
     def _count(self, begun: int, done: int) -> None:
         if not begun and not done:
@@ -311,19 +342,3 @@ class Builds:
             self._begun += begun
             self._done += done
             LOGGER.info("building kernels, %d of %d", self._done, self._begun)
-
-
-def _describe_empty_table() -> tuple[bytes, tuple[int, ...], int]:
-    """Return a batch table without draws, the offsets of its addresses, and the bytes of zeros that these address."""
-    table = np.zeros((), BATCH_STRUCT)
-    table["tiles"] = table["tiles_x"] = table["bounded"] = 1
-    places: list[int] = []
-    for name in BATCH_STRUCT.names or ():
-        assert BATCH_STRUCT.fields is not None
-        dtype, offset, *_ = BATCH_STRUCT.fields[name]
-        if dtype.base == np.uint64:
-            places += range(offset, offset + dtype.itemsize, 8)
-    return table.tobytes(), tuple(places), 16 * PAGE
-
-
-_EMPTY_TABLE: Final = _describe_empty_table()
