@@ -362,6 +362,7 @@ class Renderer:
         self.simulator.slow_down(around, self._targets.size[1], self._animation_lag)
         eyes = [self._view] if pair is None or pair.stereo.is_reprojected else [self._view, pair.view]
         resources.update(*(eye.camera for eye in eyes))
+        resources.hidden.begin_frame(None if self.simulates_unseen or pair is not None else around)
         resources.expect(around, expected, self.simulator.diverging if self.simulates_unseen else None)
         needs = self._find_needs(around, self._seen.settle(around))
         plan = self._plan(needs)
@@ -372,6 +373,8 @@ class Renderer:
         left = Frame(device, self._view, resources, self._targets, needs, precision=self.precision)
         frames = [left]
         self._run(plan, left)
+        if left.statistics is not None:
+            left.drawn.note_hidden()
         if pair is not None:
             right = Frame(device, pair.view, resources, pair.targets, needs, left, self.precision)
             frames.append(right)

@@ -88,6 +88,17 @@ class Drawn:
         """Record that a list was drawn."""
         self._lists.append((draws, draws.generation))
 
+    def note_hidden(self) -> None:
+        """Note what the frame has hidden, or ask the device for it. Doesn't wait."""
+        hidden = self._resources.hidden
+        if not hidden.are_watched:
+            return
+        if self._lists:
+            hidden.ask(self._lists[-1][0].read_marks)
+            return
+        conditional = [step[0] for step in self._steps if not isinstance(step, np.ndarray)]
+        hidden.note(self.rows, np.concatenate([np.zeros(0, np.int64), *conditional]))
+
     @property
     def transparent(self) -> NDArray[np.int64]:
         """The rows of the transparent objects; their order is that in which they were found."""
@@ -203,8 +214,8 @@ class TechniquePass:
 
     @property
     def arrays(self) -> SceneArrays:
-        """The scene's buffers, up to date for every object that may be in view: of what reads them, the CPU learns too
-        late which objects it draws."""
+        """The scene's buffers, up to date for every object that may be in view and doesn't rest: of what reads them,
+        the CPU learns too late which objects it draws."""
         self._simulate_in_view()
         return self._resources.list_arrays(self._view.buffer)
 
@@ -316,8 +327,8 @@ class TechniquePass:
 
     def draw_conditional(self, rows: NDArray[np.int64], queries: QuerySet, answers: NDArray[np.int64]) -> None:
         """Draw the objects `rows` (k,), each on condition that row `answers[i]` (k,) of a query set counted a sample.
-        Objects with the same condition are drawn together, front to back."""
-        resources = self._begin_batch(rows)
+        Objects with the same condition are drawn together, front to back. What rests is drawn as it is."""
+        resources = self._begin_batch(rows[~self._resources.hidden.rests[rows]])
         if self._has_transparent:
             opaque = self._set_transparent_aside(rows)
             rows, answers = rows[opaque], answers[opaque]
@@ -368,7 +379,7 @@ class TechniquePass:
 
     def begin_list(self, draws: DeviceList) -> None:
         """Record that a list is drawn. Simulated objects that are not outside the view are run, since any of them may
-        be on it."""
+        be on it, but for those that rest."""
         self._simulate_in_view()
         if self.drawn.is_known:  # transparent objects are on no list: all that aren't outside the view are drawn
             resources, camera = self._resources, self._view.camera
@@ -397,8 +408,9 @@ class TechniquePass:
     def _simulate_in_view(self) -> None:
         if not self._has_all_in_view:
             self._has_all_in_view = True
-            simulated = self._resources.simulator.objects
-            self._resources.simulate(self._resources.find_in_view(self._view.around, simulated), leave=self.close)
+            resources, simulated = self._resources, self._resources.simulator.objects
+            rows = resources.find_in_view(self._view.around, simulated[~resources.hidden.rests[simulated]])
+            resources.simulate(rows, leave=self.close)
 
     def __enter__(self) -> Self:
         return self

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules, shaders
+from renderer.frame.hidden import HiddenObjects
 from renderer.frame.images import AS_GIVEN, SceneImages, TextureSettings
 from renderer.frame.lamps import Lamps
 from renderer.frame.mirrors import (
@@ -96,6 +97,8 @@ class SceneResources:
         source_radii: the radii of lamps' sources, two channels: point lights, spot lights.
         ambient: the constants of ambient light.
         simulator: runs the simulations of what is drawn.
+        hidden: the objects that have been hidden for so long that they rest.
+        wake: brings height fields that rest to this frame's view, given rows among which they are.
     """
 
     def __init__(self, device: Device, scene: Scene, textures: TextureSettings = AS_GIVEN) -> None:
@@ -115,6 +118,8 @@ class SceneResources:
         self.scene = scene
         self._workspaces: Workspaces = self._keep(Workspaces(device))
         self.simulator: Simulator = scene.make_simulator()
+        self.hidden = HiddenObjects(scene, self.simulator.deformed)
+        self.wake: Callable[[NDArray[np.int64]], None] = lambda _: None
         self._held = np.zeros(len(scene.objects))  # by object, the state of the vertices on the device
         self._device = device
         self._material_version = -1  # that of the materials on the device
@@ -263,6 +268,10 @@ class SceneResources:
         Args:
             leave: ends a render pass that may be open; called if the device computes vertices.
         """
+        if is_drawn and (resting := rows[self.hidden.rests[rows]]).size:
+            if leave is not None:
+                leave()
+            self.wake(resting)
         computed = self._is_computed
         if computed is not None and leave is not None and self.simulator.is_due(rows[computed[rows]]):
             leave()

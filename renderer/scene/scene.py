@@ -135,7 +135,7 @@ class Scene:
         self._table = MaterialTable() if table is None else table
         self.shaders: tuple[OwnShader, ...] = tuple(self._table.shaders)
         self.parameters = parameters
-        self._known_parameters = tuple(one.copy() for one in parameters)
+        self._known_parameters = [one.tobytes() for one in parameters]  # copies of arrays have other padding
         self._features = MaterialFeatures(materials, self.textures, samplers, self.shaders)
         self._last_material = int(objects.material.max(initial=-1))
         self._edits = 0  # how often other objects were shown, or objects got other meshes or materials
@@ -176,10 +176,10 @@ class Scene:
             refuse(rules.BAD_INDEX, "Scene.refresh", given, allowed)
         self._features.refresh(self.materials)
         self.lights.refresh()
-        for values, known in zip(self.parameters, self._known_parameters, strict=True):
-            if values.tobytes() != known.tobytes():
-                known[:] = values
-                self._edits += 1
+        known = [values.tobytes() for values in self.parameters]
+        if known != self._known_parameters:
+            self._known_parameters = known
+            self._edits += 1
         moved = self.nodes.update()
         if self.nodes.update_hidden():
             self.objects.shown[:] = ~self.nodes.hidden[self.objects.node]

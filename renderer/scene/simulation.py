@@ -200,6 +200,7 @@ class Simulator:
     Attributes:
         simulations: copies of the scene's simulations, in the order of `Scene.simulated`.
         objects: rows of the objects that are simulated only where they are drawn, ascending.
+        deformed: those of them whose vertices are simulated, and nothing that they stand on.
         diverging: those of them that an absence leaves in another state than if they had always been drawn.
         seconds: the time of the frame.
         steps: number of steps that members took since `begin_frame`.
@@ -223,6 +224,7 @@ class Simulator:
         owner = np.repeat(np.arange(len(objects)), np.diff(self._starts))
         self._has_nodes[owner[self._slots != self._slot_of[owner]]] = True
         self.objects: Rows = objects.simulated_rows
+        self.deformed: Rows = self.objects[(self._slot_of >= 0)[self.objects] & ~self._has_nodes[self.objects]]
         diverges = np.array([not one.simulation.catch_up.returns_exactly(len(one)) for one in self._begin], bool)
         self.diverging: Rows = np.intersect1d(owner[diverges[self._which[self._slots]]], self.objects)
         always = np.zeros(len(self._which), bool)

@@ -36,6 +36,7 @@ from renderer.frame import (
     find_states,
 )
 from renderer.frame.mirrors import MirroredTable, MirroredValue, split_doubles
+from renderer.frame.resources import DRAW_GROUPS
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
 from renderer.shaders.depth import DepthOnly
@@ -441,12 +442,12 @@ class ShadowMaps:
                             device.draw(device.program(FarDepth), self._triangle)
                     for masked, programs in kinds:
                         drawn = rows if len(kinds) == 1 else rows[is_masked[rows] == masked]
-                        for group in resources.groups:
-                            part = drawn[resources.find_group(drawn, group)]
-                            if part.size:
-                                program, bindings = choose_program(programs, group)
-                                with device.states(*find_states(group)):
-                                    resources.draw_rows(device, program, bindings | {"view": one.view.buffer}, part)
+                        groups = resources.group[drawn] % (len(DRAW_GROUPS) * len(programs))  # with one, by states
+                        for group in np.unique(groups).tolist():
+                            program, bindings = choose_program(programs, group)
+                            view = {"view": one.view.buffer}
+                            with device.states(*find_states(group)):
+                                resources.draw_rows(device, program, bindings | view, drawn[groups == group])
 
     def _report(self, key: MapKey, state: str, because: str, wanted: WantedMap | None = None) -> None:
         self._reported.append((key, state, because, wanted))

@@ -13,7 +13,7 @@ import numpy as np
 
 from renderer.frame import Effect, Frame, Needs, Pass, SceneResources
 from renderer.scene import Camera, HeightField
-from renderer.scene.arrays import Floats
+from renderer.scene.arrays import Floats, Rows
 from renderer.tessellation.kernels import (
     COUNTERS,
     GROUP,
@@ -151,13 +151,21 @@ class Tessellator:
         self.fields: list[Tessellation] = []
         self._device = device
 
-    def update(self, resources: SceneResources, camera: Camera, height: int) -> None:
-        """Choose the triangles for what `camera` sees in an image of `height` pixels."""
+    def update(self, resources: SceneResources, camera: Camera, height: int, *, has_shadows: bool = False) -> None:
+        """Choose the triangles for what `camera` sees in an image of `height` pixels. Fields that rest and cast no
+        shadow keep theirs until they are drawn, and then have those of this frame."""
         if not self.fields:
             rows = resources.scene.height_fields
             self.fields = [Tessellation(self._device, resources, row) for row in rows]
-        for field in self.fields:
-            field.update(camera, self.settings, height)
+
+        def choose(rows: Rows) -> None:
+            for field in self.fields:
+                if field.row in rows:
+                    field.update(camera, self.settings, height)
+
+        casts = resources.scene.objects.casts_shadow & has_shadows
+        choose(np.flatnonzero(~resources.hidden.rests | casts))
+        resources.wake = choose
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
@@ -177,7 +185,8 @@ def tessellation_passes(needs: Needs) -> list[Pass[Frame]]:
 def _update(frame: Frame) -> None:
     if frame.device.capabilities.compute:  # the second of two eyes asks for the same as the first
         tessellator = frame.resources.workspace(Tessellator)
-        tessellator.update(frame.resources, frame.view.around, frame.targets.size[1])
+        has_shadows = frame.needs.casts_shadows
+        tessellator.update(frame.resources, frame.view.around, frame.targets.size[1], has_shadows=has_shadows)
 
 
 def view_field(world: Floats, camera: Camera, settings: TessellationSettings, height: int) -> FieldView:

@@ -18,7 +18,7 @@ from renderer import rules
 from renderer.scene import Camera
 from renderer.scene.arrays import Rows
 from renderer.shaders import MeshPart, Object, ObjectPosition, ViewConstants
-from rhi import Encoder, IndirectDraws, QuerySet, Texture, refuse
+from rhi import Encoder, IndirectDraws, QuerySet, Readback, Texture, refuse
 from rhi.shading import StorageRange, UniformRange
 
 
@@ -56,6 +56,10 @@ class DeviceList(Protocol):
     def read_rows_async(self) -> Callable[[], Rows]:
         """Begin to read the rows of the listed objects, and return a function that returns them. That waits for the
         device."""
+        ...
+
+    def read_marks(self, first: int, count: int) -> Readback:
+        """Begin to read the marks (`count`,) of the objects from row `first` on: `occludees.HIDDEN` and others."""
         ...
 
 

@@ -21,11 +21,11 @@ from renderer.lab.exam.scenes import look, show_something
 from renderer.lab.measure.judge import Judge
 from renderer.lab.measure.judge.picture import unmap_tones
 from renderer.lab.measure.judge.surfaces import decode_srgb
-from renderer.scene import AlphaMode, Camera, Fog, Orthographic, Scene, SceneBuilder, TextureMap, scaling, translation
+from renderer.scene import AlphaMode, Camera, Fog, Glow, Orthographic, Scene, SceneBuilder, TextureMap
 from renderer.scene.arrays import Floats
 from renderer.settings import RenderSettings
 from rhi import Device, SamplerDescriptor
-from rhi.math import multiply, rotation
+from rhi.math import multiply, rotation, scaling, translation
 
 SIZE: Final = (64, 36)
 WIDE: Final = (128, 72)
@@ -49,10 +49,12 @@ class Judged:
 
 
 def judge(scene: Scene, camera: Camera, size: tuple[int, int] = SIZE) -> Judged:
-    """Return what the judge sees of a scene."""
+    """Return what the judge sees of a scene, without its glow."""
+    glow, scene.glow = scene.glow, None
     seen, camera = Judge(scene), camera.with_aspect(size[0] / size[1])
     places = [(0.5, 0.5), *((0.5 + x, 0.5 + y) for x in (-_BESIDE, _BESIDE) for y in (-_BESIDE, _BESIDE))]
     levels = [seen.draw(camera, size, at=place) for place in places]
+    scene.glow = glow
     return Judged(levels[0], np.minimum.reduce(levels), np.maximum.reduce(levels))
 
 
@@ -143,7 +145,8 @@ def make_lit() -> Sights:
 
 
 def make_bright() -> Sights:
-    """Make surfaces in the light of lamps that is far beyond white, and beyond the largest half float."""
+    """Make surfaces in the light of lamps that is far beyond white, and beyond the largest half float; in one
+    picture light is half floats, of which a billionth glows."""
     builder = SceneBuilder("bright")
     builder.lights.sky = builder.lights.ground = (0.02, 0.02, 0.02)
     _place(builder, *_FLOOR, base_color=(0.5, 0.4, 0.3), specular_color=(0.0, 0.0, 0.0))
@@ -152,8 +155,11 @@ def make_bright() -> Sights:
                specular_color=(0.0, 0.0, 0.0))  # fmt: skip
         for side in (-0.3, 0.3):
             builder.lights.add_point((x + side, 2.0, 0.9), 3.5, intensity=strength)
-    scene, camera = builder.build(), look((0.0, 3.0, 7.0), (0.0, 0.3, 0.0))
-    return {name: (scene, camera, name) for name in ("forward", "deferred", "light_pre_pass")}
+    _place(builder, "box", (-1.5, 0.3, 2.0), (0.6, 0.6, 0.6), base_color=(0.9, 0.5, 0.1), emission=3.0)
+    camera, scene, glowing = look((0.0, 3.0, 7.0), (0.0, 0.3, 0.0)), builder.build(), builder.build()
+    glowing.glow = Glow(1e-9)
+    shown = {name: (scene, camera, name) for name in ("forward", "deferred", "light_pre_pass")}
+    return shown | {"glow": (glowing, camera, "forward")}
 
 
 def make_glass() -> Sights:

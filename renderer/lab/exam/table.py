@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from renderer import rules
-from renderer.lab.exam import absolute, encodings, inputs, lights, limits, places, plans, shadows, stereo, visibility
+from renderer.lab.exam import absolute, encodings, inputs, lights, limits, places, plans, seams, shadows, stereo
+from renderer.lab.exam import visibility as culling
 from renderer.lab.exam.case import Case
 from rhi import refuse
 
-_SUBJECTS: Final = (visibility, lights, encodings, places, stereo, shadows, plans, inputs, limits, absolute)
+_SUBJECTS: Final = (culling, lights, encodings, places, stereo, shadows, plans, inputs, limits, absolute, seams)
 MEASURES: Final = {number: measure for subject in _SUBJECTS for number, measure in subject.MEASURES.items()}
 
 

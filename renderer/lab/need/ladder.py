@@ -16,6 +16,7 @@ import numpy as np
 
 from renderer.content import BUILT_IN
 from renderer.content.fountains import BOUNDS, Fountains, make_drops
+from renderer.content.material_shaders import Marble
 from renderer.layers.overlay import Overlay
 from renderer.layers.particles import Particles
 from renderer.renderer import Renderer
@@ -107,9 +108,9 @@ def _place_textured(builder: SceneBuilder) -> int:
     return material
 
 
-def _place_ball(builder: SceneBuilder) -> int:
-    material = builder.add_material(base_color=(0.9, 0.72, 0.35))
-    node = builder.add_node(translation((-1.7, 0.45, 1.2)) @ np.diag([0.45, 0.45, 0.45, 1.0]))
+def _place_ball(at: tuple[float, float, float], given: dict[str, Any], builder: SceneBuilder) -> int:
+    material = builder.add_material(**given)
+    node = builder.add_node(translation(at) @ np.diag([0.45, 0.45, 0.45, 1.0]))
     builder.add_objects(node, builder.add_mesh(BUILT_IN["sphere"]()), material)
     return material
 
@@ -255,8 +256,16 @@ LADDER: Final = (
         "metal",
         "a ball of metal",
         Footprint("metal", words=("metal_surface",)),
-        _place_ball,
+        partial(_place_ball, (-1.7, 0.45, 1.2), {"base_color": (0.9, 0.72, 0.35)}),
         _switch_metal,
+    ),
+    Rung(
+        "marble",
+        "a ball whose material has a shader of its own",
+        Footprint(
+            "marble", words=("find_noise",), bindings=("parameters",), resources=("parameters of Marble",)
+        ),
+        partial(_place_ball, (-0.55, 0.45, 1.9), {"shader": Marble, "base_color": (0.8, 0.82, 0.9), "frequency": 3.0}),
     ),
     Rung(
         "emission",

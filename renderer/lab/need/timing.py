@@ -12,7 +12,7 @@ from functools import partial
 from typing import Final
 
 import rhi
-from renderer.frame import find_needs
+from renderer.frame import SeenFeatures, find_needs
 from renderer.lab.comparison import forget_commands
 from renderer.lab.measure import Measurement, alternate
 from renderer.lab.measure.alternate import Interval
@@ -97,9 +97,11 @@ def time_asking(device: rhi.Device, rounds: int) -> Asking:
     ascent = Ascent(device, 2)
     renderer, camera = ascent.renderer, move_eye(0).with_aspect(ascent.renderer.size[0] / ascent.renderer.size[1])
 
+    features = SeenFeatures(ascent.scene)
+
     def ask(_: int) -> None:
         for _turn in range(_ASKED):
-            find_needs(ascent.scene, camera, reaches=renderer.resources.reaching)
+            find_needs(ascent.scene, camera, reaches=renderer.resources.reaching, seen=features.settle(camera))
 
     def draw(_: int) -> None:
         ascent.render()

@@ -27,7 +27,7 @@ from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, Occludee, Occludees
 from renderer.visibility.repeated import clear
 from renderer.visibility.scene_pass import SceneArrays
-from rhi import DRAW, Device, Encoder, IndirectDraws, Program
+from rhi import DRAW, Device, Encoder, IndirectDraws, Program, Readback
 
 _BUCKETS: Final = 31
 """The number of distance classes with `DRAW_LISTS` parts: up to 1/8 m, then a half octave each up to 4 km, then all
@@ -235,6 +235,10 @@ class IndirectDrawList:
             return _find_rows([rows[count * part : count * part + size] for part, size in enumerate(sizes)])
 
         return wait
+
+    def read_marks(self, first: int, count: int) -> Readback:
+        """Begin to read the marks (`count`,) of the objects from row `first` on."""
+        return self._occludees.marks.read_async(first, count)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""

@@ -243,3 +243,16 @@ def test_textures_of_shaders_are_read_as_they_are() -> None:
     scene.set_material(plain, map=-1)
     assert scene.parameters[0]["map"][plain] == -1
     assert find_rule(lambda: scene.set_material(plain, normal_texture=row)) == "scene-no-tangents"
+
+
+def test_bytes_between_parameters_are_no_edit_in_each_frame() -> None:
+    builder = start()
+    scene = build(builder, builder.add_material(shader=Stripes, width=0.5))
+    scene.parameters[0].view(np.uint8).reshape(len(scene.materials), -1)[:, 4:16] = 7  # a copy of the array has others
+    scene.refresh()
+    version = scene.material_version
+    scene.refresh()
+    assert scene.material_version == version
+    scene.parameters[0]["width"] = 0.6
+    scene.refresh()
+    assert scene.material_version == version + 1

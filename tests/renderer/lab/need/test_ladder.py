@@ -131,6 +131,8 @@ def test_a_row_says_what_a_rung_adds_to_the_one_before() -> None:
     (shadow,) = count_need(find_rungs(["shadow"]))
     assert shadow.passes == ("shadow maps",)
     assert shadow.added["images"] == 2048**2 * 4
+    (marble,) = count_need(find_rungs(["marble"]))
+    assert marble.added["draws"] == 1, "shadow maps draw it with the others"
 
 
 def test_an_empty_scene_draws_nothing_and_clears_its_image() -> None:
