@@ -25,16 +25,6 @@ from numpy.typing import NDArray
 
 import rhi
 import rhi.shading as sl
-from rhi import (
-    Comparison,
-    CullMode,
-    DepthFunction,
-    DepthWrite,
-    Format,
-    PolygonOffset,
-    SamplerDescriptor,
-    Wrap,
-)
 from rhi.math import look_at, orthographic, perspective
 
 TILE: Final = 16
@@ -216,14 +206,14 @@ class Renderer:
         self.depth_only, self.shadow_only = device.program(Depth), device.program(Shadow)
         self.find_lamps, self.lit = device.program(FindLamps), device.program(Lit)
         self.sky = (*sl.evaluate(film_curve, HAZE).tolist(), 1.0)  # the shader's function, evaluated on NumPy
-        self.image = device.texture(size, Format.RGBA8_SRGB, label="image")
-        self.colors = device.texture(size, Format.RGBA8_SRGB, samples=samples, label="samples of color")
-        self.depths = device.texture(size, Format.D32F, samples=samples, label="samples of depth")
-        self.depth = device.texture(size, Format.D32F, label="depth")
-        self.shadow_map = device.texture((SHADOW_SIZE, SHADOW_SIZE), Format.D32F, label="shadow map")
-        border = Wrap.BORDER  # its depth is 0, the farthest one: points outside of the map are lit
+        self.image = device.texture(size, rhi.Format.RGBA8_SRGB, label="image")
+        self.colors = device.texture(size, rhi.Format.RGBA8_SRGB, samples=samples, label="samples of color")
+        self.depths = device.texture(size, rhi.Format.D32F, samples=samples, label="samples of depth")
+        self.depth = device.texture(size, rhi.Format.D32F, label="depth")
+        self.shadow_map = device.texture((SHADOW_SIZE, SHADOW_SIZE), rhi.Format.D32F, label="shadow map")
+        border = rhi.Wrap.BORDER  # its depth is 0, the farthest one: points outside of the map are lit
         self.shadow = self.shadow_map.sampled(
-            SamplerDescriptor(compare=Comparison.GREATER_EQUAL, mip=None, wrap_u=border, wrap_v=border)
+            rhi.SamplerDescriptor(compare=rhi.Comparison.GREATER_EQUAL, mip=None, wrap_u=border, wrap_v=border)
         )
         self.cube = device.mesh(*make_cube(), label="cube")
         boxes, self.first = make_boxes()
@@ -264,14 +254,14 @@ class Renderer:
         with device.event("depth"), device.render_pass(depth=self.depth, clear_depth=0.0):
             device.draw_many(self.depth_only, self.cube, draws, view=view, boxes=self.boxes)
         every = self.cube.draws(np.zeros(len(self.count), int), base_instance=np.arange(len(self.count)))
-        unseen = (CullMode.NONE, DepthWrite.OFF, DepthFunction.GREATER_EQUAL)
+        unseen = (rhi.CullMode.NONE, rhi.DepthWrite.OFF, rhi.DepthFunction.GREATER_EQUAL)
         with device.event("queries"), device.render_pass(depth=self.depth), device.states(*unseen):
             device.draw_counted(self.depth_only, self.cube, every, self.queries, view=view, boxes=self.bounds)
         self.is_queried = True
         with (
             device.event("shadows"),
             device.render_pass(depth=self.shadow_map, clear_depth=0.0),
-            device.states(PolygonOffset(slope=-2.0)),  # away from the sun, since depth is reversed
+            device.states(rhi.PolygonOffset(slope=-2.0)),  # away from the sun, since depth is reversed
         ):
             device.draw(self.shadow_only, self.cube, len(self.boxes), view=view, boxes=self.boxes)
         with device.event("lights"):

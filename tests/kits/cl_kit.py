@@ -11,34 +11,25 @@ from backend_kit import BackendKit
 from numpy.typing import NDArray
 
 from rhi.backends.cl.backend import ClBackend
-from rhi.contract.descriptors import (
-    Binding,
-    BindingKind,
-    Id,
-    ProgramDescriptor,
-    Region,
-    Stage,
-    StageText,
-    TextureDescriptor,
-)
+from rhi.contract import descriptors
 
 FILL = """
 __kernel void fill(__global uint *words, int count) {
     words[get_global_id(0)] = get_global_id(0) + count;
 }
 """
-STORAGE = (Binding("words", BindingKind.STORAGE, 0, True, None, 4),)
+STORAGE = (descriptors.Binding("words", descriptors.BindingKind.STORAGE, 0, True, None, 4),)
 
 
 def describe_program(
     source: str,
-    bindings: tuple[Binding, ...] = STORAGE,
+    bindings: tuple[descriptors.Binding, ...] = STORAGE,
     work_group: tuple[int, int, int] = (1, 1, 1),
     origins: tuple[tuple[str, int], ...] = (),
-) -> ProgramDescriptor:
-    return ProgramDescriptor(
-        "Native", frozenset({Stage.COMPUTE}), bindings, (), (), work_group,
-        lambda language, stage: StageText(source, origins),
+) -> descriptors.ProgramDescriptor:
+    return descriptors.ProgramDescriptor(
+        "Native", frozenset({descriptors.Stage.COMPUTE}), bindings, (), (), work_group,
+        lambda language, stage: descriptors.StageText(source, origins),
     )  # fmt: skip
 
 
@@ -51,16 +42,16 @@ class ClKit(BackendKit):
         super().__init__(backend)
         self._held: dict[cl.UserEvent, threading.Timer] = {}
 
-    def words(self, buffer: Id, count: int, offset: int = 0) -> list[int]:
+    def words(self, buffer: descriptors.Id, count: int, offset: int = 0) -> list[int]:
         return np.frombuffer(self.backend.read_buffer(buffer, offset, 4 * count), np.uint32).tolist()
 
-    def texture(self, descriptor: TextureDescriptor) -> Id:
+    def texture(self, descriptor: descriptors.TextureDescriptor) -> descriptors.Id:
         texture = self.new_id()
         self.backend.create_texture(texture, descriptor)
         return texture
 
-    def read(self, texture: Id, width: int, height: int, level: int = 0) -> NDArray[np.generic]:
-        return self.backend.read_texture(texture, level, Region(0, 0, width, height), False)[0]
+    def read(self, texture: descriptors.Id, width: int, height: int, level: int = 0) -> NDArray[np.generic]:
+        return self.backend.read_texture(texture, level, descriptors.Region(0, 0, width, height), False)[0]
 
     def hold(self) -> cl.UserEvent:
         """Hold back all further work until the returned event is released. It is released by itself after two minutes,
@@ -89,6 +80,6 @@ class ClKit(BackendKit):
         """Wait for all dispatches. Reads of `READBACK` buffers don't: they take what is there."""
         self.backend.context.queue.finish()
 
-    def dispatch(self, program: Id, groups: int = 1) -> None:
+    def dispatch(self, program: descriptors.Id, groups: int = 1) -> None:
         self.backend.bind_program(program)
         self.backend.dispatch(groups, 1, 1)

@@ -9,22 +9,7 @@ from backend_kit import BackendKit
 from numpy.typing import ArrayLike
 
 from rhi.backends.gl.backend import GlBackend
-from rhi.contract.descriptors import (
-    Attachment,
-    FragmentOutput,
-    Id,
-    PassDescriptor,
-    Primitive,
-    ProgramDescriptor,
-    Region,
-    Stage,
-    StageText,
-    TextureDescriptor,
-    VertexArrayDescriptor,
-    VertexAttribute,
-    VertexFormat,
-    VertexStream,
-)
+from rhi.contract import descriptors
 from rhi.contract.formats import Format
 from rhi.contract.states import PER_TARGET, State, StateChange
 
@@ -43,11 +28,14 @@ SIZE = 8
 
 def describe_program(
     vertex: str = VERTEX, fragment: str = FRAGMENT, origins: tuple[tuple[str, int], ...] = ()
-) -> ProgramDescriptor:
+) -> descriptors.ProgramDescriptor:
     """Describe a program of GLSL; `origins` are those of the fragment stage."""
-    sources = {Stage.VERTEX: StageText(vertex), Stage.FRAGMENT: StageText(fragment, origins)}
-    outputs = (FragmentOutput("color", 0, "float", 4),)
-    return ProgramDescriptor(
+    sources = {
+        descriptors.Stage.VERTEX: descriptors.StageText(vertex),
+        descriptors.Stage.FRAGMENT: descriptors.StageText(fragment, origins),
+    }
+    outputs = (descriptors.FragmentOutput("color", 0, "float", 4),)
+    return descriptors.ProgramDescriptor(
         "Native",
         frozenset(sources),
         (),
@@ -63,19 +51,21 @@ class GlKit(BackendKit):
 
     backend: GlBackend
 
-    def texture(self, texel: Format = Format.RGBA8, samples: int = 1) -> Id:
+    def texture(self, texel: Format = Format.RGBA8, samples: int = 1) -> descriptors.Id:
         texture = self.new_id()
-        self.backend.create_texture(texture, TextureDescriptor((SIZE, SIZE), texel, samples=samples))
+        self.backend.create_texture(texture, descriptors.TextureDescriptor((SIZE, SIZE), texel, samples=samples))
         return texture
 
-    def shape(self, program: Id, corners: ArrayLike) -> Id:
+    def shape(self, program: descriptors.Id, corners: ArrayLike) -> descriptors.Id:
         buffer = self.buffer(np.asarray(corners, np.float32).tobytes())
-        stream = VertexStream(buffer, 0, 8, False, (VertexAttribute(0, VertexFormat.FLOAT2, 0),))
+        stream = descriptors.VertexStream(
+            buffer, 0, 8, False, (descriptors.VertexAttribute(0, descriptors.VertexFormat.FLOAT2, 0),)
+        )
         shape = self.new_id()
-        self.backend.create_vertex_array(shape, VertexArrayDescriptor(program, (stream,)))
+        self.backend.create_vertex_array(shape, descriptors.VertexArrayDescriptor(program, (stream,)))
         return shape
 
-    def answer(self, query: Id) -> int:
+    def answer(self, query: descriptors.Id) -> int:
         while (answer := self.backend.read_query(query)) is None:
             pass
         return answer
@@ -83,12 +73,12 @@ class GlKit(BackendKit):
     def set(self, *states: State) -> None:
         self.backend.set_states([StateChange(type(s), (s,) * 8 if type(s) in PER_TARGET else s) for s in states])
 
-    def begin(self, target: Id, clear: Sequence[float] | None = (0, 0, 0, 0), **parts: object) -> None:
-        color = Attachment(target, clear=tuple(clear) if clear is not None else None)  # type: ignore[arg-type]
-        self.backend.begin_pass(PassDescriptor((SIZE, SIZE), (color,), **parts))  # type: ignore[arg-type]
+    def begin(self, target: descriptors.Id, clear: Sequence[float] | None = (0, 0, 0, 0), **parts: object) -> None:
+        color = descriptors.Attachment(target, clear=tuple(clear) if clear is not None else None)  # type: ignore[arg-type]
+        self.backend.begin_pass(descriptors.PassDescriptor((SIZE, SIZE), (color,), **parts))  # type: ignore[arg-type]
 
-    def draw(self, shape: Id, count: int = 3) -> None:
-        self.backend.draw(shape, Primitive.TRIANGLES, 0, count, 1, 0, 0)
+    def draw(self, shape: descriptors.Id, count: int = 3) -> None:
+        self.backend.draw(shape, descriptors.Primitive.TRIANGLES, 0, count, 1, 0, 0)
 
-    def read(self, texture: Id, stencil: bool = False) -> np.ndarray:
-        return self.backend.read_texture(texture, 0, Region(0, 0, SIZE, SIZE), stencil)[0]
+    def read(self, texture: descriptors.Id, stencil: bool = False) -> np.ndarray:
+        return self.backend.read_texture(texture, 0, descriptors.Region(0, 0, SIZE, SIZE), stencil)[0]

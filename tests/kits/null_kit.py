@@ -6,15 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import rhi
-from rhi.contract.descriptors import (
-    Attribute,
-    Binding,
-    BindingKind,
-    FragmentOutput,
-    ProgramDescriptor,
-    Stage,
-    StageText,
-)
+from rhi.contract import descriptors
 from rhi.contract.layout import FLOAT, VectorType
 from rhi.shading import Struct
 from rhi.shading.language.vectors import vec4
@@ -28,20 +20,20 @@ class Object(Struct):
     offset: vec4
 
 
-def hand_made_program(name: str = "flat", *bindings: Binding) -> ProgramDescriptor:
+def hand_made_program(name: str = "flat", *bindings: descriptors.Binding) -> descriptors.ProgramDescriptor:
     """Two uniforms and a vertex position; for the null device, which never looks at the source."""
-    return ProgramDescriptor(
+    return descriptors.ProgramDescriptor(
         name,
-        frozenset({Stage.VERTEX, Stage.FRAGMENT}),
+        frozenset({descriptors.Stage.VERTEX, descriptors.Stage.FRAGMENT}),
         bindings
         or (
-            Binding("camera", BindingKind.UNIFORM, 0, False, Camera, 16),
-            Binding("object", BindingKind.UNIFORM, 1, False, Object, 16),
+            descriptors.Binding("camera", descriptors.BindingKind.UNIFORM, 0, False, Camera, 16),
+            descriptors.Binding("object", descriptors.BindingKind.UNIFORM, 1, False, Object, 16),
         ),
-        (Attribute("position", 0, VectorType(FLOAT, 2)),),
-        (FragmentOutput("color", 0, "float", 4),),
+        (descriptors.Attribute("position", 0, VectorType(FLOAT, 2)),),
+        (descriptors.FragmentOutput("color", 0, "float", 4),),
         (1, 1, 1),
-        lambda language, stage: StageText(f"// {language} {stage.value}"),
+        lambda language, stage: descriptors.StageText(f"// {language} {stage.value}"),
     )
 
 

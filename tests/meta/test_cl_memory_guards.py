@@ -14,15 +14,6 @@ import pytest
 from cl_kit import FILL, ClKit, describe_program
 
 import rhi
-from rhi import (
-    BlendFunction,
-    CullMode,
-    Format,
-    Primitive,
-    StencilFront,
-    StencilOperation,
-    StencilTest,
-)
 from rhi.backends.cl import create_backend
 from rhi.backends.cl.raster import pipelines
 from rhi.conformance.shaders import Colored, DepthFromColor
@@ -76,20 +67,20 @@ def test_a_write_is_found_when_its_buffer_is_gone() -> None:
     assert len(memory_guards.find_writes()) == 1
 
 
-PRIMITIVES = (Primitive.TRIANGLES, Primitive.TRIANGLE_STRIP, Primitive.LINES, Primitive.POINTS)
+PRIMITIVES = (rhi.Primitive.TRIANGLES, rhi.Primitive.TRIANGLE_STRIP, rhi.Primitive.LINES, rhi.Primitive.POINTS)
 
 
 @pytest.mark.parametrize("primitive", PRIMITIVES, ids=lambda primitive: primitive.name)
 @pytest.mark.parametrize("samples", [1, 4, 8])
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (64, 64), (130, 70)], ids=str)
-def test_draws_write_inside_their_targets(size: tuple[int, int], samples: int, primitive: Primitive) -> None:
+def test_draws_write_inside_their_targets(size: tuple[int, int], samples: int, primitive: rhi.Primitive) -> None:
     """Triangles, lines and points of all sizes, most of them beyond the target; blending, stencil, queries, tables."""
     rng = np.random.default_rng(0)
     places = rng.normal(0, 2, (600, 4))
     places[:, 2:] = rng.uniform(-0.2, 1.2, (600, 2))
     with rhi.create_device("cl") as device:
-        color = device.texture(size, Format.RGBA8, samples=samples)
-        depth = device.texture(size, Format.D24S8, samples=samples)
+        color = device.texture(size, rhi.Format.RGBA8, samples=samples)
+        depth = device.texture(size, rhi.Format.D24S8, samples=samples)
         query = device.occlusion_query()
         mesh = device.mesh(
             corners(places, rng.random((600, 4))),
@@ -99,10 +90,10 @@ def test_draws_write_inside_their_targets(size: tuple[int, int], samples: int, p
         with (
             device.render_pass(color, depth, clear=(0, 0, 0, 0), clear_depth=0.5, clear_stencil=1),
             device.states(
-                CullMode.NONE,
-                BlendFunction.ALPHA,
-                StencilTest.ON,
-                StencilFront(both_pass=StencilOperation.INVERT),
+                rhi.CullMode.NONE,
+                rhi.BlendFunction.ALPHA,
+                rhi.StencilTest.ON,
+                rhi.StencilFront(both_pass=rhi.StencilOperation.INVERT),
             ),
         ):
             with query:
@@ -131,10 +122,10 @@ def test_a_stray_write_of_a_draw_is_found(
     assert changed.count(found) == 1
 
     def draw(device: rhi.Device) -> list[str]:
-        image = device.texture((130, 70), Format.RGBA8)
+        image = device.texture((130, 70), rhi.Format.RGBA8)
         places = np.random.default_rng(0).uniform(-1, 1, (900, 4))
         places[:, 2:] = 0.5, 1.0
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.CullMode.NONE):
             device.draw(device.program(Colored), device.mesh(corners(places)))
         device.finish()
         return memory_guards.find_writes()

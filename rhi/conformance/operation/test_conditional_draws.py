@@ -9,18 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhi import (
-    ColorWrite,
-    DepthFunction,
-    DepthTest,
-    Device,
-    Encoder,
-    Format,
-    Mesh,
-    Primitive,
-    QuerySet,
-    ValidationError,
-)
+import rhi
 from rhi.conformance.shaders import Colored, Corner, Flat, FlatShade
 from rhi.conformance.shapes import texel_rectangle
 from rhi.errors import rules
@@ -47,7 +36,7 @@ class Numbered(Flat):
 
 
 @pytest.fixture
-def columns(device: Device) -> Iterator[Mesh]:
+def columns(device: rhi.Device) -> Iterator[rhi.Mesh]:
     """Yield a mesh of the columns of the image at depth 0.25, then of the same at depth 0.75."""
     rectangles = [
         texel_rectangle(column, 0, 1, SIZE[1], SIZE, depth=depth) for depth in (0.25, 0.75) for column in range(COLUMNS)
@@ -57,33 +46,33 @@ def columns(device: Device) -> Iterator[Mesh]:
 
 
 @pytest.fixture
-def image(device: Device) -> Iterator[Any]:
-    with device.texture(SIZE, Format.RGBA8) as image:
+def image(device: rhi.Device) -> Iterator[Any]:
+    with device.texture(SIZE, rhi.Format.RGBA8) as image:
         yield image
 
 
 @pytest.fixture
-def depth(device: Device) -> Iterator[Any]:
-    with device.texture(SIZE, Format.D32F) as depth:
+def depth(device: rhi.Device) -> Iterator[Any]:
+    with device.texture(SIZE, rhi.Format.D32F) as depth:
         yield depth
 
 
 @pytest.fixture
-def queries(device: Device) -> Iterator[QuerySet]:
+def queries(device: rhi.Device) -> Iterator[rhi.QuerySet]:
     """Yield a set with a row for each column."""
     queries = device.query_set(COLUMNS)
     yield queries
     queries.destroy()
 
 
-def parts(mesh: Mesh, columns: Any, wall: bool = False) -> NDArray[Any]:
+def parts(mesh: rhi.Mesh, columns: Any, wall: bool = False) -> NDArray[Any]:
     """Return the draws of these columns."""
     return mesh.draws(6 * (np.asarray(columns, int) + COLUMNS * wall), 6)
 
 
-def ask(encoder: Encoder, program: Any, mesh: Mesh, queries: QuerySet, hidden: list[int] = HIDDEN) -> None:
+def ask(encoder: rhi.Encoder, program: Any, mesh: rhi.Mesh, queries: rhi.QuerySet, hidden: list[int] = HIDDEN) -> None:
     """In an open pass, draw the wall and count the samples of each column in its row."""
-    with encoder.states(DepthTest.ON, DepthFunction.GREATER):
+    with encoder.states(rhi.DepthTest.ON, rhi.DepthFunction.GREATER):
         if hidden:
             encoder.draw_many(program, mesh, parts(mesh, hidden, wall=True))
         encoder.draw_counted(program, mesh, parts(mesh, range(COLUMNS)), queries)
@@ -95,7 +84,7 @@ def lit(image: Any) -> list[int]:
 
 
 def test_what_counted_nothing_is_not_drawn(
-    device: Device, columns: Mesh, image: Any, depth: Any, queries: QuerySet
+    device: rhi.Device, columns: rhi.Mesh, image: Any, depth: Any, queries: rhi.QuerySet
 ) -> None:
     program = device.program(Colored)
     with device.render_pass(image, depth, clear=(0, 0, 0, 1), clear_depth=0.0):
@@ -106,21 +95,21 @@ def test_what_counted_nothing_is_not_drawn(
 
 
 def test_the_device_decides_within_one_pass(
-    device: Device, columns: Mesh, image: Any, depth: Any, queries: QuerySet
+    device: rhi.Device, columns: rhi.Mesh, image: Any, depth: Any, queries: rhi.QuerySet
 ) -> None:
     """The draws that count and those that depend on them may have the same program and states."""
     program = device.program(Colored)
     for last in (program, device.program(Numbered)):
         with device.render_pass(image, depth, clear=(0, 0, 0, 1), clear_depth=0.0):
-            with device.states(ColorWrite.OFF):
+            with device.states(rhi.ColorWrite.OFF):
                 ask(device, program, columns, queries)
-            with device.states(DepthTest.OFF):
+            with device.states(rhi.DepthTest.OFF):
                 device.draw_conditional(last, columns, parts(columns, range(COLUMNS)), queries)
         assert lit(image) == SEEN
 
 
 def test_draws_that_count_may_have_the_same_program_and_states(
-    device: Device, columns: Mesh, image: Any, queries: QuerySet
+    device: rhi.Device, columns: rhi.Mesh, image: Any, queries: rhi.QuerySet
 ) -> None:
     program = device.program(Colored)
     counted = columns.draws(6 * np.arange(COLUMNS), np.where(np.isin(np.arange(COLUMNS), HIDDEN), 0, 6))
@@ -132,7 +121,7 @@ def test_draws_that_count_may_have_the_same_program_and_states(
 
 
 def test_rows_say_what_decides_about_which_draw(
-    device: Device, columns: Mesh, image: Any, depth: Any, queries: QuerySet
+    device: rhi.Device, columns: rhi.Mesh, image: Any, depth: Any, queries: rhi.QuerySet
 ) -> None:
     program = device.program(Colored)
     with device.render_pass(image, depth, clear_depth=0.0):
@@ -145,7 +134,7 @@ def test_rows_say_what_decides_about_which_draw(
 
 
 def test_a_set_may_decide_often_and_count_anew(
-    device: Device, columns: Mesh, image: Any, depth: Any, queries: QuerySet
+    device: rhi.Device, columns: rhi.Mesh, image: Any, depth: Any, queries: rhi.QuerySet
 ) -> None:
     program = device.program(Colored)
     for hidden in (HIDDEN, [0, 3], [], list(range(COLUMNS)), HIDDEN):
@@ -158,7 +147,7 @@ def test_a_set_may_decide_often_and_count_anew(
         assert (queries.wait() > 0).tolist() == [column not in hidden for column in range(COLUMNS)]
 
 
-def test_several_sets_decide_side_by_side(device: Device, columns: Mesh, image: Any, depth: Any) -> None:
+def test_several_sets_decide_side_by_side(device: rhi.Device, columns: rhi.Mesh, image: Any, depth: Any) -> None:
     program, sets = device.program(Colored), [device.query_set(COLUMNS) for _ in range(3)]
     hidden = [[0, 1], [2, 3, 4], [5]]
     for queries, wall in zip(sets, hidden, strict=True):
@@ -174,7 +163,7 @@ def test_several_sets_decide_side_by_side(device: Device, columns: Mesh, image: 
 
 
 def test_draws_of_a_row_are_numbered_from_0(
-    device: Device, columns: Mesh, image: Any, depth: Any, queries: QuerySet
+    device: rhi.Device, columns: rhi.Mesh, image: Any, depth: Any, queries: rhi.QuerySet
 ) -> None:
     with device.render_pass(image, depth, clear_depth=0.0):
         ask(device, device.program(Colored), columns, queries)
@@ -187,7 +176,9 @@ def test_draws_of_a_row_are_numbered_from_0(
     assert pixels[:, 2].tolist() == [255, 255, 255, 0, 255, 255, 255]
 
 
-def test_conditions_end_with_the_call(device: Device, columns: Mesh, image: Any, depth: Any, queries: QuerySet) -> None:
+def test_conditions_end_with_the_call(
+    device: rhi.Device, columns: rhi.Mesh, image: Any, depth: Any, queries: rhi.QuerySet
+) -> None:
     """Draws behind them, queries in them and the states are as after other draws."""
     program, query = device.program(Colored), device.occlusion_query()
     with device.render_pass(image, depth, clear_depth=0.0):
@@ -202,7 +193,7 @@ def test_conditions_end_with_the_call(device: Device, columns: Mesh, image: Any,
     query.destroy()
 
 
-def test_no_draws_decide_nothing(device: Device, columns: Mesh, image: Any, queries: QuerySet) -> None:
+def test_no_draws_decide_nothing(device: rhi.Device, columns: rhi.Mesh, image: Any, queries: rhi.QuerySet) -> None:
     program = device.program(Colored)
     with device.render_pass(image):
         device.draw_counted(program, columns, parts(columns, [0]), queries)
@@ -213,7 +204,7 @@ def test_no_draws_decide_nothing(device: Device, columns: Mesh, image: Any, quer
     assert not lit(image)
 
 
-def test_indexed_draws_are_dropped_too(device: Device, image: Any, depth: Any, queries: QuerySet) -> None:
+def test_indexed_draws_are_dropped_too(device: rhi.Device, image: Any, depth: Any, queries: rhi.QuerySet) -> None:
     corners = [texel_rectangle(column, 0, 1, SIZE[1], SIZE) for column in range(COLUMNS)]
     with device.mesh(np.concatenate(corners), np.arange(6)) as mesh:
         program = device.program(Colored)
@@ -227,19 +218,19 @@ def test_indexed_draws_are_dropped_too(device: Device, image: Any, depth: Any, q
 
 
 def test_a_command_buffer_decides_at_each_submission(
-    device: Device, columns: Mesh, image: Any, depth: Any, queries: QuerySet
+    device: rhi.Device, columns: rhi.Mesh, image: Any, depth: Any, queries: rhi.QuerySet
 ) -> None:
     program = device.program(Colored)
     with device.record() as commands:
         with commands.render_pass(image, depth):
-            with commands.states(DepthTest.ON, DepthFunction.GREATER):
+            with commands.states(rhi.DepthTest.ON, rhi.DepthFunction.GREATER):
                 commands.draw_counted(program, columns, parts(columns, range(COLUMNS)), queries)
         with commands.render_pass(image, clear=(0, 0, 0, 1)):
             commands.draw_conditional(program, columns, parts(columns, range(COLUMNS)), queries)
     for hidden in (HIDDEN, [4], HIDDEN):
         with (
             device.render_pass(image, depth, clear_depth=0.0),
-            device.states(DepthTest.ON, DepthFunction.GREATER),
+            device.states(rhi.DepthTest.ON, rhi.DepthFunction.GREATER),
         ):
             device.draw_many(program, columns, parts(columns, hidden, wall=True))
         device.submit(commands)
@@ -251,10 +242,10 @@ def test_a_command_buffer_decides_at_each_submission(
 
 
 @pytest.mark.parametrize("wrong", ["never counted", "another row", "quads"])
-def test_only_rows_that_counted_decide(device: Device, columns: Mesh, image: Any, wrong: str) -> None:
+def test_only_rows_that_counted_decide(device: rhi.Device, columns: rhi.Mesh, image: Any, wrong: str) -> None:
     program, queries = device.program(Colored), device.query_set(4)
     draws = parts(columns, [0, 1])
-    quads = device.mesh(np.concatenate([texel_rectangle(0, 0, 1, 1, SIZE)] * 4), primitive=Primitive.QUADS)
+    quads = device.mesh(np.concatenate([texel_rectangle(0, 0, 1, 1, SIZE)] * 4), primitive=rhi.Primitive.QUADS)
     mesh, rows = (quads, [1, 2]) if wrong == "quads" else (columns, [1, 0] if wrong == "another row" else [1, 2])
     rule = {
         "never counted": rules.QUERY_STATE,
@@ -265,7 +256,7 @@ def test_only_rows_that_counted_decide(device: Device, columns: Mesh, image: Any
         if wrong != "never counted":
             device.draw_counted(program, columns, parts(columns, [8, 9]), queries, [1, 2])
         before = device.statistics
-        with pytest.raises(ValidationError, match=rf"^\[{rule[wrong].id}\]"):
+        with pytest.raises(rhi.ValidationError, match=rf"^\[{rule[wrong].id}\]"):
             device.draw_conditional(program, mesh, quads.draws([0, 4], 4) if mesh is quads else draws, queries, rows)
         assert device.statistics.draws == before.draws
         device.draw_counted(program, columns, parts(columns, [8, 9]), queries, [1, 2])

@@ -8,19 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rhi
 import rhi.shading as sl
-from rhi import (
-    DRAW_UNINDEXED,
-    BlendFunction,
-    ColorWrite,
-    DepthFunction,
-    Device,
-    Format,
-    IndirectDraws,
-    Mesh,
-    Primitive,
-    Texture,
-)
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_blendable, require_samples
 from rhi.conformance.pictures import draw_once
@@ -36,13 +25,15 @@ BOARD = np.indices((8, 8)).sum(axis=0) % 2 == 0
 
 
 @pytest.fixture
-def image(device: Device) -> Iterator[Texture]:
-    with device.texture(SIZE, Format.R8) as image:
+def image(device: rhi.Device) -> Iterator[rhi.Texture]:
+    with device.texture(SIZE, rhi.Format.R8) as image:
         yield image
 
 
-def test_a_discarded_fragment_writes_neither_color_nor_depth(device: Device, image: Texture, mesh: Mesh) -> None:
-    with device.texture(SIZE, Format.D32F) as depth:
+def test_a_discarded_fragment_writes_neither_color_nor_depth(
+    device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh
+) -> None:
+    with device.texture(SIZE, rhi.Format.D32F) as depth:
         with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0):
             device.draw(device.program(Checkered), mesh)
         assert_mask(image.read(), BOARD)
@@ -80,7 +71,7 @@ class CountDiscarding(Shaded):
         return v.color
 
 
-def test_every_covered_texel_runs_one_fragment(device: Device, image: Texture) -> None:
+def test_every_covered_texel_runs_one_fragment(device: rhi.Device, image: rhi.Texture) -> None:
     with device.mesh(rectangle(-1, 0, 0, 1)) as mesh, device.storage(sl.uint, 1) as total:
         with device.render_pass(image):
             device.draw(device.program(CountFragments), mesh, total=total)
@@ -88,30 +79,30 @@ def test_every_covered_texel_runs_one_fragment(device: Device, image: Texture) -
 
 
 @pytest.mark.parametrize("samples", [4, 8])
-@pytest.mark.parametrize("primitive", [Primitive.POINTS, Primitive.LINES], ids=lambda p: p.name)
+@pytest.mark.parametrize("primitive", [rhi.Primitive.POINTS, rhi.Primitive.LINES], ids=lambda p: p.name)
 def test_a_texel_runs_one_fragment_however_many_of_its_samples_are_covered(
-    device: Device, primitive: Primitive, samples: int
+    device: rhi.Device, primitive: rhi.Primitive, samples: int
 ) -> None:
     """Of two points at texel centres, or of a line between texels of one row."""
     require_samples(device, samples)
     rows = corners(centers([(2, 3), (6, 3)], SIZE))
     with (
-        device.texture(SIZE, Format.R8, samples=samples) as image,
+        device.texture(SIZE, rhi.Format.R8, samples=samples) as image,
         device.mesh(rows, primitive=primitive) as mesh,
         device.storage(sl.uint, 1) as total,
     ):
         with device.render_pass(image):
             device.draw(device.program(CountFragments), mesh, total=total)
-        texels = 2 if primitive is Primitive.POINTS else 5  # from the middle of texel 2 to that of texel 6
+        texels = 2 if primitive is rhi.Primitive.POINTS else 5  # from the middle of texel 2 to that of texel 6
         assert_same(total.read(), texels)
 
 
-def counted(device: Device, shader: Any) -> int:
+def counted(device: rhi.Device, shader: Any) -> int:
     """Return the number of fragments that run for a rectangle of which three quarters are hidden."""
     hidden = [rectangle(-1, -1, 1, 0, depth=0.9), rectangle(-1, 0, 0, 1, depth=0.9)]
     with (
-        device.texture(SIZE, Format.R8) as image,
-        device.texture(SIZE, Format.D32F) as depth,
+        device.texture(SIZE, rhi.Format.R8) as image,
+        device.texture(SIZE, rhi.Format.D32F) as depth,
         device.mesh(np.concatenate(hidden)) as front,
         device.mesh(rectangle(depth=0.5)) as behind,
         device.storage(sl.uint, 2) as total,
@@ -122,21 +113,21 @@ def counted(device: Device, shader: Any) -> int:
         return int(total.read()[0])
 
 
-def test_without_early_depth_hidden_fragments_have_their_effects(device: Device) -> None:
+def test_without_early_depth_hidden_fragments_have_their_effects(device: rhi.Device) -> None:
     """Without early depth the test runs after the shader, so hidden fragments have their effects."""
     assert counted(device, CountFragments) == 64
 
 
 @pytest.mark.needs("early_depth")
-def test_with_early_depth_hidden_fragments_have_none(device: Device) -> None:
+def test_with_early_depth_hidden_fragments_have_none(device: rhi.Device) -> None:
     assert counted(device, CountEarly) == 16
 
 
 @pytest.mark.needs("early_depth")
 def test_with_early_depth_a_discarded_fragment_has_already_written_depth(
-    device: Device, image: Texture, mesh: Mesh
+    device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh
 ) -> None:
-    with device.texture(SIZE, Format.D32F) as depth, device.storage(sl.uint, 2) as total:
+    with device.texture(SIZE, rhi.Format.D32F) as depth, device.storage(sl.uint, 2) as total:
         with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0):
             device.draw(device.program(CountDiscarding), mesh, total=total)
         assert_same(total.read(), [64, 32])
@@ -144,10 +135,10 @@ def test_with_early_depth_a_discarded_fragment_has_already_written_depth(
         assert_same(depth.read(), 0.5)
 
 
-def test_a_fragment_s_own_depth_replaces_the_triangle_s(device: Device, image: Texture) -> None:
+def test_a_fragment_s_own_depth_replaces_the_triangle_s(device: rhi.Device, image: rhi.Texture) -> None:
     rows = rectangle(depth=0.1)
     rows["color"][:, 0] = np.where(rows["position"][:, 0] < 0, 0.0, 1.0)
-    with device.texture(SIZE, Format.D32F) as depth, device.mesh(rows) as mesh:
+    with device.texture(SIZE, rhi.Format.D32F) as depth, device.mesh(rows) as mesh:
         with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5):
             device.draw(device.program(DepthFromColor), mesh)
         ramp = np.broadcast_to((np.arange(8) + 0.5) / 8, (8, 8))
@@ -155,11 +146,11 @@ def test_a_fragment_s_own_depth_replaces_the_triangle_s(device: Device, image: T
         assert_mask(image.read(), ramp > 0.5)
 
 
-def test_a_fragment_s_own_depth_is_clamped(device: Device) -> None:
-    with device.texture(SIZE, Format.D32F) as depth, device.texture(SIZE, Format.R8) as image:
+def test_a_fragment_s_own_depth_is_clamped(device: rhi.Device) -> None:
+    with device.texture(SIZE, rhi.Format.D32F) as depth, device.texture(SIZE, rhi.Format.R8) as image:
         for value, expected in ((-1.0, 0.0), (2.0, 1.0)):
             with device.mesh(rectangle(color=(value, 0, 0, 0))) as mesh:
-                with device.render_pass(image, depth, clear_depth=0.5), device.states(DepthFunction.ALWAYS):
+                with device.render_pass(image, depth, clear_depth=0.5), device.states(rhi.DepthFunction.ALWAYS):
                     device.draw(device.program(DepthFromColor), mesh)
             assert_same(depth.read(), expected)
 
@@ -181,9 +172,9 @@ class Scale(sl.Shader):
 
 
 @pytest.mark.needs("compute")
-def test_a_draw_reads_vertices_that_a_dispatch_wrote(device: Device) -> None:
-    with device.buffer(4, Corner.dtype) as vertices, device.texture(SIZE, Format.R8) as image:
-        mesh = device.mesh(vertices, primitive=Primitive.QUADS)
+def test_a_draw_reads_vertices_that_a_dispatch_wrote(device: rhi.Device) -> None:
+    with device.buffer(4, Corner.dtype) as vertices, device.texture(SIZE, rhi.Format.R8) as image:
+        mesh = device.mesh(vertices, primitive=rhi.Primitive.QUADS)
         device.dispatch(device.program(Scale), 4, vertices=device.storage(sl.vec4, vertices))
         with device.render_pass(image):
             device.draw(device.program(Colored), mesh)
@@ -204,8 +195,8 @@ class Enumerate(sl.Shader):
 
 
 @pytest.mark.needs("compute")
-def test_a_draw_reads_indices_that_a_dispatch_wrote(device: Device) -> None:
-    with device.buffer(6, np.dtype("u4")) as indices, device.texture(SIZE, Format.R8) as image:
+def test_a_draw_reads_indices_that_a_dispatch_wrote(device: rhi.Device) -> None:
+    with device.buffer(6, np.dtype("u4")) as indices, device.texture(SIZE, rhi.Format.R8) as image:
         with device.mesh(rectangle(), indices) as mesh:
             device.dispatch(device.program(Enumerate), 6, indices=device.storage(sl.uint, indices))
             with device.render_pass(image):
@@ -228,19 +219,19 @@ class Choose(sl.Shader):
 
 
 @pytest.mark.needs("compute", "indirect_count")
-def test_an_indirect_draw_reads_arguments_and_count_that_a_dispatch_wrote(device: Device) -> None:
+def test_an_indirect_draw_reads_arguments_and_count_that_a_dispatch_wrote(device: rhi.Device) -> None:
     rows = corners(centers([(i, 0) for i in range(8)], (8, 1)))
     with (
         device.storage(sl.uint, 11) as draws,
-        device.texture((8, 1), Format.R8) as image,
-        device.mesh(rows, primitive=Primitive.POINTS) as mesh,
+        device.texture((8, 1), rhi.Format.R8) as image,
+        device.mesh(rows, primitive=rhi.Primitive.POINTS) as mesh,
     ):
         device.dispatch(device.program(Choose), 1, words=draws)
-        arguments = IndirectDraws(draws, 2, count=draws, count_offset=40)
+        arguments = rhi.IndirectDraws(draws, 2, count=draws, count_offset=40)
         with device.render_pass(image):
             device.draw_indirect(device.program(Colored), mesh, arguments)
         assert_mask(image.read(), np.arange(8)[None] == 3)
-    assert DRAW_UNINDEXED.itemsize == 20
+    assert rhi.DRAW_UNINDEXED.itemsize == 20
 
 
 class Sampled(Shaded):
@@ -252,11 +243,11 @@ class Sampled(Shaded):
         return self.source.load(sl.ivec2(sl.fragment_coordinate().xy)) + v.color
 
 
-def test_a_pass_reads_what_the_pass_before_drew(device: Device) -> None:
+def test_a_pass_reads_what_the_pass_before_drew(device: rhi.Device) -> None:
     step = corners([(-1, -1), (3, -1), (-1, 3)], (1 / 32, 0, 0, 0))
     with (
-        device.texture(SIZE, Format.RGBA32F) as one,
-        device.texture(SIZE, Format.RGBA32F) as two,
+        device.texture(SIZE, rhi.Format.RGBA32F) as one,
+        device.texture(SIZE, rhi.Format.RGBA32F) as two,
         device.mesh(step) as mesh,
     ):
         for _ in range(10):
@@ -291,9 +282,9 @@ class Sum(sl.Shader):
 
 
 @pytest.mark.needs("compute")
-def test_a_dispatch_reads_what_fragments_wrote(device: Device, image: Texture, mesh: Mesh) -> None:
+def test_a_dispatch_reads_what_fragments_wrote(device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh) -> None:
     with device.storage(sl.uint, 64) as values, device.storage(sl.uint, 1) as total:
-        with device.render_pass(image), device.states(ColorWrite.OFF):
+        with device.render_pass(image), device.states(rhi.ColorWrite.OFF):
             device.draw(device.program(Fill), mesh, out=values)
         device.dispatch(device.program(Sum), 1, values=values, total=total)
         assert_same(total.read(), 64 * 65 // 2)
@@ -313,14 +304,14 @@ class WaterfallAtEdges(Shaded):
         return sl.vec4(found, sl.ddx(found), 0.0, 1.0)
 
 
-def test_a_loop_over_what_fragments_broadcast_ends_at_the_edges_of_triangles(device: Device) -> None:
+def test_a_loop_over_what_fragments_broadcast_ends_at_the_edges_of_triangles(device: rhi.Device) -> None:
     """Quads at edges have helper invocations, which wait for their value as well."""
     slim = {
         "position": np.array([[-1, -1, 0.5, 1], [0.8, -0.9, 0.5, 1], [-0.7, 0.9, 0.5, 1]], "f4"),
         "color": np.ones((3, 4), "f4"),
     }
     drawn = draw_once(
-        device, SIZE, Format.RGBA32F, slim, shader=WaterfallAtEdges, indices=np.arange(3), clear=(-1, -1, -1, -1)
+        device, SIZE, rhi.Format.RGBA32F, slim, shader=WaterfallAtEdges, indices=np.arange(3), clear=(-1, -1, -1, -1)
     )
     covered = drawn[..., 3] == 1
     assert 8 < covered.sum() < 50
@@ -338,21 +329,23 @@ class FromMemory(Smooth):
         return Shade(clip=self.points[sl.vertex_index()], color=sl.vec4(1.0))
 
 
-def test_a_vertex_stage_reads_storage(device: Device) -> None:
+def test_a_vertex_stage_reads_storage(device: rhi.Device) -> None:
     rows = np.zeros((8, 4), "f4")
     rows[:, :2], rows[:, 2], rows[:, 3] = centers([(i, 0) for i in range(8)], (8, 1)), 0.5, 1.0
     rows[3] = (9, 9, 9, 1)
     with device.storage(sl.vec4, rows) as points:
-        back = draw_once(device, (8, 1), Format.R8, 8, shader=FromMemory, primitive=Primitive.POINTS, points=points)
+        back = draw_once(
+            device, (8, 1), rhi.Format.R8, 8, shader=FromMemory, primitive=rhi.Primitive.POINTS, points=points
+        )
     assert_mask(back, np.arange(8)[None] != 3)
 
 
-def test_draws_of_one_pass_see_their_effects_in_order(device: Device) -> None:
+def test_draws_of_one_pass_see_their_effects_in_order(device: rhi.Device) -> None:
     """Repeated blending shows that no fragment of a later draw overtakes one of an earlier draw."""
-    require_blendable(device, Format.R32F)
-    with device.texture(SIZE, Format.R32F) as image:
+    require_blendable(device, rhi.Format.R32F)
+    with device.texture(SIZE, rhi.Format.R32F) as image:
         meshes = [device.mesh(rectangle(color=(i % 2, 0, 0, 0.5))) for i in range(12)]
-        with device.render_pass(image), device.states(BlendFunction.ALPHA):
+        with device.render_pass(image), device.states(rhi.BlendFunction.ALPHA):
             for mesh in meshes:
                 device.draw(device.program(Colored), mesh)
         value = 0.0

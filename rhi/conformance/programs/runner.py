@@ -10,31 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi
+from rhi.conformance.programs import steps
 from rhi.conformance.programs.coverage import clip_corners
 from rhi.conformance.programs.inks import SHADERS, AddTexels, Move
 from rhi.conformance.programs.interpreter import Result, interpret, random_texels
 from rhi.conformance.programs.rules import EXACT, Rules
-from rhi.conformance.programs.steps import (
-    CELLS,
-    ClearCells,
-    Copy,
-    Dispatch,
-    Draw,
-    Ink,
-    Mipmaps,
-    Part,
-    Pass,
-    Place,
-    Program,
-    Read,
-    Recorded,
-    Reshape,
-    Resolve,
-    Shape,
-    Step,
-    Way,
-    Write,
-)
 from rhi.conformance.shaders import Corner
 from rhi.device.encoder import Encoder
 from rhi.device.resources.programs import Program as DeviceProgram
@@ -57,7 +37,7 @@ class Difference:
         return f"{self.name}: {self.count} differ, first at ({at}): {self.given!r}, not {self.low!r} to {self.high!r}"
 
 
-def check(device: rhi.Device, program: Program, rules: Rules = EXACT) -> list[Difference]:
+def check(device: rhi.Device, program: steps.Program, rules: Rules = EXACT) -> list[Difference]:
     """Run a program on a device and return its differences from the interpreter's results."""
     return compare(run(device, program), interpret(program, rules))
 
@@ -80,14 +60,14 @@ def compare(given: list[tuple[str, NDArray[Any]]], allowed: list[Result]) -> lis
     return differences
 
 
-def run(device: rhi.Device, program: Program) -> list[tuple[str, NDArray[Any]]]:
+def run(device: rhi.Device, program: steps.Program) -> list[tuple[str, NDArray[Any]]]:
     """Execute a program; return its reads, counts and buffers, and the final contents of its images, each named."""
     with ExitStack() as stack:
         return _Run(device, program, stack).results()
 
 
 class _Run:
-    def __init__(self, device: rhi.Device, program: Program, stack: ExitStack) -> None:
+    def __init__(self, device: rhi.Device, program: steps.Program, stack: ExitStack) -> None:
         self._device, self._program, self._stack = device, program, stack
         self._images: list[rhi.Texture] = []
         for image in program.images:
@@ -98,8 +78,8 @@ class _Run:
             self._images.append(stack.enter_context(texture))
         self._shapes = list(program.shapes)
         self._meshes: dict[tuple[int, tuple[int, int]], rhi.Mesh] = {}
-        self._counts: rhi.StorageBuffer[uint] = stack.enter_context(device.storage(uint, CELLS))
-        self._reds: rhi.StorageBuffer[uint] = stack.enter_context(device.storage(uint, CELLS))
+        self._counts: rhi.StorageBuffer[uint] = stack.enter_context(device.storage(uint, steps.CELLS))
+        self._reds: rhi.StorageBuffer[uint] = stack.enter_context(device.storage(uint, steps.CELLS))
         self._queries: list[rhi.OcclusionQuery] = []
         for _ in range(program.queries):
             query = device.occlusion_query()
@@ -134,55 +114,55 @@ class _Run:
                         results.append((f"stencil of {place}", texture.read_stencil(level, layer)))
         return results
 
-    def _execute(self, step: Step) -> None:
+    def _execute(self, step: steps.Step) -> None:
         device, images = self._device, self._images
         match step:
-            case Pass():
+            case steps.Pass():
                 self._pass(device, step)
-            case Recorded():
+            case steps.Recorded():
                 with device.record() as commands:
                     for part in step.passes:
                         self._pass(commands, part)
                 for _ in range(step.times):
                     device.submit(commands)
-            case Copy():
+            case steps.Copy():
                 x, y, width, height, layer, layers = step.box
                 images[step.source.image].copy_to(
                     images[step.target.image], level=step.source.level,
                     region=rhi.Region(x, y, width, height, layer, layers), target_level=step.target.level, x=step.x,
                     y=step.y, layer=step.target.layer,
                 )  # fmt: skip
-            case Write():
+            case steps.Write():
                 texture = images[step.target.image]
                 texels = random_texels(texture.format, step)
                 if texture.format.channels == 1:
                     texels = texels[..., 0]
                 texture.write(texels, step.target.level, step.target.layer, step.x, step.y)
-            case Mipmaps():
+            case steps.Mipmaps():
                 images[step.image].generate_mipmaps()
-            case Resolve():
+            case steps.Resolve():
                 images[step.source].resolve_to(images[step.target])
-            case Read():
+            case steps.Read():
                 place = step.place
                 texels = images[place.image].read(place.level, place.layer)
                 self._reads.append((f"read of {place}", texels))
-            case Reshape():
+            case steps.Reshape():
                 self._reshape(step)
-            case ClearCells():
+            case steps.ClearCells():
                 self._counts.clear(step.value)
                 self._reds.clear(step.value)
-            case Dispatch():
+            case steps.Dispatch():
                 image = images[step.source.image]
                 width, height = image.size
                 groups = (-(-width // 8), -(-height // 8))
                 program = device.program(AddTexels)
                 device.dispatch(program, groups, source=image, counts=self._counts)
 
-    def _reshape(self, step: Reshape) -> None:
+    def _reshape(self, step: steps.Reshape) -> None:
         shape, source = self._shapes[step.shape], self._shapes[step.source]
         kept = min(len(shape.corners), len(source.corners))
         corners = source.corners[:kept] + shape.corners[kept:]
-        self._shapes[step.shape] = Shape(shape.primitive, corners, shape.indices)
+        self._shapes[step.shape] = steps.Shape(shape.primitive, corners, shape.indices)
         for (number, frame), mesh in self._meshes.items():
             if number == step.shape:
                 assert mesh.vertices is not None
@@ -198,10 +178,10 @@ class _Run:
             self._meshes[number, frame] = self._stack.enter_context(mesh)
         return mesh
 
-    def _target(self, place: Place) -> Any:
+    def _target(self, place: steps.Place) -> Any:
         return self._images[place.image].at(place.level, place.layer)
 
-    def _pass(self, encoder: Encoder, step: Pass) -> None:
+    def _pass(self, encoder: Encoder, step: steps.Pass) -> None:
         sets = []
         resolve = [None if i is None else self._images[i] for i in step.resolve]
         with encoder.render_pass(
@@ -216,15 +196,15 @@ class _Run:
                 sets += self._draw(encoder, draw)
         self._sets += sets
 
-    def _draw(self, encoder: Encoder, draw: Draw) -> list[rhi.QuerySet]:
+    def _draw(self, encoder: Encoder, draw: steps.Draw) -> list[rhi.QuerySet]:
         device = self._device
         program: DeviceProgram[...] = device.program(SHADERS[draw.ink])
         bindings: dict[str, Any] = {}
         level, layer = (draw.source.level, draw.source.layer) if draw.source is not None else (0, 0)
         bindings["move"] = encoder.transient.uniform(Move(step=draw.step, level=level, layer=layer))
-        if draw.ink in (Ink.COUNT, Ink.COUNT_EARLY):
+        if draw.ink in (steps.Ink.COUNT, steps.Ink.COUNT_EARLY):
             bindings |= {"counts": self._counts, "reds": self._reds}
-        if draw.source is not None and draw.ink in (Ink.LOAD, Ink.LOAD_LAYER):
+        if draw.source is not None and draw.ink in (steps.Ink.LOAD, steps.Ink.LOAD_LAYER):
             bindings["source"] = self._images[draw.source.image]
         mesh = self._mesh(draw.shape, draw.frame)
         sets: list[rhi.QuerySet] = []
@@ -238,17 +218,17 @@ class _Run:
                 around.enter_context(self._query(encoder, draw.query))
             parts = _array(mesh, draw.parts)
             match draw.way:
-                case Way.DIRECT:
+                case steps.Way.DIRECT:
                     for part in draw.parts:
                         view = mesh.view(part.first, part.count, base_instance=part.base_instance)
                         encoder.draw(program, view, part.instances, **bindings)
-                case Way.MANY:
+                case steps.Way.MANY:
                     encoder.draw_many(program, mesh, parts, **bindings)
-                case Way.INDIRECT:
+                case steps.Way.INDIRECT:
                     arguments: rhi.Buffer = device.buffer(parts)
                     self._stack.enter_context(arguments)
                     encoder.draw_indirect(program, mesh, rhi.IndirectDraws(arguments, len(parts)), **bindings)
-                case Way.COUNTED:
+                case steps.Way.COUNTED:
                     sets.append(device.query_set(len(parts)))
                     self._stack.callback(sets[0].destroy)
                     encoder.draw_counted(program, mesh, parts, sets[0], **bindings)
@@ -261,14 +241,14 @@ class _Run:
         return encoder.query(query)  # type: ignore[attr-defined]
 
 
-def _rows(shape: Shape, frame: tuple[int, int]) -> NDArray[Any]:
+def _rows(shape: steps.Shape, frame: tuple[int, int]) -> NDArray[Any]:
     clip, colors = clip_corners(shape, frame)
     rows = np.zeros(len(clip), Corner.dtype)
     rows["position"], rows["color"] = clip, colors
     return rows
 
 
-def _array(mesh: rhi.Mesh, parts: tuple[Part, ...]) -> NDArray[Any]:
+def _array(mesh: rhi.Mesh, parts: tuple[steps.Part, ...]) -> NDArray[Any]:
     columns = ([getattr(part, name) for part in parts] for name in ("first", "count", "instances", "base_instance"))
     first, count, instances, base = (np.array(column) for column in columns)
     return mesh.draws(first, count, instances=instances, base_instance=base)

@@ -3,20 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import occlusion_scenes
 import pytest
-from occlusion_scenes import (
-    OCCLUSION,
-    SIZE,
-    Oracle,
-    Uncut,
-    delay_answers,
-    draw_with,
-    look,
-    make_cloud,
-    need_algorithm,
-    visible,
-    walk,
-)
 
 import rhi
 from renderer.content import load_scene
@@ -31,12 +19,12 @@ from renderer.visibility import (
 )
 from renderer.visibility.boxes.forest import Forest, Frontier
 
-EYE = look((0.0, 0.0, 30.0), (0.0, 0.0, 0.0), near=0.1)
+EYE = occlusion_scenes.look((0.0, 0.0, 30.0), (0.0, 0.0, 0.0), near=0.1)
 
 
 @pytest.fixture(scope="module")
 def cloud() -> Scene:
-    return make_cloud(seed=1, motion=lambda seconds: (0.0, 0.0, 0.0), moving=range(20))
+    return occlusion_scenes.make_cloud(seed=1, motion=lambda seconds: (0.0, 0.0, 0.0), moving=range(20))
 
 
 @pytest.mark.parametrize("leaf_size", [1, 2, 7, 100])
@@ -58,50 +46,55 @@ def test_leaves_hold_all_objects_once_and_no_more_than_their_size(cloud: Scene, 
 
 
 def test_a_visible_leaf_is_drawn_as_a_whole_inside_one_query(null: rhi.Device, cloud: Scene) -> None:
-    Oracle(null, cloud, "chc", seen=set(range(60)))
+    occlusion_scenes.Oracle(null, cloud, "chc", seen=set(range(60)))
     algorithm = Chc(cloud, null, VisibilitySettings(leaf_size=4))
     forest = algorithm._forest
     is_leaf = [forest.child[node] < 0 for node in range(len(forest))]
     tops = [node for node, leaf in enumerate(is_leaf) if leaf and not is_leaf[forest.parent[node]]]
     with Renderer(null, cloud, size=(64, 36)) as renderer:
         for _ in range(2):
-            result = draw_with(renderer, algorithm, EYE)
-    assert visible(result) == set(range(60))
+            result = occlusion_scenes.draw_with(renderer, algorithm, EYE)
+    assert occlusion_scenes.visible(result) == set(range(60))
     assert result.statistics.queries == result.visibility.batches == len(tops) < 40
 
 
-@pytest.mark.parametrize("name", OCCLUSION)
+@pytest.mark.parametrize("name", occlusion_scenes.OCCLUSION)
 def test_of_a_leaf_across_the_edge_of_the_view_only_what_is_in_view_is_drawn(
     null: rhi.Device, cloud: Scene, name: str
 ) -> None:
-    camera = look((0.0, 0.0, 8.0), (3.0, 0.0, 0.0), fov=0.4, near=0.1)
-    Oracle(null, cloud, name, seen=set(range(60)))
+    camera = occlusion_scenes.look((0.0, 0.0, 8.0), (3.0, 0.0, 0.0), fov=0.4, near=0.1)
+    occlusion_scenes.Oracle(null, cloud, name, seen=set(range(60)))
     inside = set(find_visible_objects(FrustumCulling(cloud), camera).tolist())
     assert 0 < len(inside) < 60
     algorithm = make_visibility(name, cloud, null, VisibilitySettings(leaf_size=16))
     with Renderer(null, cloud, size=(64, 36)) as renderer:
         for _ in range(3):
-            assert visible(draw_with(renderer, algorithm, camera)) == inside
+            assert occlusion_scenes.visible(occlusion_scenes.draw_with(renderer, algorithm, camera)) == inside
 
 
 @pytest.mark.parametrize("leaf_size", [3, 64])
-@pytest.mark.parametrize("name", OCCLUSION[1:])
+@pytest.mark.parametrize("name", occlusion_scenes.OCCLUSION[1:])
 def test_leaves_of_several_objects_change_no_pixel(drawing_device: rhi.Device, name: str, leaf_size: int) -> None:
-    need_algorithm(drawing_device, name)
+    occlusion_scenes.need_algorithm(drawing_device, name)
     city = load_scene("city:blocks=8,detail=2")
-    with Uncut(drawing_device, city, walk(city, "ground", range(600, 640, 8))) as uncut:
+    with occlusion_scenes.Uncut(
+        drawing_device, city, occlusion_scenes.walk(city, "ground", range(600, 640, 8))
+    ) as uncut:
         assert uncut.try_algorithm(name, leaf_size=leaf_size) == [0] * 5
 
 
 @pytest.mark.parametrize("name", ["chc", "chc_plus_plus"])
 def test_larger_leaves_ask_less_and_draw_more(gl: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    delay_answers(monkeypatch, 0)
+    occlusion_scenes.delay_answers(monkeypatch, 0)
     city = load_scene("city:blocks=8,detail=2")
     costs = []
     for leaf_size in (1, 4):
         algorithm = make_visibility(name, city, gl, VisibilitySettings(leaf_size=leaf_size))
-        with Renderer(gl, city, size=SIZE) as renderer:
-            found = [draw_with(renderer, algorithm, camera) for camera, _ in walk(city, "sky", range(600, 624, 2))]
+        with Renderer(gl, city, size=occlusion_scenes.SIZE) as renderer:
+            found = [
+                occlusion_scenes.draw_with(renderer, algorithm, camera)
+                for camera, _ in occlusion_scenes.walk(city, "sky", range(600, 624, 2))
+            ]
         costs.append(np.sum([(one.statistics.queries, one.visibility.visible) for one in found[2:]], axis=0))
         algorithm.destroy()
     assert costs[1][0] < 0.6 * costs[0][0]

@@ -13,19 +13,8 @@ from rhi.commands.ops import DRAWS, WIDTHS
 from rhi.commands.recorder import Recorder
 from rhi.commands.stream import CommandStream, Op
 from rhi.commands.text import describe, describe_call
+from rhi.contract import descriptors
 from rhi.contract.backend import Backend
-from rhi.contract.descriptors import (
-    WHOLE,
-    Attachment,
-    BufferDescriptor,
-    BufferUsage,
-    PassDescriptor,
-    Primitive,
-    ProgramDescriptor,
-    Region,
-    Stage,
-    StageText,
-)
 from rhi.contract.states import (
     DEFAULTS,
     BlendFunction,
@@ -47,7 +36,7 @@ def recorder():
 
 
 def draw(recorder, count=3, instances=1):
-    recorder.draw(1, Primitive.TRIANGLES, 0, count, instances, 0, 0)
+    recorder.draw(1, descriptors.Primitive.TRIANGLES, 0, count, instances, 0, 0)
 
 
 # -- ops -------------------------------------------------------------------------------------------------
@@ -101,12 +90,12 @@ def test_an_empty_stream_is_false_and_prints_nothing():
 
 
 def test_a_command_gives_its_arguments_by_name(recorder):
-    recorder.draw(7, Primitive.LINES, 1, 2, 3, 4, 5)
+    recorder.draw(7, descriptors.Primitive.LINES, 1, 2, 3, 4, 5)
     command = recorder.stream[0]
     assert command.op is Op.DRAW
-    assert command.values == (7, Primitive.LINES, 1, 2, 3, 4, 5)
+    assert command.values == (7, descriptors.Primitive.LINES, 1, 2, 3, 4, 5)
     assert command.arguments == {
-        "vertex_array": 7, "primitive": Primitive.LINES, "first": 1, "count": 2, "instances": 3,
+        "vertex_array": 7, "primitive": descriptors.Primitive.LINES, "first": 1, "count": 2, "instances": 3,
         "base_vertex": 4, "base_instance": 5,
     }  # fmt: skip
     assert command["base_instance"] == 5
@@ -158,7 +147,7 @@ def test_filters_can_be_chained_and_keep_places_in_the_stream(labelled):
 
 def test_draws_include_indirect_ones(recorder):
     draw(recorder)
-    recorder.draw_indirect(1, Primitive.TRIANGLES, 2, 0, 1, 20, 0, 0)
+    recorder.draw_indirect(1, descriptors.Primitive.TRIANGLES, 2, 0, 1, 20, 0, 0)
     recorder.dispatch(1, 1, 1)
     assert [command.op for command in recorder.stream.draws()] == [Op.DRAW, Op.DRAW_INDIRECT]
 
@@ -176,7 +165,7 @@ def test_a_command_knows_its_states_program_and_pass(recorder):
     draw(recorder)
     recorder.set_states([StateChange(CullMode, CullMode.NONE)])
     recorder.bind_program(9)
-    recorder.begin_pass(PassDescriptor((4, 4)))
+    recorder.begin_pass(descriptors.PassDescriptor((4, 4)))
     draw(recorder)
     recorder.end_pass()
     recorder.set_states((StateChange(CullMode, CullMode.FRONT), StateChange(DepthWrite, DepthWrite.OFF)))
@@ -187,7 +176,7 @@ def test_a_command_knows_its_states_program_and_pass(recorder):
     assert third.render_pass is None
     # Earlier ones can be asked for after later ones.
     assert (second.states[CullMode], second.states[DepthWrite]) == (CullMode.NONE, DepthWrite.ON)
-    assert (second.program, second.render_pass) == (9, PassDescriptor((4, 4)))
+    assert (second.program, second.render_pass) == (9, descriptors.PassDescriptor((4, 4)))
 
 
 def test_states_given_out_are_a_copy(recorder):
@@ -285,12 +274,15 @@ def test_a_limit_says_what_it_left_out(labelled):
     ("value", "text"),
     [
         (3, "3"),
-        (Primitive.QUADS, "Primitive.QUADS"),
+        (descriptors.Primitive.QUADS, "Primitive.QUADS"),
         (b"abcd", "<4 bytes>"),
         ("sun", "'sun'"),
-        (Region(1, 2, 3, 4), "Region(1, 2, 3, 4)"),
-        (Region(1, 2, 3, 4, 0, 6), "Region(1, 2, 3, 4, layers=6)"),
-        (BufferDescriptor(16, BufferUsage.STREAM, "ring"), "BufferDescriptor(16, BufferUsage.STREAM, 'ring')"),
+        (descriptors.Region(1, 2, 3, 4), "Region(1, 2, 3, 4)"),
+        (descriptors.Region(1, 2, 3, 4, 0, 6), "Region(1, 2, 3, 4, layers=6)"),
+        (
+            descriptors.BufferDescriptor(16, descriptors.BufferUsage.STREAM, "ring"),
+            "BufferDescriptor(16, BufferUsage.STREAM, 'ring')",
+        ),
         (Viewport.TARGET, "Viewport.TARGET"),
         (Scissor.OFF, "Scissor.OFF"),
         (Viewport(0, 0, 64, 32), "Viewport(width=64, height=32)"),
@@ -298,9 +290,9 @@ def test_a_limit_says_what_it_left_out(labelled):
         (StateChange(CullMode, CullMode.NONE), "CullMode.NONE"),
         (StateChange(ColorWrite, (ColorWrite.OFF,) * 8), "ColorWrite.OFF"),
         ((StateChange(CullMode, CullMode.NONE), 2), "(CullMode.NONE, 2)"),
-        ((WHOLE,), "(-1,)"),
+        ((descriptors.WHOLE,), "(-1,)"),
         (
-            PassDescriptor((8, 4), (Attachment(3, clear=(0.0, 0.0, 0.0, 1.0)),)),
+            descriptors.PassDescriptor((8, 4), (descriptors.Attachment(3, clear=(0.0, 0.0, 0.0, 1.0)),)),
             "PassDescriptor((8, 4), (Attachment(3, clear=(0.0, 0.0, 0.0, 1.0)),))",
         ),
     ],
@@ -315,7 +307,9 @@ def test_states_that_differ_by_target_are_shown_by_target():
 
 
 def test_a_program_is_shown_by_its_name():
-    program = ProgramDescriptor("Lit", frozenset({Stage.VERTEX}), (), (), (), (1, 1, 1), lambda *_: StageText(""))
+    program = descriptors.ProgramDescriptor(
+        "Lit", frozenset({descriptors.Stage.VERTEX}), (), (), (), (1, 1, 1), lambda *_: descriptors.StageText("")
+    )
     assert describe_call("create_program", {"program": 1, "descriptor": program}) == (
         "create_program(program=1, descriptor=ProgramDescriptor('Lit'))"
     )

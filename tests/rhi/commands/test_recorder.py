@@ -12,20 +12,7 @@ from rhi.backends.null import create_backend
 from rhi.commands.ops import WIDTHS
 from rhi.commands.recorder import CommandMethods, Recorder
 from rhi.commands.stream import Op
-from rhi.contract.descriptors import (
-    BufferDescriptor,
-    BufferUsage,
-    PassDescriptor,
-    Primitive,
-    ProgramDescriptor,
-    QueryKind,
-    Region,
-    SamplerDescriptor,
-    Stage,
-    StageText,
-    TextureDescriptor,
-    VertexArrayDescriptor,
-)
+from rhi.contract import descriptors
 from rhi.contract.formats import Format
 from rhi.contract.states import CullMode, StateChange
 from rhi.errors import MARK, DeviceError
@@ -65,20 +52,22 @@ class Broken(Listener):
         self.error = error
 
 
-PROGRAM = ProgramDescriptor("P", frozenset({Stage.VERTEX}), (), (), (), (1, 1, 1), lambda *_: StageText(""))
+PROGRAM = descriptors.ProgramDescriptor(
+    "P", frozenset({descriptors.Stage.VERTEX}), (), (), (), (1, 1, 1), lambda *_: descriptors.StageText("")
+)
 CALLS = {
-    Op.CREATE_BUFFER: (1, BufferDescriptor(4)),
-    Op.CREATE_TEXTURE: (2, TextureDescriptor((1, 1), Format.R8)),
-    Op.CREATE_SAMPLER: (3, SamplerDescriptor()),
+    Op.CREATE_BUFFER: (1, descriptors.BufferDescriptor(4)),
+    Op.CREATE_TEXTURE: (2, descriptors.TextureDescriptor((1, 1), Format.R8)),
+    Op.CREATE_SAMPLER: (3, descriptors.SamplerDescriptor()),
     Op.CREATE_PROGRAM: (4, PROGRAM),
-    Op.CREATE_VERTEX_ARRAY: (5, VertexArrayDescriptor(4, ())),
-    Op.CREATE_QUERY: (6, QueryKind.TIMESTAMP),
+    Op.CREATE_VERTEX_ARRAY: (5, descriptors.VertexArrayDescriptor(4, ())),
+    Op.CREATE_QUERY: (6, descriptors.QueryKind.TIMESTAMP),
     Op.WRITE_BUFFER: (1, 0, b"abcd"),
-    Op.WRITE_TEXTURE: (2, 0, Region(0, 0, 1, 1), b"x"),
-    Op.BEGIN_PASS: (PassDescriptor((1, 1)),),
+    Op.WRITE_TEXTURE: (2, 0, descriptors.Region(0, 0, 1, 1), b"x"),
+    Op.BEGIN_PASS: (descriptors.PassDescriptor((1, 1)),),
     Op.SET_STATES: ((StateChange(CullMode, CullMode.NONE),),),
     Op.PUSH_LABEL: ("sun",),
-    Op.DRAW: (5, Primitive.TRIANGLES, 0, 3, 1, 0, 0),
+    Op.DRAW: (5, descriptors.Primitive.TRIANGLES, 0, 3, 1, 0, 0),
 }
 
 
@@ -117,7 +106,7 @@ def test_written_memory_is_as_it_was_when_written():
     recorder = Recorder(inner)
     data = np.arange(4, dtype=np.uint16)
     recorder.write_buffer(1, 0, data)
-    recorder.write_texture(2, 0, Region(0, 0, 4, 1), memoryview(data)[::2])
+    recorder.write_texture(2, 0, descriptors.Region(0, 0, 4, 1), memoryview(data)[::2])
     data[:] = 9
     written, texels = (command["data"] for command in recorder.stream)
     assert written == np.arange(4, dtype=np.uint16).tobytes()
@@ -184,7 +173,7 @@ def test_a_call_from_no_user_code_has_no_site():
 def test_a_call_that_fails_stays_in_the_stream_with_its_error():
     recorder = Recorder(Broken(DeviceError(DEVICE_MEMORY, "create_buffer")))
     with pytest.raises(DeviceError):
-        recorder.create_buffer(1, BufferDescriptor(1 << 60))
+        recorder.create_buffer(1, descriptors.BufferDescriptor(1 << 60))
     (command,) = recorder.stream
     assert command.failure.error == "device-out-of-memory"
     assert command.failure.message.startswith("[device-out-of-memory]")
@@ -264,7 +253,7 @@ def test_a_failure_while_paused_marks_nothing():
 def test_a_recorder_is_itself_a_backend_that_can_be_recorded():
     inner = Recorder(create_backend())
     outer = Recorder(inner)
-    outer.create_buffer(1, BufferDescriptor(8, BufferUsage.STATIC))
+    outer.create_buffer(1, descriptors.BufferDescriptor(8, descriptors.BufferUsage.STATIC))
     outer.write_buffer(1, 0, b"12345678")
     assert outer.read_buffer(1, 2, 3) == b"345"
     assert [c.op for c in outer.stream] == [c.op for c in inner.stream]
@@ -293,7 +282,7 @@ def test_recording_makes_no_objects_that_the_garbage_collector_must_visit():
     gc.collect()
     before = len(gc.get_objects())
     for index in range(1000):
-        recorder.draw(1, Primitive.TRIANGLES, 0, index, 1, 0, 0)
+        recorder.draw(1, descriptors.Primitive.TRIANGLES, 0, index, 1, 0, 0)
     assert len(gc.get_objects()) - before < 20
 
 

@@ -6,27 +6,16 @@ import pytest
 from frames import make_boxes
 
 import rhi
+from renderer import techniques
 from renderer.lab.measure.light_evaluations import Counted, count_light_evaluations, find_count
 from renderer.renderer import Renderer
 from renderer.scene import AlphaMode, Camera, Scene, scaling, translation
-from renderer.techniques import (
-    TECHNIQUES,
-    Clustered,
-    Deferred,
-    Forward,
-    ForwardMultipass,
-    LightIndexed,
-    LightPrePass,
-    Smoothed,
-    Technique,
-    TiledDeferred,
-)
 from renderer.visibility import NoCulling
 
 SIZE = (64, 48)
 PIXELS = SIZE[0] * SIZE[1]
 SHRUNK = 39 * 29  # 0.6 of each side, rounded up
-COUNTED = [name for name, make in TECHNIQUES.items() if find_count(make()) is not None]
+COUNTED = [name for name, make in techniques.TECHNIQUES.items() if find_count(make()) is not None]
 
 
 def walls(*distances: float, points: int = 0, spots: int = 0, reach: float = 100.0) -> Scene:
@@ -40,7 +29,9 @@ def walls(*distances: float, points: int = 0, spots: int = 0, reach: float = 100
     return builder.build()
 
 
-def count(device: rhi.Device, scene: Scene, technique: Technique, size: tuple[int, int] = SIZE) -> int | None:
+def count(
+    device: rhi.Device, scene: Scene, technique: techniques.Technique, size: tuple[int, int] = SIZE
+) -> int | None:
     with Renderer(device, scene, technique=technique, visibility=NoCulling(scene), size=size) as renderer:
         return count_light_evaluations(renderer, scene.views["eye"])
 
@@ -53,9 +44,9 @@ def test_the_techniques_of_the_papers_can_be_counted() -> None:
 @pytest.mark.parametrize("name", COUNTED)
 def test_each_pixel_looks_at_each_light_that_reaches_all_of_them(drawing_device: rhi.Device, name: str) -> None:
     pixels = SHRUNK if name == "inferred" else PIXELS
-    assert count(drawing_device, walls(5.0, points=3), TECHNIQUES[name]()) == 3 * pixels
-    assert count(drawing_device, walls(5.0, points=2, spots=3), TECHNIQUES[name]()) == 5 * pixels
-    assert count(drawing_device, walls(5.0), TECHNIQUES[name]()) == 0
+    assert count(drawing_device, walls(5.0, points=3), techniques.TECHNIQUES[name]()) == 3 * pixels
+    assert count(drawing_device, walls(5.0, points=2, spots=3), techniques.TECHNIQUES[name]()) == 5 * pixels
+    assert count(drawing_device, walls(5.0), techniques.TECHNIQUES[name]()) == 0
 
 
 @pytest.mark.parametrize("name", COUNTED)
@@ -63,7 +54,7 @@ def test_a_small_light_is_looked_at_where_it_may_reach_and_by_forward_shading_ev
     gl: rhi.Device, name: str
 ) -> None:
     size = (256, 192)  # of 4 × 3 tiles of clusters
-    number = count(gl, walls(5.0, points=1, reach=1.2), TECHNIQUES[name](), size)
+    number = count(gl, walls(5.0, points=1, reach=1.2), techniques.TECHNIQUES[name](), size)
     assert number is not None
     if name in ("forward", "forward_multipass"):
         assert number == size[0] * size[1]
@@ -78,13 +69,15 @@ def test_a_light_of_an_object_behind_is_looked_at_if_it_is_drawn_first(gl: rhi.D
     builder.lights.add_point((0, 0, -1), 100.0)
     builder.views["eye"] = Camera.look_at((0, 0, 0), (0, 0, -1))
     scene = builder.build()
-    assert count(gl, scene, Forward()) == count(gl, scene, Clustered()) == 2 * PIXELS
-    assert count(gl, scene, Deferred()) == count(gl, scene, ForwardMultipass()) == PIXELS
+    assert count(gl, scene, techniques.Forward()) == count(gl, scene, techniques.Clustered()) == 2 * PIXELS
+    assert count(gl, scene, techniques.Deferred()) == count(gl, scene, techniques.ForwardMultipass()) == PIXELS
 
 
-@pytest.mark.parametrize("make", [Forward, Clustered, ForwardMultipass])
+@pytest.mark.parametrize("make", [techniques.Forward, techniques.Clustered, techniques.ForwardMultipass])
 @pytest.mark.parametrize(("alpha", "each"), [(0.0, 0), (1.0, 1)])
-def test_what_a_mask_leaves_out_looks_at_no_light(gl: rhi.Device, make: type[Forward], alpha: float, each: int) -> None:
+def test_what_a_mask_leaves_out_looks_at_no_light(
+    gl: rhi.Device, make: type[techniques.Forward], alpha: float, each: int
+) -> None:
     scene = walls(5.0, points=1)
     scene.materials["alpha_mode"], scene.materials["base_color"][:, 3] = AlphaMode.MASK, alpha
     assert count(gl, scene, make()) == each * PIXELS
@@ -95,32 +88,32 @@ def test_a_pixel_with_more_indices_than_fit_looks_at_its_objects_list(gl: rhi.De
     """One more light reaches the wall at a single place, so it is on the list of the object."""
     scene = walls(5.0, points=points)
     scene.lights.add_point((15.0, 0.0, -4.9), 1.0)
-    assert count(gl, scene, LightIndexed()) == each * PIXELS
+    assert count(gl, scene, techniques.LightIndexed()) == each * PIXELS
 
 
 def test_more_than_a_half_float_can_count_are_counted(gl: rhi.Device) -> None:
-    assert count(gl, walls(5.0, points=2501), TiledDeferred()) == 2501 * PIXELS
+    assert count(gl, walls(5.0, points=2501), techniques.TiledDeferred()) == 2501 * PIXELS
 
 
-@pytest.mark.parametrize("make", [Deferred, LightPrePass])
-def test_masked_volumes_leave_out_what_is_before_them(gl: rhi.Device, make: type[Deferred]) -> None:
+@pytest.mark.parametrize("make", [techniques.Deferred, techniques.LightPrePass])
+def test_masked_volumes_leave_out_what_is_before_them(gl: rhi.Device, make: type[techniques.Deferred]) -> None:
     scene = walls(5.0)
     scene.lights.add_point((0, 0, -6.0), 1.2)  # behind the wall's face, which it touches
     scene.lights.add_point((0, 0, -6.5), 1.2)  # behind it
     assert 0 < (count(gl, scene, make(stencil=True)) or 0) < (count(gl, scene, make()) or 0)
 
 
-@pytest.mark.parametrize("technique", [Forward(samples=4), Smoothed(Forward())])
-def test_what_is_not_known_how_to_count_is_not_counted(gl: rhi.Device, technique: Technique) -> None:
+@pytest.mark.parametrize("technique", [techniques.Forward(samples=4), techniques.Smoothed(techniques.Forward())])
+def test_what_is_not_known_how_to_count_is_not_counted(gl: rhi.Device, technique: techniques.Technique) -> None:
     assert count(gl, walls(5.0, points=1), technique) is None
 
 
 def test_a_device_that_draws_nothing_counts_nothing(null: rhi.Device) -> None:
-    assert count(null, walls(5.0, points=1), Forward()) is None
+    assert count(null, walls(5.0, points=1), techniques.Forward()) is None
 
 
 def test_counting_leaves_the_renderer_as_it_was(gl: rhi.Device) -> None:
-    scene, technique = walls(5.0, points=1), Deferred()
+    scene, technique = walls(5.0, points=1), techniques.Deferred()
     with Renderer(gl, scene, technique=technique, visibility=NoCulling(scene), size=SIZE) as renderer:
         before = renderer.render(scene.views["eye"]).image.read()
         count_light_evaluations(renderer, scene.views["eye"])
@@ -130,7 +123,9 @@ def test_counting_leaves_the_renderer_as_it_was(gl: rhi.Device) -> None:
 
 def test_a_counted_technique_has_its_own_passes_and_one_more(null: rhi.Device) -> None:
     scene = walls(5.0, points=1)
-    with Renderer(null, scene, technique=Counted(Deferred()), visibility=NoCulling(scene), size=SIZE) as renderer:
+    with Renderer(
+        null, scene, technique=Counted(techniques.Deferred()), visibility=NoCulling(scene), size=SIZE
+    ) as renderer:
         renderer.render(scene.views["eye"])
         _, plan = renderer.plan(scene.views["eye"])
         assert renderer.technique.name == "deferred"

@@ -12,18 +12,6 @@ import numpy as np
 import pytest
 
 import rhi
-from rhi import (
-    Access,
-    AlphaFunction,
-    AlphaReference,
-    AlphaTest,
-    CullMode,
-    Device,
-    DeviceError,
-    Format,
-    Primitive,
-    Scissor,
-)
 from rhi.backends.gl.backend import GlBackend
 from rhi.conformance.patience import comes_true
 from rhi.conformance.shaders import Colored, Tint, Tinted
@@ -54,7 +42,7 @@ def foreign() -> Iterator[moderngl.Context]:
 
 
 @pytest.fixture(params=["direct", "recorded"])
-def device(request: pytest.FixtureRequest, foreign: moderngl.Context) -> Iterator[Device]:
+def device(request: pytest.FixtureRequest, foreign: moderngl.Context) -> Iterator[rhi.Device]:
     with rhi.create_device("gl", record=request.param == "recorded") as device:
         yield device
 
@@ -76,7 +64,7 @@ def count_filled(image: rhi.Texture) -> int:
     return int((image.read()[..., 0] == 255).sum())
 
 
-def draw_all(device: Device, image: rhi.Texture) -> None:
+def draw_all(device: rhi.Device, image: rhi.Texture) -> None:
     with device.render_pass(image, clear=(0, 0, 0, 0)):
         device.draw(device.program(Colored), device.mesh(rectangle()))
 
@@ -84,8 +72,8 @@ def draw_all(device: Device, image: rhi.Texture) -> None:
 # -- between passes: made current again ----------------------------------------------------------------------
 
 
-def test_a_pass_draws_after_another_context_was_current(device: Device, take_over: Callable[[], None]) -> None:
-    image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+def test_a_pass_draws_after_another_context_was_current(device: rhi.Device, take_over: Callable[[], None]) -> None:
+    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
     for _ in range(2):
         take_over()
         with device.render_pass(image, clear=(0, 0, 0, 0)):
@@ -94,9 +82,9 @@ def test_a_pass_draws_after_another_context_was_current(device: Device, take_ove
         assert count_filled(image) == PIXELS
 
 
-USES: dict[str, Callable[[Device, dict[str, Any]], object]] = {
+USES: dict[str, Callable[[rhi.Device, dict[str, Any]], object]] = {
     "buffer": lambda d, r: d.buffer(np.arange(4)).read().tolist() == [0, 1, 2, 3],
-    "texture": lambda d, r: d.texture(np.full((2, 2, 4), 7, "u1"), Format.RGBA8).read().min() == 7,
+    "texture": lambda d, r: d.texture(np.full((2, 2, 4), 7, "u1"), rhi.Format.RGBA8).read().min() == 7,
     "mesh": lambda d, r: d.mesh(rectangle()),
     "program": lambda d, r: d.program(Counted),
     "query": lambda d, r: d.occlusion_query(),
@@ -119,8 +107,8 @@ USES: dict[str, Callable[[Device, dict[str, Any]], object]] = {
 @pytest.mark.parametrize("use", USES)
 @pytest.mark.parametrize("take_over", TAKE_OVER, indirect=True)
 @pytest.mark.parametrize("device", ["direct", "recorded"], indirect=True)
-def test_each_call_finds_its_context_again(device: Device, take_over: Callable[[], None], use: str) -> None:
-    texture = device.texture(np.full((4, 4, 4), 5, "u1"), Format.RGBA8, levels=None)
+def test_each_call_finds_its_context_again(device: rhi.Device, take_over: Callable[[], None], use: str) -> None:
+    texture = device.texture(np.full((4, 4, 4), 5, "u1"), rhi.Format.RGBA8, levels=None)
     resources = {"buffer": device.buffer(np.array([1, 2, 3, 4])), "zeros": device.buffer(32), "texture": texture}
     take_over()
     assert USES[use](device, resources) is not False
@@ -128,27 +116,27 @@ def test_each_call_finds_its_context_again(device: Device, take_over: Callable[[
     assert (texture.read() == 5).all()
 
 
-def test_an_asynchronous_read_is_seen_to_be_done(device: Device, take_over: Callable[[], None]) -> None:
+def test_an_asynchronous_read_is_seen_to_be_done(device: rhi.Device, take_over: Callable[[], None]) -> None:
     def is_done() -> bool:
         take_over()
         return read.done
 
-    image = device.texture(SIZE, Format.RGBA8)
+    image = device.texture(SIZE, rhi.Format.RGBA8)
     draw_all(device, image)
     read = image.read_async()
     assert comes_true(is_done)
     assert (read.result()[..., 0] > 0).all()
 
 
-def test_a_lock_is_written_to_its_own_context(device: Device, take_over: Callable[[], None]) -> None:
+def test_a_lock_is_written_to_its_own_context(device: rhi.Device, take_over: Callable[[], None]) -> None:
     buffer = device.buffer(np.zeros(4))
-    with buffer.lock(Access.WRITE) as array:
+    with buffer.lock(rhi.Access.WRITE) as array:
         array[:] = 3
         take_over()
     assert buffer.read().tolist() == [3] * 4
 
 
-def test_a_dispatch_keeps_its_bindings(device: Device, take_over: Callable[[], None]) -> None:
+def test_a_dispatch_keeps_its_bindings(device: rhi.Device, take_over: Callable[[], None]) -> None:
     program = device.program(Counted)
     first, second = device.storage(uint, 4), device.storage(uint, 4)
     device.dispatch(program, 1, numbers=first)
@@ -159,8 +147,8 @@ def test_a_dispatch_keeps_its_bindings(device: Device, take_over: Callable[[], N
     assert (first.read().tolist(), second.read().tolist()) == ([1] * 4, [2] * 4)
 
 
-def test_a_command_buffer_is_executed_in_its_own_context(device: Device, take_over: Callable[[], None]) -> None:
-    image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+def test_a_command_buffer_is_executed_in_its_own_context(device: rhi.Device, take_over: Callable[[], None]) -> None:
+    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
     with device.record() as commands, commands.render_pass(image, clear=(0, 0, 0, 0)):
         commands.draw(program, mesh)
     for _ in range(2):
@@ -170,9 +158,9 @@ def test_a_command_buffer_is_executed_in_its_own_context(device: Device, take_ov
         assert count_filled(image) == PIXELS
 
 
-def test_answers_come_from_the_device_s_own_queries(device: Device, foreign: moderngl.Context) -> None:
+def test_answers_come_from_the_device_s_own_queries(device: rhi.Device, foreign: moderngl.Context) -> None:
     """The foreign context has queries of the same names, with other answers."""
-    image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
     queries = [device.occlusion_query() for _ in range(4)]
     with device.render_pass(image, clear=(0, 0, 0, 0)):
         for query in queries:
@@ -187,9 +175,9 @@ def test_answers_come_from_the_device_s_own_queries(device: Device, foreign: mod
     assert [query.wait() for query in queries] == [PIXELS] * 4
 
 
-def test_states_hold_across_another_context(device: Device, take_over: Callable[[], None]) -> None:
-    image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
-    with device.states(Scissor(0, 0, 8, 8), CullMode.NONE):
+def test_states_hold_across_another_context(device: rhi.Device, take_over: Callable[[], None]) -> None:
+    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+    with device.states(rhi.Scissor(0, 0, 8, 8), rhi.CullMode.NONE):
         for _ in range(2):
             with device.render_pass(image, clear=(0, 0, 0, 0)):
                 device.draw(program, mesh)
@@ -210,10 +198,10 @@ def test_a_device_closes_after_another_context_was_current(take_over: Callable[[
 
 
 def test_draws_into_another_context_are_refused_at_the_end_of_the_pass(
-    device: Device, take_over: Callable[[], None]
+    device: rhi.Device, take_over: Callable[[], None]
 ) -> None:
-    image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
-    with pytest.raises(DeviceError) as caught, device.render_pass(image, clear=(0, 0, 0, 0)):
+    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+    with pytest.raises(rhi.DeviceError) as caught, device.render_pass(image, clear=(0, 0, 0, 0)):
         take_over()
         device.draw(program, mesh)
     assert caught.value.rule.id == "device-context"
@@ -223,33 +211,33 @@ def test_draws_into_another_context_are_refused_at_the_end_of_the_pass(
 
 
 def test_they_are_refused_at_the_next_call_that_creates_something(
-    device: Device, take_over: Callable[[], None]
+    device: rhi.Device, take_over: Callable[[], None]
 ) -> None:
-    image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
     with device.render_pass(image, clear=(0, 0, 0, 0)):
         device.draw(program, mesh)
         take_over()
-        with pytest.raises(DeviceError, match=r"^\[device-context\]"):
+        with pytest.raises(rhi.DeviceError, match=r"^\[device-context\]"):
             device.buffer(4)
         device.draw(program, mesh)  # the pass goes on
     assert count_filled(image) == PIXELS
 
 
-def test_a_device_made_current_inside_a_pass_goes_on_drawing(device: Device, take_over: Callable[[], None]) -> None:
-    image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Tinted)
+def test_a_device_made_current_inside_a_pass_goes_on_drawing(device: rhi.Device, take_over: Callable[[], None]) -> None:
+    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Tinted)
     tint = device.uniform(Tint(color=(1, 1, 1, 1)))
-    with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
-        with device.states(Scissor(0, 0, 64, 32)):
+    with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.CullMode.NONE):
+        with device.states(rhi.Scissor(0, 0, 64, 32)):
             device.draw(program, mesh, tint=tint)
         take_over()
         device.make_current()
-        with device.states(Scissor(0, 32, 64, 16)):
+        with device.states(rhi.Scissor(0, 32, 64, 16)):
             device.draw(program, mesh, tint=tint)
     assert count_filled(image) == PIXELS * 3 // 4
 
 
-def test_a_context_that_is_given_back_in_time_is_not_noticed(device: Device, foreign: moderngl.Context) -> None:
-    image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+def test_a_context_that_is_given_back_in_time_is_not_noticed(device: rhi.Device, foreign: moderngl.Context) -> None:
+    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
     own = device.backend_as(GlBackend).context
     with device.render_pass(image, clear=(0, 0, 0, 0)):
         foreign.mglo.__enter__()
@@ -261,12 +249,12 @@ def test_a_context_that_is_given_back_in_time_is_not_noticed(device: Device, for
 
 def test_with_validation_the_draw_itself_is_refused() -> None:
     with rhi.create_device("gl", validation=True) as device:
-        image, mesh = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle())
+        image, mesh = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle())
         program = device.program(Colored)
         with device.render_pass(image, clear=(0, 0, 0, 0)):
             device.draw(program, mesh)
             context = moderngl.create_context(450, standalone=True, **EGL)
-            with pytest.raises(DeviceError, match=r"^\[device-context\]") as caught:
+            with pytest.raises(rhi.DeviceError, match=r"^\[device-context\]") as caught:
                 device.draw(program, mesh)
             assert caught.value.site is not None
             assert caught.value.site.file == __file__
@@ -276,37 +264,39 @@ def test_with_validation_the_draw_itself_is_refused() -> None:
 
 
 def test_what_a_first_draw_creates_is_not_created_in_another_context(
-    device: Device, take_over: Callable[[], None]
+    device: rhi.Device, take_over: Callable[[], None]
 ) -> None:
     """The variant of a program with an alpha test."""
-    image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
-    tested = AlphaTest.ON, AlphaFunction.GREATER, AlphaReference(0.5), Scissor(0, 0, 32, 64)
+    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+    tested = rhi.AlphaTest.ON, rhi.AlphaFunction.GREATER, rhi.AlphaReference(0.5), rhi.Scissor(0, 0, 32, 64)
     for _ in range(2):
         with device.render_pass(image, clear=(0, 0, 0, 0)):
             device.draw(program, mesh, 0)
             take_over()
-            with device.states(*tested), pytest.raises(DeviceError, match=r"^\[device-context\]"):
+            with device.states(*tested), pytest.raises(rhi.DeviceError, match=r"^\[device-context\]"):
                 device.draw(program, mesh)
             with device.states(*tested):
                 device.draw(program, mesh)
         assert count_filled(image) == PIXELS // 2
-        tested = AlphaTest.ON, AlphaFunction.LESS_EQUAL, AlphaReference(1.0), Scissor(0, 0, 32, 64)
+        tested = rhi.AlphaTest.ON, rhi.AlphaFunction.LESS_EQUAL, rhi.AlphaReference(1.0), rhi.Scissor(0, 0, 32, 64)
 
 
 @pytest.mark.parametrize("indexed", [False, True])
 def test_quads_are_not_expanded_in_another_context(
-    device: Device, take_over: Callable[[], None], indexed: bool
+    device: rhi.Device, take_over: Callable[[], None], indexed: bool
 ) -> None:
-    image, program = device.texture(SIZE, Format.RGBA8), device.program(Colored)
+    image, program = device.texture(SIZE, rhi.Format.RGBA8), device.program(Colored)
     rows = rectangle()[[0, 1, 2, 5]]
-    mesh = device.mesh(rows, np.arange(4, dtype="u2") if indexed else None, primitive=Primitive.QUADS)
+    mesh = device.mesh(rows, np.arange(4, dtype="u2") if indexed else None, primitive=rhi.Primitive.QUADS)
     with device.render_pass(image, clear=(0, 0, 0, 0)):
         device.draw(program, mesh, 0)
-    many = device.mesh(np.tile(rows, 2000), np.arange(8000, dtype="u2") if indexed else None, primitive=Primitive.QUADS)
+    many = device.mesh(
+        np.tile(rows, 2000), np.arange(8000, dtype="u2") if indexed else None, primitive=rhi.Primitive.QUADS
+    )
     with device.render_pass(image, clear=(0, 0, 0, 0)):
         device.draw(program, many.view(0, 4))
         take_over()
-        with pytest.raises(DeviceError, match=r"^\[device-context\]"):
+        with pytest.raises(rhi.DeviceError, match=r"^\[device-context\]"):
             device.draw(program, many.view(1))  # other quads than those that were expanded
     draw_all(device, image)
     for first in (0, 1):
@@ -317,11 +307,11 @@ def test_quads_are_not_expanded_in_another_context(
 
 @pytest.mark.parametrize("emulated", [False, True])
 def test_queries_count_again_after_a_pass_that_was_lost(
-    device: Device, foreign: moderngl.Context, emulated: bool
+    device: rhi.Device, foreign: moderngl.Context, emulated: bool
 ) -> None:
-    image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
     query, lost = device.occlusion_query(emulated=emulated), device.occlusion_query(emulated=emulated)
-    with pytest.raises(DeviceError), device.render_pass(image, clear=(0, 0, 0, 0)):
+    with pytest.raises(rhi.DeviceError), device.render_pass(image, clear=(0, 0, 0, 0)):
         with lost:
             device.draw(program, mesh)
             foreign.mglo.__enter__()
@@ -333,13 +323,13 @@ def test_queries_count_again_after_a_pass_that_was_lost(
         assert query.wait() == PIXELS
 
 
-def test_labels_stay_paired_after_a_pass_that_was_lost(device: Device, foreign: moderngl.Context) -> None:
+def test_labels_stay_paired_after_a_pass_that_was_lost(device: rhi.Device, foreign: moderngl.Context) -> None:
     gl = device.backend_as(GlBackend).gl
-    image = device.texture(SIZE, Format.RGBA8)
+    image = device.texture(SIZE, rhi.Format.RGBA8)
     before = gl.get_integer(0x826D)  # GL_DEBUG_GROUP_STACK_DEPTH
     for _ in range(2):
         with device.event("frame"):
-            with pytest.raises(DeviceError), device.render_pass(image), device.event("lost"):
+            with pytest.raises(rhi.DeviceError), device.render_pass(image), device.event("lost"):
                 foreign.mglo.__enter__()
             assert gl.get_integer(0x826D) == before + 1
     assert gl.get_integer(0x826D) == before
@@ -410,7 +400,7 @@ def read_state(gl: Any) -> dict[str, Any]:
 @pytest.mark.parametrize("kind", DISTURBANCES)
 def test_make_current_restores_the_state_that_other_code_changed(kind: str, validation: bool) -> None:
     with rhi.create_device("gl", validation=validation) as device:
-        image, depth = device.texture(SIZE, Format.RGBA8), device.texture(SIZE, Format.D24S8)
+        image, depth = device.texture(SIZE, rhi.Format.RGBA8), device.texture(SIZE, rhi.Format.D24S8)
         program, mesh = device.program(Colored), device.mesh(rectangle())
         gl = device.backend_as(GlBackend).gl
         with device.render_pass(image, depth, clear_depth=0.25):
@@ -427,7 +417,7 @@ def test_make_current_restores_the_state_that_other_code_changed(kind: str, vali
 def test_make_current_restores_lines_that_are_wide_and_edges_with_an_offset() -> None:
     with rhi.create_device("gl") as device:
         gl = device.backend_as(GlBackend).gl
-        image, program, mesh = device.texture(SIZE, Format.RGBA8), device.program(Colored), device.mesh(rectangle())
+        image, program, mesh = device.texture(SIZE, rhi.Format.RGBA8), device.program(Colored), device.mesh(rectangle())
         with device.render_pass(image), device.states(rhi.PolygonMode.LINE, rhi.LineWidth(5.0), rhi.DepthBias(2.0)):
             device.draw(program, mesh)
             before = read_state(gl)
@@ -439,9 +429,9 @@ def test_make_current_restores_lines_that_are_wide_and_edges_with_an_offset() ->
             assert read_state(gl) == before
 
 
-def test_make_current_restores_the_bindings_that_other_code_changed(device: Device) -> None:
+def test_make_current_restores_the_bindings_that_other_code_changed(device: rhi.Device) -> None:
     own = device.backend_as(GlBackend)
-    image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Tinted)
+    image, mesh, program = device.texture(SIZE, rhi.Format.RGBA8), device.mesh(rectangle()), device.program(Tinted)
     tint, other = device.uniform(Tint(color=(1, 1, 1, 1))), own.context.buffer(reserve=256)
     counts = []
     for restored in (False, True):
@@ -461,7 +451,7 @@ def test_make_current_restores_the_bindings_that_other_code_changed(device: Devi
 def test_a_context_that_another_thread_holds_is_named() -> None:
     with rhi.create_device("gl") as device:
         context = device.backend_as(GlBackend).context
-        image = device.texture(SIZE, Format.RGBA8)
+        image = device.texture(SIZE, rhi.Format.RGBA8)
         context.mglo.__exit__()
         held, released = threading.Event(), threading.Event()
 
@@ -476,7 +466,7 @@ def test_a_context_that_another_thread_holds_is_named() -> None:
         held.wait(10)
         try:
             for use in (lambda: draw_all(device, image), lambda: device.buffer(4), device.make_current):
-                with pytest.raises(DeviceError, match=r"^\[device-context\]"):
+                with pytest.raises(rhi.DeviceError, match=r"^\[device-context\]"):
                     use()
         finally:
             released.set()
@@ -491,7 +481,11 @@ def test_devices_on_two_threads_draw_at_the_same_time() -> None:
 
     def work(color: int) -> None:
         with rhi.create_device("gl") as device:
-            image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Tinted)
+            image, mesh, program = (
+                device.texture(SIZE, rhi.Format.RGBA8),
+                device.mesh(rectangle()),
+                device.program(Tinted),
+            )
             tint = device.uniform(Tint(color=(color / 255, 0, 0, 1)))
             for _ in range(50):
                 with device.render_pass(image, clear=(0, 0, 0, 0)):

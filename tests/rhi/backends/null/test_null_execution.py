@@ -7,16 +7,8 @@ from rhi.backends.null import Draw, ExecutionStatistics, NullBackend, create_bac
 from rhi.backends.null.backend import COMMAND_NANOSECONDS, KEPT_INDIRECT
 from rhi.commands.ops import Op as OpInOps
 from rhi.commands.stream import Op
+from rhi.contract import descriptors
 from rhi.contract.backend import Backend
-from rhi.contract.descriptors import (
-    BufferDescriptor,
-    BufferUsage,
-    PassDescriptor,
-    Primitive,
-    QueryKind,
-    VertexArrayDescriptor,
-    VertexStream,
-)
 from rhi.errors import ValidationError
 
 PLAIN, INDEXED = 100, 101
@@ -26,15 +18,17 @@ ARGUMENTS, COUNT, STAGING = 200, 201, 202
 @pytest.fixture
 def backend():
     made = create_backend()
-    made.create_vertex_array(PLAIN, VertexArrayDescriptor(1, (VertexStream(9, 0, 12, False, ()),)))
-    made.create_vertex_array(INDEXED, VertexArrayDescriptor(1, (), index_buffer=8))
+    made.create_vertex_array(
+        PLAIN, descriptors.VertexArrayDescriptor(1, (descriptors.VertexStream(9, 0, 12, False, ()),))
+    )
+    made.create_vertex_array(INDEXED, descriptors.VertexArrayDescriptor(1, (), index_buffer=8))
     for buffer in (ARGUMENTS, COUNT, STAGING):
-        made.create_buffer(buffer, BufferDescriptor(256))
+        made.create_buffer(buffer, descriptors.BufferDescriptor(256))
     return made
 
 
 def draw(backend, count=3, instances=1, base_instance=0):
-    backend.draw(PLAIN, Primitive.TRIANGLES, 0, count, instances, 0, base_instance)
+    backend.draw(PLAIN, descriptors.Primitive.TRIANGLES, 0, count, instances, 0, base_instance)
 
 
 def words(*values):
@@ -43,7 +37,7 @@ def words(*values):
 
 def draw_indirect(backend, vertex_array=INDEXED, draws=1, offset=0, stride=20, count_buffer=0, count_offset=0):
     backend.draw_indirect(
-        vertex_array, Primitive.TRIANGLES, ARGUMENTS, offset, draws, stride, count_buffer, count_offset
+        vertex_array, descriptors.Primitive.TRIANGLES, ARGUMENTS, offset, draws, stride, count_buffer, count_offset
     )
 
 
@@ -169,7 +163,7 @@ def test_a_fence_is_complete_once_signalled(backend):
 
 def test_time_goes_on_with_every_executed_command_and_only_with_them(backend):
     for query in (1, 2, 3):
-        backend.create_query(query, QueryKind.TIMESTAMP)
+        backend.create_query(query, descriptors.QueryKind.TIMESTAMP)
     backend.write_query(1)
     backend.write_query(2)
     for _ in range(8):
@@ -185,7 +179,7 @@ def test_time_goes_on_with_every_executed_command_and_only_with_them(backend):
 def test_the_same_commands_take_the_same_time():
     def frame():
         backend = create_backend()
-        backend.create_query(1, QueryKind.TIMESTAMP)
+        backend.create_query(1, descriptors.QueryKind.TIMESTAMP)
         for count in range(5):
             draw(backend, count)
         backend.write_query(1)
@@ -196,7 +190,7 @@ def test_the_same_commands_take_the_same_time():
 
 def test_statistics_count_what_was_executed(backend):
     draw(backend)
-    backend.begin_pass(PassDescriptor((1, 1)))
+    backend.begin_pass(descriptors.PassDescriptor((1, 1)))
     backend.write_buffer(ARGUMENTS, 0, words(3, 1, 0, 0, 0, 3, 1, 0, 0, 0))
     draw_indirect(backend, draws=2)
     backend.end_pass()
@@ -208,7 +202,7 @@ def test_statistics_count_what_was_executed(backend):
 
 
 def occlusion(backend, query=1, draws=1):
-    backend.create_query(query, QueryKind.OCCLUSION)
+    backend.create_query(query, descriptors.QueryKind.OCCLUSION)
     backend.begin_query(query)
     for index in range(draws):
         draw(backend, base_instance=index)
@@ -216,7 +210,7 @@ def occlusion(backend, query=1, draws=1):
 
 
 def counter(backend, query):
-    backend.create_query(query, QueryKind.COUNTER)
+    backend.create_query(query, descriptors.QueryKind.COUNTER)
     backend.write_query(query)
 
 
@@ -237,7 +231,7 @@ def test_zero_is_known_where_nothing_was_drawn(backend):
     counter(backend, 1)
     occlusion(backend, 2, draws=0)
     assert (backend.read_query(1), backend.read_query(2)) == (0, 0)
-    backend.create_query(3, QueryKind.OCCLUSION)
+    backend.create_query(3, descriptors.QueryKind.OCCLUSION)
     backend.begin_query(3)
     draw(backend, count=0)
     draw(backend, instances=0)
@@ -247,8 +241,8 @@ def test_zero_is_known_where_nothing_was_drawn(backend):
 
 def test_a_query_has_no_answer_before_its_end(backend):
     backend.count_samples(lambda draw: 1)
-    backend.create_query(1, QueryKind.OCCLUSION)
-    backend.create_query(2, QueryKind.TIMESTAMP)
+    backend.create_query(1, descriptors.QueryKind.OCCLUSION)
+    backend.create_query(2, descriptors.QueryKind.TIMESTAMP)
     assert backend.read_query(1) is None
     assert backend.read_query(2) is None
     backend.begin_query(1)
@@ -271,7 +265,7 @@ def test_samples_of_each_draw_are_added_up(backend):
     counter(backend, 3)
     assert backend.read_query(2) == 30
     assert backend.read_query(3) - backend.read_query(1) == 30
-    assert seen[2] == Draw(5, PLAIN, Primitive.TRIANGLES, 0, 3, 1, 0, 2, ("box",))
+    assert seen[2] == Draw(5, PLAIN, descriptors.Primitive.TRIANGLES, 0, 3, 1, 0, 2, ("box",))
 
 
 def test_draws_outside_a_query_count_for_the_running_counter_only(backend):
@@ -286,7 +280,7 @@ def test_draws_outside_a_query_count_for_the_running_counter_only(backend):
 def test_indirect_draws_are_asked_for_one_by_one(backend):
     backend.count_samples(lambda draw: draw.count * 100 + draw.base_instance)
     backend.write_buffer(ARGUMENTS, 0, words(3, 1, 0, 0, 1, 6, 1, 0, 0, 2, 0, 1, 0, 0, 9))
-    backend.create_query(1, QueryKind.OCCLUSION)
+    backend.create_query(1, descriptors.QueryKind.OCCLUSION)
     backend.begin_query(1)
     draw_indirect(backend, draws=3)
     backend.end_query(1)
@@ -296,7 +290,7 @@ def test_indirect_draws_are_asked_for_one_by_one(backend):
 
 def test_an_indirect_draw_that_nobody_counts_makes_the_answer_unknown(backend):
     backend.write_buffer(ARGUMENTS, 0, words(3, 1, 0, 0, 1))
-    backend.create_query(1, QueryKind.OCCLUSION)
+    backend.create_query(1, descriptors.QueryKind.OCCLUSION)
     backend.begin_query(1)
     draw_indirect(backend)
     backend.end_query(1)
@@ -372,7 +366,7 @@ def test_a_counting_function_that_raises_leaves_the_count_unknown(backend):
 
 def test_a_timestamp_needs_no_answer(backend):
     backend.answer_queries(5)
-    backend.create_query(1, QueryKind.TIMESTAMP)
+    backend.create_query(1, descriptors.QueryKind.TIMESTAMP)
     backend.write_query(1)
     assert backend.read_query(1) == COMMAND_NANOSECONDS
 
@@ -421,7 +415,7 @@ def test_draws_under_an_unknown_condition_are_undecided_and_make_counts_unknown(
 
 
 def test_stream_buffers_are_forgotten_when_destroyed(backend):
-    backend.create_buffer(1, BufferDescriptor(4, BufferUsage.STREAM))
+    backend.create_buffer(1, descriptors.BufferDescriptor(4, descriptors.BufferUsage.STREAM))
     backend.destroy(1)
     backend.signal(1)
     with pytest.raises(KeyError):

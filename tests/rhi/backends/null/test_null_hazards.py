@@ -15,22 +15,7 @@ from simulated_kit import PLAIN, STATIC, STREAM, draw, make_backend, words
 import rhi
 from rhi import Access, BufferUsage
 from rhi.backends.null import Faults, HazardKind, SimulatedBackend, Simulation
-from rhi.contract.descriptors import (
-    Attachment,
-    Binding,
-    BindingKind,
-    BufferDescriptor,
-    DepthAttachment,
-    PassDescriptor,
-    Primitive,
-    QueryKind,
-    Region,
-    SamplerDescriptor,
-    TextureDescriptor,
-    TextureKind,
-    VertexArrayDescriptor,
-    VertexStream,
-)
+from rhi.contract import descriptors
 from rhi.contract.formats import Format, IndexFormat
 from rhi.contract.states import ColorWrite, DepthWrite, StateChange, StencilTest
 from rhi.device.core.ring import Ring
@@ -38,7 +23,7 @@ from rhi.device.core.timeline import Timeline
 from rhi.errors import ValidationError
 
 PROGRAM, TEXTURE, SAMPLER, VERTICES = 300, 301, 302, 303
-LAYERS = Region(0, 0, 1, 2, 0, 3)
+LAYERS = descriptors.Region(0, 0, 1, 2, 0, 3)
 KINDS = HazardKind
 
 
@@ -54,7 +39,7 @@ def with_program(backend, *bindings):
 
 def uniform_backend(**times):
     """A backend whose draws read a uniform range of STREAM."""
-    return with_program(make_backend(**times), Binding("camera", BindingKind.UNIFORM, 0))
+    return with_program(make_backend(**times), descriptors.Binding("camera", descriptors.BindingKind.UNIFORM, 0))
 
 
 def finish(backend, value=1):
@@ -80,7 +65,7 @@ def test_both_calls_are_named_by_their_lines():
     backend = uniform_backend()
     backend.bind_uniform(0, STREAM, 0, 16)
     line = inspect.currentframe().f_lineno
-    backend.draw(PLAIN, Primitive.TRIANGLES, 0, 3, 1, 0, 0)
+    backend.draw(PLAIN, descriptors.Primitive.TRIANGLES, 0, 3, 1, 0, 0)
     backend.write_buffer(STREAM, 0, bytes(4))
     (hazard,) = backend.hazards
     assert (hazard.first.line, hazard.second.line) == (line + 1, line + 2)
@@ -115,7 +100,7 @@ def test_a_read_that_waits_frees_everything_before_it(read):
 @pytest.mark.parametrize(("begin", "size"), [(0, 20), (20, 4), (28, 20), (16, 16), (0, 64)])
 def test_a_read_of_what_the_gpu_writes_is_found_to_the_byte(begin, size):
     backend = make_backend()
-    backend.create_buffer(900, BufferDescriptor(64, BufferUsage.READBACK))
+    backend.create_buffer(900, descriptors.BufferDescriptor(64, BufferUsage.READBACK))
     backend.copy_buffer(STATIC, 0, 900, 16, 16)
     backend.read_buffer(900, 0, 16)
     backend.read_buffer(900, 32, 32)
@@ -128,7 +113,7 @@ def test_a_read_of_what_the_gpu_writes_is_found_to_the_byte(begin, size):
 
 def test_an_answer_frees_what_came_before_its_query():
     backend = uniform_backend()
-    backend.create_query(1, QueryKind.TIMESTAMP)
+    backend.create_query(1, descriptors.QueryKind.TIMESTAMP)
     backend.bind_uniform(0, STREAM, 0, 16)
     draw(backend)
     backend.write_query(1)
@@ -154,8 +139,8 @@ def test_slots_that_the_program_does_not_read_are_in_nobodys_use():
         lambda b: b.copy_buffer(STATIC, 0, STREAM, 16, 16),
         lambda b: b.clear_buffer(STREAM, 16, 16, 0),
         lambda b: b.dispatch_indirect(STREAM, 20),
-        lambda b: b.draw_indirect(PLAIN, Primitive.TRIANGLES, STREAM, 12, 1, 20, 0, 0),
-        lambda b: b.draw_indirect(PLAIN, Primitive.TRIANGLES, STATIC, 0, 1, 20, STREAM, 28),
+        lambda b: b.draw_indirect(PLAIN, descriptors.Primitive.TRIANGLES, STREAM, 12, 1, 20, 0, 0),
+        lambda b: b.draw_indirect(PLAIN, descriptors.Primitive.TRIANGLES, STATIC, 0, 1, 20, STREAM, 28),
     ],
 )
 def test_every_command_that_touches_memory_counts(use):
@@ -170,7 +155,7 @@ def test_every_command_that_touches_memory_counts(use):
     ("use", "expected"),
     [
         (
-            lambda b: b.draw_indirect(PLAIN, Primitive.TRIANGLES, STREAM, 20, 2, 40, 0, 0),
+            lambda b: b.draw_indirect(PLAIN, descriptors.Primitive.TRIANGLES, STREAM, 20, 2, 40, 0, 0),
             [*range(20, 40), *range(60, 80)],
         ),
         (lambda b: b.copy_texture_to_buffer(TEXTURE, 0, LAYERS, STREAM, 16, 4), [*range(16, 40)]),
@@ -180,13 +165,15 @@ def test_every_command_that_touches_memory_counts(use):
 )
 def test_all_rows_of_a_command_count(use, expected):
     backend = make_backend()
-    backend.create_texture(TEXTURE, TextureDescriptor((1, 2), Format.RGBA8, TextureKind.D2_ARRAY, layers=3))
+    backend.create_texture(
+        TEXTURE, descriptors.TextureDescriptor((1, 2), Format.RGBA8, descriptors.TextureKind.D2_ARRAY, layers=3)
+    )
     use(backend)
     assert found_bytes(backend) == expected
 
 
 def test_ordered_writes_are_no_hazard():
-    backend = with_program(make_backend(), Binding("camera", BindingKind.UNIFORM, 0))
+    backend = with_program(make_backend(), descriptors.Binding("camera", descriptors.BindingKind.UNIFORM, 0))
     backend.bind_uniform(0, STATIC, 0, 16)
     draw(backend)
     backend.write_buffer(STATIC, 0, bytes(16))
@@ -206,8 +193,8 @@ def test_many_uses_close_together_are_all_remembered():
 
 def vertex_backend(index_buffer=0, per_instance=False):
     backend = make_backend()
-    stream = VertexStream(STREAM, 8, 10, per_instance, ())
-    array = VertexArrayDescriptor(1, (stream,), index_buffer, IndexFormat.UINT16)
+    stream = descriptors.VertexStream(STREAM, 8, 10, per_instance, ())
+    array = descriptors.VertexArrayDescriptor(1, (stream,), index_buffer, IndexFormat.UINT16)
     backend.create_vertex_array(VERTICES, array)
     return backend
 
@@ -224,20 +211,20 @@ def found_bytes(backend):
 
 def test_a_draw_reads_the_vertices_it_names():
     backend = vertex_backend()
-    backend.draw(VERTICES, Primitive.TRIANGLES, 3, 6, 1, 0, 0)
+    backend.draw(VERTICES, descriptors.Primitive.TRIANGLES, 3, 6, 1, 0, 0)
     assert found_bytes(backend) == list(range(38, 98))
 
 
 def test_a_draw_reads_the_instances_it_names():
     backend = vertex_backend(per_instance=True)
-    backend.draw(VERTICES, Primitive.TRIANGLES, 0, 3, 2, 0, 5)
+    backend.draw(VERTICES, descriptors.Primitive.TRIANGLES, 0, 3, 2, 0, 5)
     assert found_bytes(backend) == list(range(58, 78))
 
 
 @pytest.mark.parametrize(("count", "instances"), [(0, 1), (3, 0)])
 def test_a_draw_of_nothing_reads_nothing(count, instances):
     backend = vertex_backend()
-    backend.draw(VERTICES, Primitive.TRIANGLES, 0, count, instances, 0, 0)
+    backend.draw(VERTICES, descriptors.Primitive.TRIANGLES, 0, count, instances, 0, 0)
     assert found_bytes(backend) == []
 
 
@@ -245,7 +232,9 @@ def indices(*values):
     return np.array(values, np.uint16).tobytes()
 
 
-@pytest.mark.parametrize(("primitive", "last"), [(Primitive.TRIANGLES, 256), (Primitive.TRIANGLE_STRIP, 88)])
+@pytest.mark.parametrize(
+    ("primitive", "last"), [(descriptors.Primitive.TRIANGLES, 256), (descriptors.Primitive.TRIANGLE_STRIP, 88)]
+)
 def test_an_indexed_draw_reads_the_vertices_its_indices_name(primitive, last):
     """The largest index restarts only strips."""
     backend = vertex_backend(index_buffer=STATIC)
@@ -259,7 +248,7 @@ def test_an_indexed_draw_reads_the_vertices_its_indices_name(primitive, last):
 def test_a_write_before_the_indices_are_known_is_found_when_they_are():
     backend = vertex_backend(index_buffer=STATIC)
     backend.write_buffer(STATIC, 0, indices(3, 4, 5))
-    backend.draw(VERTICES, Primitive.TRIANGLES, 0, 3, 1, 0, 0)
+    backend.draw(VERTICES, descriptors.Primitive.TRIANGLES, 0, 3, 1, 0, 0)
     backend.write_buffer(STREAM, 0, bytes(38))
     line = inspect.currentframe().f_lineno
     backend.write_buffer(STREAM, 60, bytes(2))
@@ -273,10 +262,12 @@ def test_a_write_before_the_indices_are_known_is_found_when_they_are():
 
 def test_a_suspect_counts_only_for_the_buffer_it_was_written_to():
     backend = make_backend()
-    backend.create_buffer(7, BufferDescriptor(256, BufferUsage.STREAM))
-    streams = tuple(VertexStream(buffer, offset, 8, False, ()) for buffer, offset in ((STREAM, 0), (7, 128)))
-    backend.create_vertex_array(VERTICES, VertexArrayDescriptor(1, streams, STATIC, IndexFormat.UINT16))
-    backend.draw(VERTICES, Primitive.TRIANGLES, 0, 3, 1, 0, 0)
+    backend.create_buffer(7, descriptors.BufferDescriptor(256, BufferUsage.STREAM))
+    streams = tuple(
+        descriptors.VertexStream(buffer, offset, 8, False, ()) for buffer, offset in ((STREAM, 0), (7, 128))
+    )
+    backend.create_vertex_array(VERTICES, descriptors.VertexArrayDescriptor(1, streams, STATIC, IndexFormat.UINT16))
+    backend.draw(VERTICES, descriptors.Primitive.TRIANGLES, 0, 3, 1, 0, 0)
     backend.write_buffer(7, 0, bytes(8))  # where STREAM is read
     backend.write_buffer(7, 128, bytes(8))
     finish(backend)
@@ -286,7 +277,7 @@ def test_a_suspect_counts_only_for_the_buffer_it_was_written_to():
 def test_indices_and_vertices_in_the_ring_are_known_at_once():
     backend = vertex_backend(index_buffer=STREAM)
     backend.write_buffer(STREAM, 200, indices(3, 4))
-    backend.draw(VERTICES, Primitive.LINES, 100, 2, 1, 0, 0)
+    backend.draw(VERTICES, descriptors.Primitive.LINES, 100, 2, 1, 0, 0)
     assert found_bytes(backend) == [*range(38, 58), *range(200, 204)]
 
 
@@ -298,7 +289,7 @@ def test_an_indirect_draw_reads_what_its_arguments_name(index_buffer, first, exp
     backend = vertex_backend(index_buffer=index_buffer)
     backend.write_buffer(STREAM, 200, indices(3, 4))
     backend.write_buffer(STATIC, 0, words(2, 1, first, 0, 0))
-    backend.draw_indirect(VERTICES, Primitive.LINES, STATIC, 0, 1, 20, 0, 0)
+    backend.draw_indirect(VERTICES, descriptors.Primitive.LINES, STATIC, 0, 1, 20, 0, 0)
     backend.signal(1)
     backend.spend(1_000_000)
     assert found_bytes(backend) == expected
@@ -309,7 +300,7 @@ def test_indirect_draws_read_the_indices_of_each_that_has_any():
     backend = vertex_backend(index_buffer=STREAM)
     backend.write_buffer(STREAM, 200, indices(3, 4, 9, 9, 7))
     backend.write_buffer(STATIC, 0, words(2, 1, 100, 0, 0, 0, 1, 102, 0, 0, 1, 1, 104, 1, 0))
-    backend.draw_indirect(VERTICES, Primitive.POINTS, STATIC, 0, 3, 20, 0, 0)
+    backend.draw_indirect(VERTICES, descriptors.Primitive.POINTS, STATIC, 0, 3, 20, 0, 0)
     for byte in (199, 200, 203, 204, 207, 208, 209, 210, 37, 38, 57, 58, 87, 88, 97, 98):
         backend.write_buffer(STREAM, byte, bytes(indices(3, 4, 9, 9, 7)[byte - 200 : byte - 199]) or b"x")
     assert not backend.hazards
@@ -323,7 +314,7 @@ def test_indirect_draws_read_the_indices_of_each_that_has_any():
 def test_an_indirect_draw_of_nothing_reads_nothing(count, instances):
     backend = vertex_backend(index_buffer=STREAM)
     backend.write_buffer(STATIC, 0, words(count, instances, 100, 0, 0))
-    backend.draw_indirect(VERTICES, Primitive.LINES, STATIC, 0, 1, 20, 0, 0)
+    backend.draw_indirect(VERTICES, descriptors.Primitive.LINES, STATIC, 0, 1, 20, 0, 0)
     backend.signal(1)
     backend.spend(1_000_000)
     backend.write_buffer(STREAM, 0, bytes(256))
@@ -335,7 +326,7 @@ def test_an_indirect_draw_of_nothing_reads_nothing(count, instances):
 
 def test_a_query_that_is_open_or_never_begun_is_not_to_be_read():
     backend = make_backend()
-    backend.create_query(1, QueryKind.OCCLUSION)
+    backend.create_query(1, descriptors.QueryKind.OCCLUSION)
     assert backend.read_query(1) is None
     backend.begin_query(1)
     assert backend.read_query(1) is None
@@ -350,7 +341,7 @@ def test_a_query_that_is_open_or_never_begun_is_not_to_be_read():
 def test_a_query_whose_answer_is_there_can_be_destroyed():
     for asks in (False, True):
         backend = make_backend()
-        backend.create_query(1, QueryKind.OCCLUSION)
+        backend.create_query(1, descriptors.QueryKind.OCCLUSION)
         backend.begin_query(1)
         backend.end_query(1)
         backend.signal(1)
@@ -363,7 +354,7 @@ def test_a_query_whose_answer_is_there_can_be_destroyed():
 def test_destroying_what_the_gpu_may_still_use_is_found():
     for waits in (False, True):
         backend = uniform_backend()
-        backend.create_buffer(7, BufferDescriptor(64))
+        backend.create_buffer(7, descriptors.BufferDescriptor(64))
         backend.bind_uniform(0, 7, 0, 16)
         draw(backend)
         if waits:
@@ -391,8 +382,8 @@ def test_memory_that_only_the_cpu_has_touched_is_in_nobodys_use():
 
 @pytest.mark.parametrize("resource", [PROGRAM, PLAIN, STATIC, TEXTURE])
 def test_all_that_a_draw_uses_is_in_use(resource):
-    backend = with_program(make_backend(), Binding("t", BindingKind.TEXTURE, 0))
-    backend.create_texture(TEXTURE, TextureDescriptor((4, 4), Format.RGBA8))
+    backend = with_program(make_backend(), descriptors.Binding("t", descriptors.BindingKind.TEXTURE, 0))
+    backend.create_texture(TEXTURE, descriptors.TextureDescriptor((4, 4), Format.RGBA8))
     backend.bind_texture(0, TEXTURE, SAMPLER)
     draw(backend)
     backend.destroy(resource)
@@ -401,8 +392,8 @@ def test_all_that_a_draw_uses_is_in_use(resource):
 
 def test_a_target_is_in_use_until_its_pass_has_ended():
     backend = make_backend()
-    backend.create_texture(TEXTURE, TextureDescriptor((4, 4), Format.RGBA8))
-    backend.begin_pass(PassDescriptor((4, 4), (Attachment(TEXTURE),)))
+    backend.create_texture(TEXTURE, descriptors.TextureDescriptor((4, 4), Format.RGBA8))
+    backend.begin_pass(descriptors.PassDescriptor((4, 4), (descriptors.Attachment(TEXTURE),)))
     finish(backend)
     backend.end_pass()
     backend.destroy(TEXTURE)
@@ -411,7 +402,7 @@ def test_a_target_is_in_use_until_its_pass_has_ended():
 
 def test_using_what_was_destroyed_is_found():
     backend = uniform_backend()
-    backend.create_buffer(7, BufferDescriptor(64))
+    backend.create_buffer(7, descriptors.BufferDescriptor(64))
     backend.bind_uniform(0, 7, 0, 16)
     backend.destroy(7)
     assert not backend.hazards
@@ -422,14 +413,14 @@ def test_using_what_was_destroyed_is_found():
 def test_indices_that_were_destroyed_are_one_hazard_and_no_crash():
     backend = vertex_backend(index_buffer=STATIC)
     backend.destroy(STATIC)
-    backend.draw(VERTICES, Primitive.TRIANGLES, 0, 3, 1, 0, 0)
+    backend.draw(VERTICES, descriptors.Primitive.TRIANGLES, 0, 3, 1, 0, 0)
     finish(backend)
     assert kinds(backend) == [KINDS.USED_DESTROYED]
 
 
 def test_hazards_can_be_asked_for_after_the_device_is_closed():
     backend = uniform_backend()
-    backend.create_buffer(7, BufferDescriptor(64))
+    backend.create_buffer(7, descriptors.BufferDescriptor(64))
     backend.bind_uniform(0, 7, 0, 16)
     draw(backend)
     backend.destroy(7)
@@ -442,10 +433,10 @@ def test_hazards_can_be_asked_for_after_the_device_is_closed():
 
 
 def feedback(descriptor, changes=(), image=None, form=Format.RGBA8):
-    kind = BindingKind.TEXTURE if image is None else BindingKind.IMAGE
-    backend = with_program(make_backend(), Binding("t", kind, 0))
-    backend.create_texture(TEXTURE, TextureDescriptor((4, 4), form, layers=2, levels=2))
-    backend.create_sampler(SAMPLER, SamplerDescriptor())
+    kind = descriptors.BindingKind.TEXTURE if image is None else descriptors.BindingKind.IMAGE
+    backend = with_program(make_backend(), descriptors.Binding("t", kind, 0))
+    backend.create_texture(TEXTURE, descriptors.TextureDescriptor((4, 4), form, layers=2, levels=2))
+    backend.create_sampler(SAMPLER, descriptors.SamplerDescriptor())
     if image is None:
         backend.bind_texture(0, TEXTURE, SAMPLER)
     else:
@@ -456,9 +447,9 @@ def feedback(descriptor, changes=(), image=None, form=Format.RGBA8):
     return kinds(backend)
 
 
-COLOR = PassDescriptor((2, 2), (Attachment(TEXTURE, 1, 1),))
-DEPTH = PassDescriptor((4, 4), (), DepthAttachment(TEXTURE))
-CLEARED = PassDescriptor((2, 2), (Attachment(TEXTURE, 1, 1, clear=(0, 0, 0, 0)),))
+COLOR = descriptors.PassDescriptor((2, 2), (descriptors.Attachment(TEXTURE, 1, 1),))
+DEPTH = descriptors.PassDescriptor((4, 4), (), descriptors.DepthAttachment(TEXTURE))
+CLEARED = descriptors.PassDescriptor((2, 2), (descriptors.Attachment(TEXTURE, 1, 1, clear=(0, 0, 0, 0)),))
 NO_COLOR = (ColorWrite, (ColorWrite.OFF,) * 8)
 
 
@@ -474,7 +465,7 @@ NO_COLOR = (ColorWrite, (ColorWrite.OFF,) * 8)
         (COLOR, [], (0, 1), False),
         (DEPTH, [], None, True),
         (DEPTH, [(DepthWrite, DepthWrite.OFF)], None, False),
-        (PassDescriptor((4, 4), (Attachment(99),)), [], None, False),
+        (descriptors.PassDescriptor((4, 4), (descriptors.Attachment(99),)), [], None, False),
     ],
 )
 def test_a_pass_that_reads_what_it_writes_is_found(descriptor, changes, image, found):

@@ -15,17 +15,6 @@ import pytest
 from numpy.typing import NDArray
 
 import rhi
-from rhi import (
-    BlendFunction,
-    CullMode,
-    Device,
-    DeviceError,
-    Format,
-    IndirectDraws,
-    Primitive,
-    Region,
-    TextureKind,
-)
 from rhi.backends.cl import context
 from rhi.backends.cl.memory import planes, pools
 from rhi.backends.cl.memory.in_flight import InFlight
@@ -68,10 +57,10 @@ Results: TypeAlias = list[NDArray[Any]]
 Keep: TypeAlias = Callable[[Any], Any]
 
 
-def gives_back(do: Callable[[Device, Keep], Results]) -> Callable[[Device], Results]:
+def gives_back(do: Callable[[rhi.Device, Keep], Results]) -> Callable[[rhi.Device], Results]:
     """`do`; what it tells to keep is destroyed in the end. Not by contextlib, whose frames would stand on the stack."""
 
-    def run(device: Device) -> Results:
+    def run(device: rhi.Device) -> Results:
         made: list[Any] = []
 
         def keep(thing: Any) -> Any:
@@ -88,13 +77,13 @@ def gives_back(do: Callable[[Device, Keep], Results]) -> Callable[[Device], Resu
 
 
 @gives_back
-def work(device: Device, keep: Keep) -> Results:
+def work(device: rhi.Device, keep: Keep) -> Results:
     """Do something of everything that allocates memory; return the results."""
-    image = keep(device.texture((64, 64), Format.RGBA8, levels=None))
-    depth = keep(device.texture((64, 64), Format.D24S8))
-    several = keep(device.texture((64, 64), Format.RGBA8, samples=4))
-    target = keep(device.texture((64, 64), Format.RGBA8))
-    strip = keep(device.mesh(rectangle()[[0, 1, 2, 5]], primitive=Primitive.TRIANGLE_STRIP))
+    image = keep(device.texture((64, 64), rhi.Format.RGBA8, levels=None))
+    depth = keep(device.texture((64, 64), rhi.Format.D24S8))
+    several = keep(device.texture((64, 64), rhi.Format.RGBA8, samples=4))
+    target = keep(device.texture((64, 64), rhi.Format.RGBA8))
+    strip = keep(device.mesh(rectangle()[[0, 1, 2, 5]], primitive=rhi.Primitive.TRIANGLE_STRIP))
     rng = np.random.default_rng(0)
     places = np.zeros((3000, 4))
     places[:, :2] = np.repeat(rng.uniform(-1, 1, (1000, 2)), 3, axis=0) + rng.uniform(-0.1, 0.1, (3000, 2))
@@ -106,14 +95,14 @@ def work(device: Device, keep: Keep) -> Results:
     ramp = keep(device.program(Ramp))
     with (
         device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5),
-        device.states(CullMode.NONE, BlendFunction.ADDITIVE),
+        device.states(rhi.CullMode.NONE, rhi.BlendFunction.ADDITIVE),
         query,
     ):
         device.draw(colored, strip)
         device.draw(colored, many)
     image.generate_mipmaps()
-    image.copy_to(image, region=Region(0, 0, 8, 8), target_level=1)
-    with device.render_pass(several, clear=(0, 0, 0, 1), resolve=target), device.states(CullMode.NONE):
+    image.copy_to(image, region=rhi.Region(0, 0, 8, 8), target_level=1)
+    with device.render_pass(several, clear=(0, 0, 0, 1), resolve=target), device.states(rhi.CullMode.NONE):
         device.draw(painted, strip, image=image)
     device.dispatch(ramp, 63, values=values)
     return [image.read(), image.read(1), target.read(), values.read(), np.array([query.wait()])]
@@ -158,7 +147,7 @@ class Devices:
     def __init__(self, failures: int, **options: Any) -> None:
         self._failures, self._options = failures, options
         self._left = 0
-        self._device: Device | None = None
+        self._device: rhi.Device | None = None
 
     def __enter__(self) -> Devices:
         return self
@@ -167,7 +156,7 @@ class Devices:
         if self._device is not None:
             self._device.close()
 
-    def get(self) -> Device:
+    def get(self) -> rhi.Device:
         """Return the device for the next failure."""
         if self._left == 0:
             self.__exit__()
@@ -184,7 +173,7 @@ def test_each_allocation_may_fail_and_the_device_goes_on(monkeypatch: pytest.Mon
     with rhi.create_device("cl") as device:
         expected = work(device)
     allocations = Allocations(monkeypatch)
-    errors: list[DeviceError] = []
+    errors: list[rhi.DeviceError] = []
     goes_on = True
     with Devices(1) as devices:
         while goes_on:
@@ -193,7 +182,7 @@ def test_each_allocation_may_fail_and_the_device_goes_on(monkeypatch: pytest.Mon
             try:
                 results = work(device)
                 goes_on = False
-            except DeviceError as error:
+            except rhi.DeviceError as error:
                 errors.append(error)
                 results = work(device)
             for given, wanted in zip(results, expected, strict=True):
@@ -206,14 +195,14 @@ def test_each_allocation_may_fail_and_the_device_goes_on(monkeypatch: pytest.Mon
 
 def test_without_memory_no_device_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
     allocations = Allocations(monkeypatch)
-    errors: list[DeviceError] = []
+    errors: list[rhi.DeviceError] = []
     goes_on = True
     while goes_on:
         allocations.failing = allocations.count + len(errors)
         try:
             rhi.create_device("cl").close()
             goes_on = False
-        except DeviceError as error:
+        except rhi.DeviceError as error:
             errors.append(error)
     assert len(errors) > 1
     # As a driver's if no device passed the probe for want of memory.
@@ -222,24 +211,24 @@ def test_without_memory_no_device_is_made(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @gives_back
-def move(device: Device, keep: Keep) -> Results:
+def move(device: rhi.Device, keep: Keep) -> Results:
     """Do something of everything that moves memory or waits for it; return the results."""
     size, texels = (16, 16), np.arange(1024, dtype=np.uint8).reshape(16, 16, 4)
-    image, copy = keep(device.texture(size, Format.RGBA8)), keep(device.texture(size, Format.RGBA8))
-    several, target = (keep(device.texture(size, Format.RGBA8, samples=n)) for n in (4, 1))
+    image, copy = keep(device.texture(size, rhi.Format.RGBA8)), keep(device.texture(size, rhi.Format.RGBA8))
+    several, target = (keep(device.texture(size, rhi.Format.RGBA8, samples=n)) for n in (4, 1))
     mesh = keep(device.mesh(rectangle(), np.arange(6, dtype=np.uint32)))
     numbers, others = keep(device.buffer(np.arange(64, dtype=np.uint32))), keep(device.buffer(64, "u4"))
     arguments, groups = keep(device.buffer(mesh.draws())), keep(device.buffer(np.array([4, 1, 1], "u4")))
     values, query = keep(device.storage(float, 64)), keep(device.occlusion_query())
     colored, ramp = keep(device.program(Colored)), keep(device.program(Ramp))
     image.write(texels)
-    image.copy_to(copy, region=Region(0, 0, 8, 16))
+    image.copy_to(copy, region=rhi.Region(0, 0, 8, 16))
     others.clear(7)
     numbers.copy_to(others, size=128)
     device.dispatch_indirect(ramp, groups, values=values)
     with device.event("frame"):
         with device.render_pass(several, clear=(0, 0, 0, 1)), query:
-            device.draw_indirect(colored, mesh, IndirectDraws(arguments, 1))
+            device.draw_indirect(colored, mesh, rhi.IndirectDraws(arguments, 1))
         with device.render_pass(several), device.conditional(query):
             device.draw(colored, mesh)
         with device.render_pass(target, clear=(0, 1, 0, 1)):
@@ -279,7 +268,7 @@ class Commands:
 @pytest.mark.parametrize("failures", [6, pytest.param(1, marks=pytest.mark.nightly)])
 def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.MonkeyPatch, failures: int) -> None:
     commands = Commands(monkeypatch)
-    errors: list[DeviceError] = []
+    errors: list[rhi.DeviceError] = []
     for do in (work, move):
         with rhi.create_device("cl") as device:
             expected = do(device)
@@ -291,7 +280,7 @@ def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.Monkey
                 try:
                     results = do(device)
                     goes_on = False
-                except DeviceError as error:
+                except rhi.DeviceError as error:
                     errors.append(error)
                     results = do(device)
                 commands.fail = False
@@ -311,14 +300,16 @@ def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.Monkey
     "make",
     [
         lambda device: device.storage(float, 1 << 37),
-        lambda device: device.texture((8192, 8192), Format.RGBA32F, kind=TextureKind.D2_ARRAY, layers=256),
-        lambda device: device.texture((8192, 8192), Format.D32FS8, kind=TextureKind.D2_ARRAY, layers=1024, levels=None),
+        lambda device: device.texture((8192, 8192), rhi.Format.RGBA32F, kind=rhi.TextureKind.D2_ARRAY, layers=256),
+        lambda device: device.texture(
+            (8192, 8192), rhi.Format.D32FS8, kind=rhi.TextureKind.D2_ARRAY, layers=1024, levels=None
+        ),
     ],
 )
-def test_what_is_too_large_is_refused_and_the_device_goes_on(make: Callable[[Device], Any]) -> None:
+def test_what_is_too_large_is_refused_and_the_device_goes_on(make: Callable[[rhi.Device], Any]) -> None:
     with rhi.create_device("cl") as device:
         expected = work(device)
-        with pytest.raises(DeviceError, match=r"^\[device-out-of-memory\]") as caught:
+        with pytest.raises(rhi.DeviceError, match=r"^\[device-out-of-memory\]") as caught:
             make(device)
         assert "destroy" in caught.value.tip
         assert caught.value.site is not None
@@ -335,7 +326,7 @@ def test_indices_for_which_there_is_no_memory_leave_nothing_to_collect(monkeypat
     in_flight, indices = InFlight(), np.zeros(3, np.uint32)
     with monkeypatch.context() as patched:
         patched.setattr(pools, "allocate_pages", fail)
-        with pytest.raises(DeviceError):
+        with pytest.raises(rhi.DeviceError):
             pools.IndexList(in_flight, indices)
     gc.collect()
     assert in_flight.take() == []

@@ -14,19 +14,6 @@ from numpy.typing import NDArray
 
 import rhi
 import rhi.shading as sl
-from rhi import (
-    CullMode,
-    DepthBias,
-    DepthFunction,
-    DepthTest,
-    DepthWrite,
-    Device,
-    Format,
-    Mesh,
-    PolygonOffset,
-    Primitive,
-    Viewport,
-)
 from rhi.backends.cl.backend import ClBackend
 from rhi.backends.cl.raster import boxes, draw_tables
 from rhi.backends.cl.raster.tables import GROUP
@@ -90,7 +77,7 @@ class Shifted(sl.Shader):
 
 
 @pytest.fixture
-def bounding_device(optimised_kernels: None) -> Iterator[Device]:
+def bounding_device(optimised_kernels: None) -> Iterator[rhi.Device]:
     """A device whose kernels keep bounds of depth."""
     with rhi.create_device("cl") as made:
         yield made
@@ -121,16 +108,16 @@ def translate(x: float, y: float, z: float) -> NDArray[np.float32]:
 class Stage:
     """Meshes that are drawn frame by frame, each frame as one batch."""
 
-    def __init__(self, device: Device, shader: type[Placed], places: Any, view: Any = IDENTITY) -> None:
+    def __init__(self, device: rhi.Device, shader: type[Placed], places: Any, view: Any = IDENTITY) -> None:
         self.device, self.program = device, device.program(shader)
         things = np.zeros(len(places), device.storage(Thing, 1).dtype)
         things["matrix"] = np.asarray(places, np.float32)
         self.bindings = {
             "things": device.storage(Thing, things), "view": device.uniform(View(matrix=np.asarray(view))),
         }  # fmt: skip
-        self.color, self.depth = device.texture(SIZE, Format.RGBA8), device.texture(SIZE, Format.D32F)
+        self.color, self.depth = device.texture(SIZE, rhi.Format.RGBA8), device.texture(SIZE, rhi.Format.D32F)
 
-    def frame(self, meshes: list[Mesh], *states: Any, clears: bool = True) -> list[NDArray[Any]]:
+    def frame(self, meshes: list[rhi.Mesh], *states: Any, clears: bool = True) -> list[NDArray[Any]]:
         """Draw each mesh once; return color and depth."""
         return self.run(lambda: [self.device.draw(self.program, mesh, **self.bindings) for mesh in meshes],
                         *states, clears=clears)  # fmt: skip
@@ -139,8 +126,8 @@ class Stage:
         clear: dict[str, Any] = {"clear": (0, 0, 0, 0), "clear_depth": 1.0} if clears else {}
         with (
             self.device.render_pass(self.color, self.depth, **clear),
-            self.device.states(CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.LESS),
-            self.device.states(Viewport(0, 0, *SIZE), *states),
+            self.device.states(rhi.CullMode.NONE, rhi.DepthTest.ON, rhi.DepthWrite.ON, rhi.DepthFunction.LESS),
+            self.device.states(rhi.Viewport(0, 0, *SIZE), *states),
         ):
             draw()
         return [self.color.read(), self.depth.read()]
@@ -155,7 +142,7 @@ def assert_same(one: list[NDArray[Any]], other: list[NDArray[Any]]) -> None:
         np.testing.assert_array_equal(a.view(np.uint8), b.view(np.uint8))
 
 
-def count_dropped(device: Device) -> int:
+def count_dropped(device: rhi.Device) -> int:
     """Return how many instances of the last piece were culled before they were transformed, if none has more than a
     chunk of vertices. Their extents are marked as lying behind all planes."""
     backend = device.backend_as(ClBackend)
@@ -166,7 +153,7 @@ def count_dropped(device: Device) -> int:
     return int((words[:, 7] == -1).sum())
 
 
-def clean(device: Device) -> None:
+def clean(device: rhi.Device) -> None:
     """Clear the extents that earlier batches left in memory."""
     backend = device.backend_as(ClBackend)
     pool = backend._rasteriser._launcher._scratch.pools["extents"]
@@ -179,7 +166,7 @@ ASIDE = translate(3.0, 0.0, 0.5)
 INSIDE = translate(0.0, 0.0, 0.5)
 
 
-def parts(mesh: Mesh, count: int) -> list[Mesh]:
+def parts(mesh: rhi.Mesh, count: int) -> list[rhi.Mesh]:
     """Return views of a mesh, one for each instance's transform."""
     return [mesh.view(base_instance=i) for i in range(count)]
 
@@ -187,7 +174,7 @@ def parts(mesh: Mesh, count: int) -> list[Mesh]:
 # -- what is dropped -----------------------------------------------------------------------------------------
 
 
-def test_a_draw_out_of_view_is_dropped_from_its_third_time_on(device: Device, launches: list[str]) -> None:
+def test_a_draw_out_of_view_is_dropped_from_its_third_time_on(device: rhi.Device, launches: list[str]) -> None:
     """At its second draw a box is measured and used at once; at the first it isn't known."""
     stage = Stage(device, Placed, [INSIDE, ASIDE])
     with device.mesh(triangles()) as mesh:
@@ -213,7 +200,7 @@ def test_a_draw_out_of_view_is_dropped_from_its_third_time_on(device: Device, la
         (np.full((4, 4), np.nan), False), (np.full((4, 4), np.inf), False), (1.7e38 * translate(2.0, 0.0, 0.0), False),
     ],
 )  # fmt: skip
-def test_what_lies_beyond_one_plane_of_the_view_is_dropped(device: Device, place: Any, dropped: bool) -> None:
+def test_what_lies_beyond_one_plane_of_the_view_is_dropped(device: rhi.Device, place: Any, dropped: bool) -> None:
     """Nothing else is culled, nor anything with numbers that overflow or aren't finite."""
     stage = Stage(device, Placed, [INSIDE, place])
     with device.mesh(triangles()) as mesh:
@@ -224,16 +211,16 @@ def test_what_lies_beyond_one_plane_of_the_view_is_dropped(device: Device, place
         assert count_dropped(device) == dropped
 
 
-@pytest.mark.parametrize("nearer", [DepthFunction.LESS, DepthFunction.GREATER])
-def test_what_lies_behind_a_wall_is_dropped(bounding_device: Device, nearer: DepthFunction) -> None:
+@pytest.mark.parametrize("nearer", [rhi.DepthFunction.LESS, rhi.DepthFunction.GREATER])
+def test_what_lies_behind_a_wall_is_dropped(bounding_device: rhi.Device, nearer: rhi.DepthFunction) -> None:
     """Bounds of depth that an earlier batch left cull instances, but not those that reach through, nor with a bias."""
     device, flat = bounding_device, np.diag([1.0, 1.0, 0.2, 1.0])
-    depths = [0.8, 0.5, 0.2] if nearer is DepthFunction.LESS else [0.2, 0.5, 0.8]
+    depths = [0.8, 0.5, 0.2] if nearer is rhi.DepthFunction.LESS else [0.2, 0.5, 0.8]
     behind, through, before = (translate(0.0, 0.0, depth) @ flat for depth in depths)
     stage = Stage(device, Placed, [translate(0.0, 0.0, 0.5), behind, through, before])
 
-    def draw(meshes: list[Mesh], *states: Any) -> list[NDArray[Any]]:
-        stage.frame([front, front], DepthFunction.ALWAYS)
+    def draw(meshes: list[rhi.Mesh], *states: Any) -> list[NDArray[Any]]:
+        stage.frame([front, front], rhi.DepthFunction.ALWAYS)
         stage.frame([front, front], nearer, clears=False)
         clean(device)
         return stage.frame(meshes, nearer, *states, clears=False)
@@ -243,12 +230,12 @@ def test_what_lies_behind_a_wall_is_dropped(bounding_device: Device, nearer: Dep
         pictures = [draw(meshes) for _ in range(3)]
         assert count_dropped(device) == 1
         assert_same(pictures[2], pictures[0])
-        draw(meshes, DepthBias(1))
+        draw(meshes, rhi.DepthBias(1))
         assert count_dropped(device) == 0
 
 
 @pytest.mark.parametrize("count", [3 * GROUP, VERTICES])
-def test_draws_of_few_vertices_have_no_box(device: Device, launches: list[str], count: int) -> None:
+def test_draws_of_few_vertices_have_no_box(device: rhi.Device, launches: list[str], count: int) -> None:
     stage = Stage(device, Placed, [INSIDE, ASIDE])
     with device.mesh(triangles(count=count)) as mesh:
         meshes = parts(mesh, 2)
@@ -257,7 +244,7 @@ def test_draws_of_few_vertices_have_no_box(device: Device, launches: list[str], 
     assert launches.count("measure") == (count == VERTICES)
 
 
-def test_positions_that_are_not_affine_have_no_box(device: Device, launches: list[str]) -> None:
+def test_positions_that_are_not_affine_have_no_box(device: rhi.Device, launches: list[str]) -> None:
     stage = Stage(device, Bent, [INSIDE, ASIDE])
     with device.mesh(triangles()) as mesh:
         meshes = parts(mesh, 2)
@@ -268,7 +255,7 @@ def test_positions_that_are_not_affine_have_no_box(device: Device, launches: lis
     assert count_dropped(device) == 0
 
 
-def test_instances_have_boxes_of_their_own(device: Device) -> None:
+def test_instances_have_boxes_of_their_own(device: rhi.Device) -> None:
     stage = Stage(device, Placed, [INSIDE, ASIDE, INSIDE, ASIDE, ASIDE])
     with device.mesh(triangles()) as mesh:
         things = mesh.draws(0, VERTICES, instances=[2, 3], base_instance=[0, 2])
@@ -278,7 +265,7 @@ def test_instances_have_boxes_of_their_own(device: Device) -> None:
         assert count_dropped(device) == 3
 
 
-def test_a_draw_without_instances_has_no_box(device: Device, launches: list[str]) -> None:
+def test_a_draw_without_instances_has_no_box(device: rhi.Device, launches: list[str]) -> None:
     """A draw without instances launches nothing. With instances it uses the same prepared draw."""
     stage = Stage(device, Placed, [INSIDE, ASIDE])
     with device.mesh(triangles()) as mesh:
@@ -295,7 +282,7 @@ def test_a_draw_without_instances_has_no_box(device: Device, launches: list[str]
         assert count_dropped(device) == 1
 
 
-def test_what_instances_add_is_not_part_of_a_box(device: Device) -> None:
+def test_what_instances_add_is_not_part_of_a_box(device: rhi.Device) -> None:
     offsets = np.zeros(4, Offset.dtype)
     offsets["offset"] = [(0, 0), (3, 0), (0, -4), (0.5, 0)]
     program = device.program(Shifted)
@@ -313,18 +300,18 @@ def test_what_instances_add_is_not_part_of_a_box(device: Device) -> None:
 # -- what makes a box out of date ----------------------------------------------------------------------------
 
 
-def write(device: Device, mesh: Mesh, rows: NDArray[Any]) -> None:
+def write(device: rhi.Device, mesh: rhi.Mesh, rows: NDArray[Any]) -> None:
     mesh.data.vertices.write(rows)
 
 
-def copy(device: Device, mesh: Mesh, rows: NDArray[Any]) -> None:
+def copy(device: rhi.Device, mesh: rhi.Mesh, rows: NDArray[Any]) -> None:
     with device.mesh(rows) as other:
         other.data.vertices.copy_to(mesh.data.vertices)
 
 
 @pytest.mark.parametrize("change", [write, copy])
 def test_vertices_that_come_into_view_are_seen(
-    device: Device, launches: list[str], change: Callable[[Device, Mesh, NDArray[Any]], None]
+    device: rhi.Device, launches: list[str], change: Callable[[rhi.Device, rhi.Mesh, NDArray[Any]], None]
 ) -> None:
     stage = Stage(device, Placed, [INSIDE, INSIDE])
     rows = triangles()
@@ -343,7 +330,7 @@ def test_vertices_that_come_into_view_are_seen(
             assert launches.count("measure") == 1 + (turn > 0)
 
 
-def test_other_indices_name_other_vertices(device: Device) -> None:
+def test_other_indices_name_other_vertices(device: rhi.Device) -> None:
     stage = Stage(device, Placed, [INSIDE, INSIDE])
     rows = np.concatenate([triangles(), triangles()])
     rows["position"][:VERTICES, 0] += 3.0
@@ -359,7 +346,7 @@ def test_other_indices_name_other_vertices(device: Device) -> None:
             assert stage.frame(meshes)[0].any()
 
 
-def test_boxes_outlive_a_table_that_grows(device: Device) -> None:
+def test_boxes_outlive_a_table_that_grows(device: rhi.Device) -> None:
     """Boxes are measured again at the new address."""
     stage = Stage(device, Placed, [INSIDE, ASIDE])
     with device.mesh(triangles()) as mesh:
@@ -377,7 +364,7 @@ def test_boxes_outlive_a_table_that_grows(device: Device) -> None:
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
-def test_a_vertex_that_is_nowhere_leaves_the_others_in_view(device: Device, wrong: float) -> None:
+def test_a_vertex_that_is_nowhere_leaves_the_others_in_view(device: rhi.Device, wrong: float) -> None:
     stage = Stage(device, Placed, [INSIDE, ASIDE])
     rows = triangles()
     with device.mesh(rows) as mesh:
@@ -407,8 +394,8 @@ def scenes(draw: st.DrawFn) -> tuple[int, dict[str, Any]]:
         "wall": draw(st.sampled_from([None, 0.0, 0.3, 0.5, 0.7, 0.99])),
         "indexed": draw(st.sampled_from([None, "u2", "u4"])),
         "primitive": draw(st.sampled_from([
-            Primitive.TRIANGLES, Primitive.TRIANGLES, Primitive.TRIANGLES, Primitive.TRIANGLE_STRIP,
-            Primitive.TRIANGLE_FAN, Primitive.LINES, Primitive.LINE_STRIP, Primitive.POINTS,
+            rhi.Primitive.TRIANGLES, rhi.Primitive.TRIANGLES, rhi.Primitive.TRIANGLES, rhi.Primitive.TRIANGLE_STRIP,
+            rhi.Primitive.TRIANGLE_FAN, rhi.Primitive.LINES, rhi.Primitive.LINE_STRIP, rhi.Primitive.POINTS,
         ])),
         "slope": draw(st.sampled_from([0.0, 0.0, 1.0])),
         "reversed": draw(st.booleans()),
@@ -452,7 +439,7 @@ def allow_boxes(monkeypatch: pytest.MonkeyPatch) -> Callable[[bool], None]:
 @settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(scene=scenes())
 def test_frames_are_the_same_with_and_without_boxes(
-    device: Device, allow_boxes: Callable[[bool], None], scene: tuple[int, dict[str, Any]]
+    device: rhi.Device, allow_boxes: Callable[[bool], None], scene: tuple[int, dict[str, Any]]
 ) -> None:
     """Color, depth and counts are the same bits while boxes are unknown, measured and known."""
     seed, kind = scene
@@ -465,8 +452,12 @@ def test_frames_are_the_same_with_and_without_boxes(
     count, indices = 400, None
     if kind["indexed"] is not None:
         count, indices = 600, rng.integers(0, 300, 600).astype(kind["indexed"])
-    nearer = DepthFunction.GREATER if kind["reversed"] else DepthFunction.LESS
-    states = PolygonOffset(kind["slope"]), Viewport(*(3, 5, 80, 50) if rng.random() < 0.3 else (0, 0, *SIZE)), nearer
+    nearer = rhi.DepthFunction.GREATER if kind["reversed"] else rhi.DepthFunction.LESS
+    states = (
+        rhi.PolygonOffset(kind["slope"]),
+        rhi.Viewport(*(3, 5, 80, 50) if rng.random() < 0.3 else (0, 0, *SIZE)),
+        nearer,
+    )
     wall = Stage(device, Placed, [translate(0.0, 0.0, kind["wall"] or 0.0) @ np.diag([2.0, 2.0, 0.0, 1.0])])
     queries = device.query_set(DRAWS)
     frames: list[list[NDArray[Any]]] = []
@@ -481,13 +472,13 @@ def test_frames_are_the_same_with_and_without_boxes(
             allow_boxes(allowed)
             with (
                 device.render_pass(stage.color, stage.depth, clear=(0, 0, 0, 0), clear_depth=far),
-                device.states(CullMode.NONE, DepthTest.ON, DepthWrite.ON, *states),
+                device.states(rhi.CullMode.NONE, rhi.DepthTest.ON, rhi.DepthWrite.ON, *states),
             ):
                 if kind["wall"] is not None:
                     device.draw(wall.program, front, **wall.bindings)
                     device.draw(wall.program, front, **wall.bindings)
                 device.draw_many(stage.program, mesh, parts, **stage.bindings)
-            with device.render_pass(depth=stage.depth), device.states(CullMode.NONE, DepthWrite.OFF, *states):
+            with device.render_pass(depth=stage.depth), device.states(rhi.CullMode.NONE, rhi.DepthWrite.OFF, *states):
                 device.draw_counted(stage.program, mesh, parts, queries, **stage.bindings)
             frames.append([stage.color.read(), stage.depth.read(), np.asarray(queries.wait())])
     for frame in frames[1:]:

@@ -10,20 +10,6 @@ import pytest
 from numpy.typing import NDArray
 
 import rhi
-from rhi import (
-    BlendFunction,
-    ColorWrite,
-    CullMode,
-    DepthFunction,
-    DepthWrite,
-    Device,
-    Format,
-    PolygonOffset,
-    Primitive,
-    Scissor,
-    StencilTest,
-    Viewport,
-)
 from rhi.backends.cl import context
 from rhi.backends.cl.backend import ClBackend
 from rhi.backends.cl.memory import pools as memory
@@ -40,7 +26,7 @@ SIZE = (200, 150)
 
 
 @pytest.fixture
-def device() -> Iterator[Device]:
+def device() -> Iterator[rhi.Device]:
     with rhi.create_device("cl") as made:
         yield made
 
@@ -54,17 +40,17 @@ def random_corners(count: int, seed: int = 0) -> NDArray[Any]:
     return corners(places.reshape(-1, 2), colors)
 
 
-def picture(device: Device, rows: NDArray[Any], parts: int = 1) -> NDArray[Any]:
+def picture(device: rhi.Device, rows: NDArray[Any], parts: int = 1) -> NDArray[Any]:
     """Draw all triangles in `parts` draws; return the picture."""
-    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(rows) as mesh:
+    with device.texture(SIZE, rhi.Format.RGBA8) as image, device.mesh(rows) as mesh:
         ends = np.linspace(0, len(rows) // 3, parts + 1).astype(int) * 3
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE, DepthWrite.OFF):
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.CullMode.NONE, rhi.DepthWrite.OFF):
             for begin, end in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
                 device.draw(device.program(Colored), mesh.view(first=begin, count=end - begin))
         return image.read()
 
 
-def count_survivors(device: Device) -> int:
+def count_survivors(device: rhi.Device) -> int:
     """Return the number of records that set-up made in the last slice."""
     backend = device.backend_as(ClBackend)
     memory, state = backend._rasteriser._launcher._scratch.pools["survivors"]._memory, backend._rasteriser._batch.state
@@ -77,44 +63,44 @@ def count_survivors(device: Device) -> int:
 # -- what ends a batch ---------------------------------------------------------------------------------------
 
 
-def test_draws_of_one_program_are_one_batch(device: Device, launches: list[str]) -> None:
+def test_draws_of_one_program_are_one_batch(device: rhi.Device, launches: list[str]) -> None:
     picture(device, random_corners(60), parts=20)
     assert launches.count("raster") == 1
 
 
-def test_what_draws_bind_does_not_end_a_batch(device: Device, launches: list[str]) -> None:
+def test_what_draws_bind_does_not_end_a_batch(device: rhi.Device, launches: list[str]) -> None:
     """Meshes, viewports and culling don't end a batch either; each draw has its own."""
     tints = [device.uniform(Tint(color=(i / 255, 0, 0, 1))) for i in range(1, 9)]
     meshes = [device.mesh(rectangle()[:: 1 if i % 2 else -1]) for i in range(8)]
-    with device.texture((64, 4), Format.RGBA8) as image:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(DepthWrite.OFF):
+    with device.texture((64, 4), rhi.Format.RGBA8) as image:
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.DepthWrite.OFF):
             for i in range(8):
-                culled = CullMode.BACK if i % 2 else CullMode.FRONT
-                with device.states(Viewport(8 * i, 0, 8, 4), culled):
+                culled = rhi.CullMode.BACK if i % 2 else rhi.CullMode.FRONT
+                with device.states(rhi.Viewport(8 * i, 0, 8, 4), culled):
                     device.draw(device.program(Tinted), meshes[i], tint=tints[i])
         assert image.read()[0, :, 0].tolist() == np.repeat(np.arange(1, 9), 8).tolist()
     assert launches.count("raster") == 1
 
 
-def test_states_that_are_compiled_end_a_batch(device: Device, launches: list[str]) -> None:
+def test_states_that_are_compiled_end_a_batch(device: rhi.Device, launches: list[str]) -> None:
     rows = random_corners(6)
-    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(rows) as mesh, device.render_pass(image):
+    with device.texture(SIZE, rhi.Format.RGBA8) as image, device.mesh(rows) as mesh, device.render_pass(image):
         device.draw(device.program(Colored), mesh)
-        with device.states(BlendFunction.ADDITIVE):
+        with device.states(rhi.BlendFunction.ADDITIVE):
             device.draw(device.program(Colored), mesh)
     assert launches.count("raster") == 2
 
 
 @pytest.mark.parametrize("wrong", [1.0, None, "1", -1, 1 << 64], ids=repr)
 @pytest.mark.parametrize("prepared", [True, False], ids=["prepared", "by the contract"])
-def test_a_draw_that_fails_leaves_its_batch_as_it_was(device: Device, wrong: Any, prepared: bool) -> None:
+def test_a_draw_that_fails_leaves_its_batch_as_it_was(device: rhi.Device, wrong: Any, prepared: bool) -> None:
     """Part of a row would shift all rows behind it, whose words would then be read as others: as addresses."""
     program, colors = device.program(Tinted), np.arange(1, 8) / 8
-    with device.texture((8, 1), Format.R32F) as image, device.mesh(rectangle()) as mesh:
+    with device.texture((8, 1), rhi.Format.R32F) as image, device.mesh(rectangle()) as mesh:
         tints = [device.uniform(Tint(color=(color, 0, 0, 0))) for color in colors]
         with device.render_pass(image):
             for i, tint in enumerate(tints):
-                with device.states(Scissor(i, 0, 1, 1)):
+                with device.states(rhi.Scissor(i, 0, 1, 1)):
                     device.draw(program, mesh, tint=tint)
                 with pytest.raises((TypeError, OverflowError)):  # what the front end refuses
                     if prepared:
@@ -124,12 +110,12 @@ def test_a_draw_that_fails_leaves_its_batch_as_it_was(device: Device, wrong: Any
         assert image.read()[0].tolist() == [*colors, 0]
 
 
-def test_indices_that_change_between_draws_name_other_vertices(device: Device) -> None:
+def test_indices_that_change_between_draws_name_other_vertices(device: rhi.Device) -> None:
     rows = np.concatenate([rectangle(-1, -1, 0, 1), rectangle(0, -1, 1, 1)])
-    with device.texture((2, 1), Format.RGBA8) as image, device.mesh(rows, np.arange(6, dtype="u4")) as mesh:
+    with device.texture((2, 1), rhi.Format.RGBA8) as image, device.mesh(rows, np.arange(6, dtype="u4")) as mesh:
         for first, expected in ((0, [255, 0]), (6, [0, 255])):
             mesh.data.index_buffer.write(np.arange(first, first + 6, dtype="u4"))
-            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(DepthWrite.OFF):
+            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.DepthWrite.OFF):
                 device.draw(device.program(Colored), mesh)
             assert image.read()[0, :, 0].tolist() == expected
 
@@ -150,7 +136,7 @@ def test_indices_that_change_between_draws_name_other_vertices(device: Device) -
     ids=lambda limits: next(iter(limits)),
 )
 def test_limits_of_memory_do_not_show(
-    device: Device, monkeypatch: pytest.MonkeyPatch, launches: list[str], limits: dict[str, int]
+    device: rhi.Device, monkeypatch: pytest.MonkeyPatch, launches: list[str], limits: dict[str, int]
 ) -> None:
     rows = random_corners(900)
     usual = picture(device, rows, parts=3)
@@ -166,14 +152,14 @@ def test_limits_of_memory_do_not_show(
         assert "scatter" not in launches[before:]
 
 
-def test_a_triangle_in_flight_takes_at_most_200_bytes(device: Device) -> None:
+def test_a_triangle_in_flight_takes_at_most_200_bytes(device: rhi.Device) -> None:
     """Beyond a slice, memory grows with the vertices but not with the triangles."""
     grid = 500
     y, x = np.mgrid[0:grid, 0:grid] / (grid - 1) * 2 - 1
     rows = corners(np.stack([x.ravel(), y.ravel()], axis=1))
     a = (np.arange(grid - 1)[:, None] * grid + np.arange(grid - 1)).ravel()
     indices = np.stack([a, a + 1, a + grid, a + 1, a + grid + 1, a + grid], axis=1).astype("u4")
-    assert (draw_once(device, (64, 64), Format.RGBA8, rows, CullMode.NONE, indices=indices.ravel()) > 0).any()
+    assert (draw_once(device, (64, 64), rhi.Format.RGBA8, rows, rhi.CullMode.NONE, indices=indices.ravel()) > 0).any()
     pools = device.backend_as(ClBackend)._rasteriser._launcher._scratch.pools
     assert sum(pool.size for pool in pools.values()) <= 200 * 2 * (grid - 1) ** 2
 
@@ -191,13 +177,13 @@ class Placed(Shader):
 
 
 @pytest.mark.parametrize("before", [0, 1], ids=["alone", "behind_another"])
-def test_many_instances_take_no_more_memory_than_many_draws(device: Device, before: int) -> None:
+def test_many_instances_take_no_more_memory_than_many_draws(device: rhi.Device, before: int) -> None:
     """Instances are processed in pieces: at most 200 bytes per triangle, and each instance in its place."""
     instances, program = 512 * 480, device.program(Placed)
     draws_of = [(512 * 500, 512 * 12), (512, instances)][1 - before :]
     queries = [device.occlusion_query() for _ in draws_of]
-    with device.texture((512, 512), Format.R8) as image, device.mesh(rectangle()) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
+    with device.texture((512, 512), rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.CullMode.NONE):
             for query, (first, count) in zip(queries, draws_of, strict=True):
                 with query:
                     device.draw(program, mesh.view(base_instance=first), count)
@@ -219,7 +205,7 @@ def test_draws_split_into_pieces_are_each_instance_once(monkeypatch: pytest.Monk
     assert np.array_equal(done, ends - parts)
 
 
-def test_tables_of_many_pages_draw_the_same(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tables_of_many_pages_draw_the_same(device: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = random_corners(200)
     usual = picture(device, rows)
     monkeypatch.setattr(memory, "_PAGE_BYTES", 1 << 12)
@@ -241,7 +227,9 @@ def test_a_device_that_does_not_read_host_memory_in_place_has_no_draws(
 # -- errors --------------------------------------------------------------------------------------------------
 
 
-def test_out_of_memory_names_the_draw_and_the_device_goes_on(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_out_of_memory_names_the_draw_and_the_device_goes_on(
+    device: rhi.Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rows = random_corners(50)
     usual = picture(device, rows)
 
@@ -258,11 +246,11 @@ def test_out_of_memory_names_the_draw_and_the_device_goes_on(device: Device, mon
 # -- queries -------------------------------------------------------------------------------------------------
 
 
-def test_each_draw_of_a_batch_counts_for_its_own_query(device: Device, launches: list[str]) -> None:
+def test_each_draw_of_a_batch_counts_for_its_own_query(device: rhi.Device, launches: list[str]) -> None:
     queries = [device.occlusion_query() for _ in range(600)]  # more than a page of counters
     meshes = [device.mesh(rectangle(-1, -1, -1 + (i + 1) / 8, 1)) for i in range(16)]
-    with device.texture((16, 4), Format.R8) as image:
-        with device.render_pass(image), device.states(CullMode.NONE, ColorWrite.OFF, DepthWrite.OFF):
+    with device.texture((16, 4), rhi.Format.R8) as image:
+        with device.render_pass(image), device.states(rhi.CullMode.NONE, rhi.ColorWrite.OFF, rhi.DepthWrite.OFF):
             for i, query in enumerate(queries):
                 with query:
                     device.draw(device.program(Colored), meshes[i % 16])
@@ -271,14 +259,14 @@ def test_each_draw_of_a_batch_counts_for_its_own_query(device: Device, launches:
 
 
 @pytest.fixture
-def bars(device: Device) -> Iterator[rhi.Mesh]:
+def bars(device: rhi.Device) -> Iterator[rhi.Mesh]:
     """16 rectangles; of a target of 16 x 4 texels the i-th covers 4 (i + 1)."""
     with device.mesh(np.concatenate([rectangle(-1, -1, -1 + (i + 1) / 8, 1) for i in range(16)])) as bars:
         yield bars
 
 
 def test_an_array_of_draws_that_comes_again_brings_its_table(
-    device: Device, bars: rhi.Mesh, monkeypatch: pytest.MonkeyPatch
+    device: rhi.Device, bars: rhi.Mesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[int] = []
     number = draw_tables.number_groups
@@ -290,7 +278,7 @@ def test_an_array_of_draws_that_comes_again_brings_its_table(
     monkeypatch.setattr(draw_tables, "number_groups", note)
     queries = device.query_set(16)
     array = bars.draws(6 * np.arange(16), 6)
-    with device.texture((16, 4), Format.R8) as image, device.states(ColorWrite.OFF, DepthWrite.OFF):
+    with device.texture((16, 4), rhi.Format.R8) as image, device.states(rhi.ColorWrite.OFF, rhi.DepthWrite.OFF):
         for rows in (range(16), range(16), range(15, -1, -1)):
             with device.render_pass(image):
                 device.draw_counted(device.program(Colored), bars, array.copy(), queries, list(rows))
@@ -300,12 +288,12 @@ def test_an_array_of_draws_that_comes_again_brings_its_table(
 
 @pytest.mark.parametrize("order", ["array first", "array last", "two arrays"])
 def test_an_array_of_draws_and_others_are_one_batch(
-    device: Device, bars: rhi.Mesh, launches: list[str], order: str
+    device: rhi.Device, bars: rhi.Mesh, launches: list[str], order: str
 ) -> None:
     queries, more, query = device.query_set(16), device.query_set(2), device.occlusion_query()
     program = device.program(Colored)
-    with device.texture((16, 4), Format.R8) as image:
-        with device.render_pass(image), device.states(ColorWrite.OFF, DepthWrite.OFF):
+    with device.texture((16, 4), rhi.Format.R8) as image:
+        with device.render_pass(image), device.states(rhi.ColorWrite.OFF, rhi.DepthWrite.OFF):
             if order == "array last":
                 with query:
                     device.draw(program, bars.view(6 * 3, 6))
@@ -322,10 +310,10 @@ def test_an_array_of_draws_and_others_are_one_batch(
     assert launches.count("raster") == 1
 
 
-def test_counters_are_used_again(device: Device) -> None:
+def test_counters_are_used_again(device: rhi.Device) -> None:
     """Pages of counters are reused once their results aren't needed, and count from zero."""
     queries = device.backend_as(ClBackend)._rasteriser.queries
-    with device.texture((4, 4), Format.R8) as image, device.mesh(rectangle()) as mesh:
+    with device.texture((4, 4), rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
         query = device.occlusion_query()
         for _ in range(4):
             for _ in range(500):
@@ -338,20 +326,20 @@ def test_counters_are_used_again(device: Device) -> None:
 # -- lines and points ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("primitive", [Primitive.LINES, Primitive.POINTS], ids=lambda p: p.name)
-def test_lines_and_points_keep_their_place_among_triangles(device: Device, primitive: Primitive) -> None:
+@pytest.mark.parametrize("primitive", [rhi.Primitive.LINES, rhi.Primitive.POINTS], ids=lambda p: p.name)
+def test_lines_and_points_keep_their_place_among_triangles(device: rhi.Device, primitive: rhi.Primitive) -> None:
     """Lines and points keep their place in the order of draws."""
-    rows = corners([(-0.9, 0.1), (0.9, 0.1)] if primitive is Primitive.LINES else [(0.05, 0.1)], (0, 1, 0, 1))
+    rows = corners([(-0.9, 0.1), (0.9, 0.1)] if primitive is rhi.Primitive.LINES else [(0.05, 0.1)], (0, 1, 0, 1))
     below, above = rectangle(-1, -1, 1, 1), rectangle(0.5, -1, 1, 1)
     below["color"], above["color"] = (1, 0, 0, 1), (0, 0, 1, 1)
     program = device.program(Colored)
     with (
-        device.texture((16, 16), Format.RGBA8) as image,
+        device.texture((16, 16), rhi.Format.RGBA8) as image,
         device.mesh(below) as first,
         device.mesh(rows, primitive=primitive) as thin,
         device.mesh(above) as last,
     ):
-        with device.render_pass(image), device.states(DepthWrite.OFF, CullMode.NONE):
+        with device.render_pass(image), device.states(rhi.DepthWrite.OFF, rhi.CullMode.NONE):
             for mesh in (first, thin, last):
                 device.draw(program, mesh)
         pixels = image.read()
@@ -364,7 +352,7 @@ def test_lines_and_points_keep_their_place_among_triangles(device: Device, primi
 
 
 @pytest.mark.parametrize("nearest", [10.0, -5.0], ids=["behind_the_eye", "before_it"])
-def test_a_plane_to_the_horizon_has_its_depth(device: Device, nearest: float) -> None:
+def test_a_plane_to_the_horizon_has_its_depth(device: rhi.Device, nearest: float) -> None:
     """The far corners lie a fraction of a pixel below the horizon. Their rounding must not tilt the plane."""
     width, height, below, near, scale = 256, 144, 2.3, 0.2, 1.7320508
     x, z = (
@@ -374,7 +362,7 @@ def test_a_plane_to_the_horizon_has_its_depth(device: Device, nearest: float) ->
     if nearest < 0:
         x[z == nearest] /= 300  # no guard band cuts it
     clip = np.stack([x * scale * height / width, np.full(6, -below * scale), np.full(6, near), -z], axis=1)
-    drawn = draw_once(device, (width, height), Format.D32F, corners(clip), CullMode.NONE, ColorWrite.OFF)
+    drawn = draw_once(device, (width, height), rhi.Format.D32F, corners(clip), rhi.CullMode.NONE, rhi.ColorWrite.OFF)
     assert (drawn[: height // 2] == 0).all()
     rows, columns = np.nonzero(drawn)
     assert len(rows) > (width * height / 3 if nearest > 0 else 1000)
@@ -383,25 +371,27 @@ def test_a_plane_to_the_horizon_has_its_depth(device: Device, nearest: float) ->
 
 
 @pytest.mark.parametrize("size", [(8192, 16), (16, 8192), (8192, 1024)], ids=str)
-def test_edges_across_the_largest_targets_are_exact(device: Device, size: tuple[int, int]) -> None:
+def test_edges_across_the_largest_targets_are_exact(device: rhi.Device, size: tuple[int, int]) -> None:
     rng = np.random.default_rng(4)
     extent = np.array(size) * SUBTEXELS
     for _ in range(3):
         triangle = rng.integers(-extent // 2, extent * 3 // 2, (3, 2))
         clip = window_to_clip(triangle / SUBTEXELS, size)
-        assert_mask(draw_once(device, size, Format.R8, corners(clip), CullMode.NONE), rasterise(triangle, *size))
+        assert_mask(
+            draw_once(device, size, rhi.Format.R8, corners(clip), rhi.CullMode.NONE), rasterise(triangle, *size)
+        )
 
 
 # -- depth bounds --------------------------------------------------------------------------------------------
 
 
-FLOAT, FIXED = (Format.D32F, Format.D32FS8), (Format.D24, Format.D24S8)
+FLOAT, FIXED = (rhi.Format.D32F, rhi.Format.D32FS8), (rhi.Format.D24, rhi.Format.D24S8)
 
 
 @pytest.mark.parametrize("depth_format", [FLOAT, FIXED], ids=["float", "24"])
-@pytest.mark.parametrize("function", DepthFunction, ids=lambda function: function.name)
+@pytest.mark.parametrize("function", rhi.DepthFunction, ids=lambda function: function.name)
 def test_what_lies_behind_a_tile_s_bounds_is_what_the_test_drops(
-    device: Device, function: DepthFunction, depth_format: tuple[Format, Format]
+    device: rhi.Device, function: rhi.DepthFunction, depth_format: tuple[rhi.Format, rhi.Format]
 ) -> None:
     """With a stencil test, depth isn't staged and has no bounds."""
     rows = random_corners(6000)
@@ -413,15 +403,15 @@ def test_what_lies_behind_a_tile_s_bounds_is_what_the_test_drops(
     pictures = []
     for stencil, form in enumerate(depth_format):
         with (
-            device.texture(SIZE, Format.RGBA8) as image,
+            device.texture(SIZE, rhi.Format.RGBA8) as image,
             device.texture(SIZE, form) as depth,
             device.mesh(rows) as mesh,
         ):
             states = (
-                CullMode.NONE,
+                rhi.CullMode.NONE,
                 function,
-                StencilTest.ON if stencil else StencilTest.OFF,
-                PolygonOffset(0.5),
+                rhi.StencilTest.ON if stencil else rhi.StencilTest.OFF,
+                rhi.PolygonOffset(0.5),
             )
             with (
                 device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5),
@@ -432,19 +422,19 @@ def test_what_lies_behind_a_tile_s_bounds_is_what_the_test_drops(
     (image, depth_values), (plain_image, plain_depths) = pictures
     assert (depth_values == plain_depths).all()
     assert (image == plain_image).all()
-    assert (image > 0).any() or function in (DepthFunction.NEVER, DepthFunction.EQUAL)
+    assert (image > 0).any() or function in (rhi.DepthFunction.NEVER, rhi.DepthFunction.EQUAL)
 
 
 @pytest.mark.parametrize(
-    "depth_format", [(Format.D32F, Format.D32FS8), (Format.D24, Format.D24S8)], ids=["float", "24"]
+    "depth_format", [(rhi.Format.D32F, rhi.Format.D32FS8), (rhi.Format.D24, rhi.Format.D24S8)], ids=["float", "24"]
 )
-@pytest.mark.parametrize("function", [DepthFunction.LESS, DepthFunction.GREATER_EQUAL], ids=lambda f: f.name)
+@pytest.mark.parametrize("function", [rhi.DepthFunction.LESS, rhi.DepthFunction.GREATER_EQUAL], ids=lambda f: f.name)
 @pytest.mark.parametrize("offset", [0.0, 0.5])
 def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
-    device: Device,
+    device: rhi.Device,
     monkeypatch: pytest.MonkeyPatch,
-    function: DepthFunction,
-    depth_format: tuple[Format, Format],
+    function: rhi.DepthFunction,
+    depth_format: tuple[rhi.Format, rhi.Format],
     offset: float,
 ) -> None:
     """Whole draws and single primitives are culled; with a stencil test there are no bounds from earlier slices."""
@@ -459,12 +449,12 @@ def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
     for form, groups in ((depth_format[1], 1 << 15), (depth_format[0], 1 << 15), (depth_format[0], 32)):
         monkeypatch.setattr(launcher, "_SLICE_GROUPS", groups)
         with (
-            device.texture(SIZE, Format.RGBA8) as image,
+            device.texture(SIZE, rhi.Format.RGBA8) as image,
             device.texture(SIZE, form) as depth,
             device.mesh(rows) as mesh,
         ):
-            stencil = StencilTest.ON if form.has_stencil else StencilTest.OFF
-            states = CullMode.NONE, function, stencil, PolygonOffset(offset)
+            stencil = rhi.StencilTest.ON if form.has_stencil else rhi.StencilTest.OFF
+            states = rhi.CullMode.NONE, function, stencil, rhi.PolygonOffset(offset)
             with (
                 device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5),
                 device.states(*states),
@@ -481,50 +471,50 @@ def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
 
 @pytest.mark.usefixtures("optimised_kernels")
 def test_draws_that_are_hidden_or_beside_the_view_are_not_set_up(
-    device: Device, monkeypatch: pytest.MonkeyPatch
+    device: rhi.Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(launcher, "_SLICE_GROUPS", 1)  # each draw is a slice
     left = []
     for place in (0.5, 5.0):  # what is drawn last lies in the view, or not
         for last in (0.25, 0.75):  # before the wall, or behind it
             rows = np.concatenate([rectangle(depth=0.5), rectangle(place - 0.1, 0.4, place + 0.1, 0.6, depth=last)])
-            with device.texture(SIZE, Format.D32F) as depth, device.mesh(rows) as mesh:
-                with device.render_pass(depth=depth, clear_depth=1.0), device.states(DepthFunction.LESS):
+            with device.texture(SIZE, rhi.Format.D32F) as depth, device.mesh(rows) as mesh:
+                with device.render_pass(depth=depth, clear_depth=1.0), device.states(rhi.DepthFunction.LESS):
                     for first in (0, 6):
                         device.draw(device.program(Colored), mesh.view(first=first, count=6))
                 left.append(count_survivors(device))
     assert left == [2, 0, 0, 0]
 
 
-def _leave(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
+def _leave(depth: rhi.Texture, other: rhi.Texture, device: rhi.Device) -> None:
     """The depth doesn't change."""
 
 
-def _copy(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
+def _copy(depth: rhi.Texture, other: rhi.Texture, device: rhi.Device) -> None:
     other.copy_to(depth)
 
 
-def _clear(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
+def _clear(depth: rhi.Texture, other: rhi.Texture, device: rhi.Device) -> None:
     with device.render_pass(depth=depth, clear_depth=1.0):
         pass
 
 
-def _draw_elsewhere(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
+def _draw_elsewhere(depth: rhi.Texture, other: rhi.Texture, device: rhi.Device) -> None:
     """The bounds in memory are overwritten with those of another depth target."""
     with (
         device.mesh(rectangle(depth=0.9)) as mesh,
         device.render_pass(depth=other),
-        device.states(DepthFunction.LESS),
+        device.states(rhi.DepthFunction.LESS),
     ):
         device.draw(device.program(Colored), mesh)
 
 
-def _draw_unbounded(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
+def _draw_unbounded(depth: rhi.Texture, other: rhi.Texture, device: rhi.Device) -> None:
     """Draws that keep no bounds move the depth away."""
     with (
         device.mesh(rectangle(depth=1.0)) as mesh,
         device.render_pass(depth=depth),
-        device.states(DepthFunction.ALWAYS),
+        device.states(rhi.DepthFunction.ALWAYS),
     ):
         device.draw(device.program(Colored), mesh)
 
@@ -541,30 +531,34 @@ def _draw_unbounded(depth: rhi.Texture, other: rhi.Texture, device: Device) -> N
     ],
 )
 def test_a_pass_knows_what_hid_in_the_one_before_unless_depth_changed(
-    device: Device, change: Callable[[rhi.Texture, rhi.Texture, Device], None], hides: bool, samples: int
+    device: rhi.Device, change: Callable[[rhi.Texture, rhi.Texture, rhi.Device], None], hides: bool, samples: int
 ) -> None:
     program, size = device.program(Colored), (8, 8)
     with (
-        device.texture(size, Format.D32F) as depth,
-        device.texture(size, Format.D32F) as other,
+        device.texture(size, rhi.Format.D32F) as depth,
+        device.texture(size, rhi.Format.D32F) as other,
         device.mesh(rectangle(depth=0.5)) as wall,
         device.mesh(rectangle(depth=0.75)) as behind,
     ):
         _clear(other, depth, device)
-        with device.render_pass(depth=depth, clear_depth=1.0), device.states(DepthFunction.LESS):
+        with device.render_pass(depth=depth, clear_depth=1.0), device.states(rhi.DepthFunction.LESS):
             device.draw(program, wall)
         change(depth, other, device)
         query = device.occlusion_query()
-        states = DepthFunction.LESS, DepthWrite.OFF
+        states = rhi.DepthFunction.LESS, rhi.DepthWrite.OFF
         with device.render_pass(depth=depth), device.states(*states), query:
             device.draw(program, behind)
         assert query.wait() == samples
         assert (count_survivors(device) == 0) == hides
 
 
-def test_depth_tested_the_other_way_is_bounded_anew(device: Device) -> None:
-    with device.texture((8, 8), Format.D32F) as depth, device.mesh(rectangle(depth=0.75)) as mesh:
-        for function, samples in ((DepthFunction.LESS, 64), (DepthFunction.GREATER, 0), (DepthFunction.LESS, 0)):
+def test_depth_tested_the_other_way_is_bounded_anew(device: rhi.Device) -> None:
+    with device.texture((8, 8), rhi.Format.D32F) as depth, device.mesh(rectangle(depth=0.75)) as mesh:
+        for function, samples in (
+            (rhi.DepthFunction.LESS, 64),
+            (rhi.DepthFunction.GREATER, 0),
+            (rhi.DepthFunction.LESS, 0),
+        ):
             query = device.occlusion_query()
             with device.render_pass(depth=depth, clear_depth=1.0 if samples else None):
                 with device.states(function), query:
@@ -572,13 +566,13 @@ def test_depth_tested_the_other_way_is_bounded_anew(device: Device) -> None:
             assert query.wait() == samples
 
 
-def test_small_triangles_between_texel_centres_are_not_set_up(device: Device) -> None:
+def test_small_triangles_between_texel_centres_are_not_set_up(device: rhi.Device) -> None:
     size = 4
     boxes = [(1.6, 1.6, 1.9, 1.9), (1.6, 0.7, 2.4, 1.2), (1.4, 1.2, 1.8, 1.7), (0.9, 0.9, 2.6, 1.6)]
     inside = []
     for left, top, right, bottom in boxes:
         corner = np.array([(left, top), (left, bottom), (right, bottom)]) * 2 / size - 1
         rows = corners(corner * (1, -1))
-        drawn = draw_once(device, (size, size), Format.R8, rows, CullMode.NONE)
+        drawn = draw_once(device, (size, size), rhi.Format.R8, rows, rhi.CullMode.NONE)
         inside.append(((drawn > 0).sum(), count_survivors(device)))
     assert inside == [(0, 0), (0, 0), (1, 1), (1, 1)]
