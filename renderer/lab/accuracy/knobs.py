@@ -248,6 +248,15 @@ KNOBS: Final[dict[str, Knob]] = {
             "which single pictures don't show",
         ),
         _picture(
+            "mip_bias",
+            "levels that are added to the mip level of textures",
+            "textures.mip_bias",
+            _same(2.0, 1.0, 0.5, 0.0, -0.5, -1.0),
+            "images' own samplers ask for it; from -1 on, what is sharper flickers more",
+            truth=SUPER_SAMPLED,
+            demand=Demand.IMAGES,
+        ),
+        _picture(
             "edge_pixels",
             "length of the edges of a ground's triangles in pixels",
             "tessellation.edge_pixels",
