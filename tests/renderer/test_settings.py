@@ -174,6 +174,14 @@ def test_a_mip_bias_of_more_levels_than_there_are_is_refused(bias: float) -> Non
     assert [TextureSettings(mip_bias=most).mip_bias for most in (-16.0, 16.0)] == [-16.0, 16.0]
 
 
+@pytest.mark.parametrize("least", [-0.1, inf, nan])
+def test_a_cutoff_of_no_light_is_refused(least: float, null: rhi.Device) -> None:
+    assert find_rule(lambda: RenderSettings(light_cutoff=least)) == "light-cutoff"
+    with RenderSettings(light_cutoff=0.5).open(null, load_scene("grid:count=1"), (8, 8)) as renderer:
+        assert find_rule(lambda: setattr(renderer, "light_cutoff", least)) == "light-cutoff"
+        assert renderer.light_cutoff == 0.5
+
+
 def test_an_algorithm_that_no_frame_could_have_is_refused() -> None:
     with pytest.raises(rhi.ValidationError, match="frustum"):
         RenderSettings(algorithm="frustrum")

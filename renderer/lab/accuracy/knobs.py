@@ -61,6 +61,7 @@ class Demand(Enum):
     CLOTH = "a cloth"
     FOUNTAINS = "a fountain"
     HEIGHT_FIELDS = "a height field whose limit holds all of its triangles"
+    RIDGES = "a height field that casts shadows and whose limit holds all of its triangles"
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,6 +266,16 @@ KNOBS: Final[dict[str, Knob]] = {
             truth=FINEST,
             demand=Demand.HEIGHT_FIELDS,
         ),
+        _picture(
+            "unseen_edges",
+            "length of the edges of a ground's triangles out of view, in that of those in view",
+            "tessellation.unseen",
+            _same(64.0, 16.0, 8.0, 4.0, 1.0),
+            "only their shadows are seen",
+            truth=FINEST,
+            within=_ROOM,
+            demand=Demand.RIDGES,
+        ),
         _shadows(
             "shadow_size",
             "width of the sun's maps in texels",
@@ -354,6 +365,15 @@ KNOBS: Final[dict[str, Knob]] = {
             "half floats are off by more than a level from about 64 lights on a surface",
             truth=FORWARD,
             within={**_FORWARD, "technique.name": "deferred"},
+            demand=Demand.LAMPS,
+        ),
+        _picture(
+            "light_cutoff",
+            "light of a lamp that is too faint to matter, in that of a directional light of intensity 1",
+            "light_cutoff",
+            _same(1.0, 0.3, 0.1, 0.03, 0.01, 0.0),
+            "lamps end where the scene says",
+            truth=TRACED,
             demand=Demand.LAMPS,
         ),
         _picture(

@@ -302,6 +302,10 @@ def prepare_scene(scene: Scene, knob: Knob) -> str | None:
             has = sum(isinstance(one.simulation, Fountains) for one in scene.simulated)
         case Demand.HEIGHT_FIELDS:
             has = sum(field.limit == field.count for field in scene.height_fields.values())
+        case Demand.RIDGES:
+            scene.lights.cast_shadows()
+            casts = scene.objects.casts_shadow
+            has = sum(casts[row] and field.limit == field.count for row, field in scene.height_fields.items())
         case _:
             return None
     return None if has else f"the scene lacks {knob.demand.value}"
