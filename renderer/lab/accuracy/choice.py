@@ -111,7 +111,7 @@ def find_choices(scene: Scene, settings: RenderSettings, reports: Iterable[KnobR
     for report in reports:
         knob = KNOBS[report.knob]
         matters = all(base.get(path) == value for path, value in knob.within.items() if path != _ROOM)
-        lacks = knob.demand is Demand.STEREO or (knob.demand is Demand.SHADOWS and not casts)
+        lacks = knob.demand is Demand.STEREO or (knob.demand in (Demand.SHADOWS, Demand.RIDGES) and not casts)
         lacks = lacks or (knob.demand is Demand.GLOW and not (scene.glow and len(scene.find_glowing())))
         if report.rows and knob.path and knob.unit is Unit.LEVELS and matters and not lacks:
             found[knob.name] = report

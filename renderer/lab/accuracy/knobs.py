@@ -61,7 +61,7 @@ class Demand(Enum):
     CLOTH = "a cloth"
     FOUNTAINS = "a fountain"
     HEIGHT_FIELDS = "a height field whose limit holds all of its triangles"
-    RIDGES = "a height field that casts shadows and whose limit holds all of its triangles"
+    RIDGES = "a height field that may cast shadows, and whose limit holds all of its triangles"
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ LAMPS = {
 SCENES = {
     "city:blocks=2,shadows=1": SUN,
     "hall:columns=4,rows=2,shadows=1,lights=8": LAMPS,
-    "night:shadows=1,lights=8": SUN,
+    "night:blocks=2,shadows=1,lights=8": SUN,
 }
 """Scenes, and the values of 192 combinations for each: the hall has no sun."""
 _ROUNDS = 4
