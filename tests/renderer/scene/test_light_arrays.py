@@ -9,6 +9,7 @@ import pytest
 from frames import EYE, find_difference, make_boxes, open_renderer, read_colors
 
 import rhi
+from renderer.lab.measure.light_evaluations import count_light_evaluations
 from renderer.lights.rectangles import bound_spheres
 from renderer.scene import Camera, Lights, Perspective
 from renderer.settings import RenderSettings
@@ -133,15 +134,17 @@ def test_lamps_are_cut_where_their_light_is_faint_and_little_of_it_is_missing() 
 
 @pytest.mark.parametrize("technique", TECHNIQUES)
 def test_a_technique_draws_lamps_that_are_cut_as_if_their_ranges_were_shorter(gl: rhi.Device, technique: str) -> None:
-    settings, images = RenderSettings(algorithm="frustum").change("technique.name", technique), []
+    settings, images, counts = RenderSettings(algorithm="frustum").change("technique.name", technique), [], []
     for least, is_cut in ((LEAST, False), (0.0, True), (0.0, False)):
         builder = make_boxes(*[(2 * x, 2 * y, 0) for x in (-1, 0, 1) for y in (-1, 0, 1)])
         builder.lights = make_faint().cut(LEAST) if is_cut else make_faint()
         builder.lights.cast_shadows()
         with settings.change("light_cutoff", least).open(gl, builder.build(), (48, 32)) as renderer:
             images.append(read_colors(renderer.render(EYE)))
+            counts.append(count_light_evaluations(renderer, EYE))
             renderer.light_cutoff = LEAST  # between two frames
             images.append(read_colors(renderer.render(EYE)))
+    assert counts[0] == counts[1] < counts[2]
     assert find_difference(images[0], images[2]) == 0
     assert find_difference(images[0], images[4]) > 20
     assert [find_difference(images[0], images[place]) for place in (1, 3, 5)] == [0, 0, 0]
