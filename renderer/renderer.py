@@ -217,6 +217,20 @@ class Renderer:
         self._animation_lag = pixels
 
     @property
+    def light_cutoff(self) -> float:
+        """The light of a lamp that is too faint to matter, 0 for none. It may be exchanged between any two frames.
+
+        Lamps end where less of their light arrives; 1 is what a directional light of intensity 1 gives. So fewer lamps
+        reach a surface, and up to 1.1 times as much of each is missing.
+        """
+        return self._resources.light_cutoff
+
+    @light_cutoff.setter
+    def light_cutoff(self, least: float) -> None:
+        rules.check_amount(rules.BAD_CUTOFF, "Renderer.light_cutoff = …", least)
+        self._resources.light_cutoff = least
+
+    @property
     def view(self) -> View:
         """The view that the image is drawn from, with what techniques keep for it; with two eyes the left one."""
         return self._view
@@ -438,7 +452,8 @@ class Renderer:
 
     def _find_needs(self, camera: Camera, seen: frozenset[str] | None = None) -> Needs:
         reaches = self._resources.reaching
-        return find_needs(self.scene, camera, reaches=reaches, blending=self.blending, glow=self.glow, seen=seen)
+        return find_needs(self.scene, camera, reaches=reaches, blending=self.blending, glow=self.glow, seen=seen,
+                          lights=self._resources.lights)  # fmt: skip
 
     def _plan(self, needs: Needs) -> Plan[Frame]:
         """Return the plan of a frame with these needs; it is made once."""

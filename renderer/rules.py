@@ -208,6 +208,7 @@ MANY_MATERIALS: Final = Rule(
 NO_WIREFRAME: Final = Rule("technique-no-wireframe", "this picture needs a device that draws the edges of triangles")
 BAD_STEP: Final = Rule("animation-step", "what moves is shown at whole multiples of a step in seconds")
 BAD_LAG: Final = Rule("animation-lag", "what is small on the screen may be late by some pixels")
+BAD_CUTOFF: Final = Rule("light-cutoff", "lamps end where less than an amount of their light arrives")
 BAD_SCALE: Final = Rule("render-scale", "images are drawn at a scale of the size that is shown")
 BAD_EDGE: Final = Rule("tessellation-edge", "edges are split down to a length in pixels")
 BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique is out of its range")

@@ -40,6 +40,7 @@ class RenderSettings:
         precision: that of the techniques' shaders. depth: the direction of depth.
         animation_step: the seconds after which what moves by itself moves on, 0 for every frame.
         animation_lag: the pixels by which what is small on the screen may be late, 0 for nothing.
+        light_cutoff: the light of a lamp that is too faint to matter, 0 for none.
         simulates_unseen: whether what an absence would change, such as cloth, is simulated where it isn't drawn.
         reprojects: whether a second eye's picture is made from the first one's.
         scale: the size at which frames are drawn, in that of the image that is shown: 0.1 to 2.
@@ -57,6 +58,7 @@ class RenderSettings:
     depth: Depth = Depth.REVERSED
     animation_step: float = 0.0
     animation_lag: float = ANIMATION_LAG
+    light_cutoff: float = 0.0
     simulates_unseen: bool = False
     reprojects: bool = False
     scale: float = 1.0
@@ -68,6 +70,7 @@ class RenderSettings:
             rules.refuse_name(rules.UNKNOWN_ALGORITHM, call, self.algorithm, ALGORITHMS)
         rules.check_amount(rules.BAD_STEP, "RenderSettings(animation_step=...)", self.animation_step)
         rules.check_amount(rules.BAD_LAG, "RenderSettings(animation_lag=...)", self.animation_lag)
+        rules.check_amount(rules.BAD_CUTOFF, "RenderSettings(light_cutoff=...)", self.light_cutoff)
         rules.check_scale("RenderSettings(scale=...)", self.scale)
 
     def get(self, path: str) -> Any:
@@ -138,7 +141,7 @@ class RenderSettings:
         renderer.shadows.settings = self.shadows
         renderer.tessellator.settings = self.tessellation
         renderer.animation_step, renderer.animation_lag = self.animation_step, self.animation_lag
-        renderer.simulates_unseen = self.simulates_unseen
+        renderer.light_cutoff, renderer.simulates_unseen = self.light_cutoff, self.simulates_unseen
         renderer.scale = self.scale
 
     def save(self, path: Path, **found: Any) -> None:

@@ -41,6 +41,8 @@ MOST_ARRAYS: Final = 8
 MOST_MEMORY: Final = 1.15
 """The most memory of arrays, in that of their images with their mip levels."""
 TEXEL_BYTES: Final = 4
+_MOST_BIAS: Final = 16.0
+"""The most levels of a bias: there are no more levels."""
 
 Size = tuple[int, int]
 """Width and height in texels."""
@@ -55,16 +57,22 @@ class TextureSettings:
         mip: whether mip levels are mixed, or the nearest is read; None for the largest level alone.
         anisotropy: the most samples along a pixel's longer side, where the device has that: at most its
             `capabilities.max_anisotropy`.
+        mip_bias: what is added to the mip level, −16 to 16: a pixel is taken to cover 2^bias times as many texels in
+            each direction. Below 0 textures are sharper, and flicker.
     """
 
     filter: Filter = Filter.LINEAR
     mip: Filter | None = Filter.LINEAR
     anisotropy: float = 1.0
+    mip_bias: float = 0.0
 
     def __post_init__(self) -> None:
         rules.check_kinds(self, rules.BAD_TEXTURES)
         if not 1.0 <= self.anisotropy < inf:
             refuse(rules.BAD_TEXTURES, "TextureSettings(anisotropy=...)", self.anisotropy, "1 or more, finite")
+        if not -_MOST_BIAS <= self.mip_bias <= _MOST_BIAS:
+            allowed = f"{-_MOST_BIAS:g} to {_MOST_BIAS:g}"
+            refuse(rules.BAD_TEXTURES, "TextureSettings(mip_bias=...)", self.mip_bias, allowed)
 
     def adjust(self, sampler: SamplerDescriptor, most: float) -> SamplerDescriptor:
         """Return a texture's sampler as these settings have it, on a device with at most this anisotropy."""
@@ -165,10 +173,12 @@ class SceneImages:
             among those of its kind: a shader compares it with no others.
         table: (t,) of `TextureUse`, how each texture of the scene is read. None if the row of a texture is its layer,
             and texture coordinates are read as they are.
+        footprint: the side of what a pixel covers, in that of what it shows: 2^bias of the mip level.
         bytes: the memory of the arrays. image_bytes: that of the images, each by itself.
     """
 
     def __init__(self, device: Device, scene: Scene, settings: TextureSettings = AS_GIVEN) -> None:
+        self.footprint = 2.0**settings.mip_bias
         textures, limit = scene.textures, device.capabilities.max_texture_size
         sizes = [(min(image.shape[1], limit), min(image.shape[0], limit)) for image in scene.images]
         samplers = _limit_samplers(textures["sampler"].tolist(), textures["is_color"].tolist())

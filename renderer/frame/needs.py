@@ -257,6 +257,7 @@ def find_needs(
     blending: Blending = Blending.SORTED,
     glow: GlowSettings = EXACT_GLOW,
     seen: Collection[str] | None = None,
+    lights: Lights | None = None,
 ) -> Needs:
     """Find what `scene` needs as `camera` sees it.
 
@@ -264,8 +265,9 @@ def find_needs(
         reaches: whether any point light reaches an object, and whether any spot light does.
         blending: how transparent surfaces are to be put together. glow: how glow is to be made.
         seen: the features of surfaces that shaders have (`SeenFeatures`); by default those that are in view.
+        lights: the scene's, with the ranges that count; by default as they are.
     """
-    lights = scene.lights
+    lights = lights or scene.lights
     planes = camera.frustum.planes if len(lights.point) or len(lights.spot) else np.zeros((0, 4))
     none = np.zeros(0, np.int64)
     transparent = scene.find_transparent()

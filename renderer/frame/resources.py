@@ -36,6 +36,7 @@ from renderer.frame.mirrors import (
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Deformed, DeformingOnDevice, Scene, Simulator, normal_matrices
 from renderer.scene.arrays import list_ranges
+from renderer.scene.lights import Lights
 from renderer.visibility import SceneArrays
 from renderer.visibility.boxes.volumes import find_in_view
 from renderer.visibility.gpu.draw_lists import DrawArguments
@@ -91,6 +92,7 @@ class SceneResources:
             have as many as there can be, of which those that aren't used are empty.
         tessellations: how often triangles were chosen.
         indices: the indices of `mesh`, as shaders write them; only in scenes with height fields.
+        light_cutoff: the light of a lamp that is too faint to matter, 0 for none (`Lights.cut`).
         images: the scene's images; None if no material reads any.
         objects, places, materials, directional, point, spot, light_rows: the arrays that shaders read; point and spot
             lights are left out if none of them reaches an object.
@@ -123,6 +125,8 @@ class SceneResources:
         self._held = np.zeros(len(scene.objects))  # by object, the state of the vertices on the device
         self._device = device
         self._material_version = -1  # that of the materials on the device
+        self.light_cutoff = 0.0
+        self._cut: tuple[object, Lights] = (None, scene.lights)
         objects = scene.objects
         computed = [one.objects for one in scene.simulated if isinstance(one.simulation, DeformingOnDevice)]
         self._is_computed: NDArray[np.bool_] | None = None  # by object, whether the device computes its vertices
@@ -376,16 +380,26 @@ class SceneResources:
         return np.repeat(rows, counts)[order], entries[order]
 
     @property
+    def lights(self) -> Lights:
+        """The scene's lights; with a `light_cutoff`, they end where their light is fainter."""
+        lights, key = self.scene.lights, (self.scene.lights.contents, self.light_cutoff)
+        if not self.light_cutoff:
+            return lights
+        if self._cut[0] != key:
+            self._cut = key, lights.cut(self.light_cutoff)
+        return self._cut[1]
+
+    @property
     def reaching(self) -> tuple[bool, bool]:
         """Whether any point light reaches an object, and whether any spot light does."""
         return self._reaching
 
     def update(self, *eyes: Camera) -> None:
         """Update the buffers to the scene, with lights for each of a frame's `eyes`; `look_from` chooses one."""
-        scene = self.scene
+        scene, lights = self.scene, self.lights
         following = scene.objects.following_rows  # others that move are simulated before they are drawn
         self._transform(following)
-        if self._listed_from is not scene.lights.contents:
+        if self._listed_from is not lights.contents:
             self.directional.write(scene.lights.directional)
         has_others = False
         if self._material_version != scene.material_version:
@@ -396,7 +410,7 @@ class SceneResources:
             has_others = self._follow_materials()
         self.objects.write(self._rows, None if self._list_lights() or has_others else following)
         self.places.write(self._places, None if has_others else following)
-        self._lamps.update(scene.lights, self._reaching, [eye.position for eye in eyes])
+        self._lamps.update(lights, self._reaching, [eye.position for eye in eyes])
         self.look_from(0)
         self.ambient.write(_ambient(scene))
 
@@ -469,7 +483,7 @@ class SceneResources:
 
         The lists of objects with fixed bounds come first, so that those of others don't shift them.
         """
-        objects, lights = self.scene.objects, self.scene.lights
+        objects, lights = self.scene.objects, self.lights
         is_known, self._listed_from = self._listed_from is lights.contents, lights.contents
         if is_known and not len(objects.following_rows):
             return False

@@ -83,6 +83,8 @@ class MaterialShader(sl.Shader):
     has_table = False
     has_changes = False
     """Whether textures are read by the changes of texture coordinates that the input has."""
+    footprint = 1.0
+    """The side of what a pixel covers of a texture, in that of what it shows."""
     is_placed = False
     """Whether texture coordinates are as textures are read, a transform applied."""
     is_own = False
@@ -191,6 +193,8 @@ class MaterialShader(sl.Shader):
         if self.has_table:
             use = self.textures[texture]
             return self.read_images(use.array, self.place(use, at), self.find_changes(use, at))
+        if self.footprint != 1.0:
+            return self.read_images(0, sl.vec3(at.uv, float(texture)), at.changes)
         if self.has_changes:
             return self.images.sample_grad(sl.vec3(at.uv, float(texture)), at.changes.xy, at.changes.zw)
         return self.images.sample(sl.vec3(at.uv, float(texture)))
@@ -200,6 +204,8 @@ class MaterialShader(sl.Shader):
         if self.has_table:
             use = self.textures[texture]
             return self.read_maps(use.array, self.place(use, at), self.find_changes(use, at))
+        if self.footprint != 1.0:
+            return self.read_maps(0, sl.vec3(at.uv, float(texture)), at.changes)
         if self.has_changes:
             return self.maps.sample_grad(sl.vec3(at.uv, float(texture)), at.changes.xy, at.changes.zw)
         return self.maps.sample(sl.vec3(at.uv, float(texture)))
@@ -231,6 +237,8 @@ class MaterialShader(sl.Shader):
 
     def read_images(self, array: int, place: sl.vec3, changes: sl.vec4) -> sl.vec4:
         """Return a texel of an array of colours, given the changes of texture coordinates."""
+        if self.footprint != 1.0:
+            changes = changes * self.footprint
         if self.image_arrays > 1 and array == 1:
             return self.images_1.sample_grad(place, changes.xy, changes.zw)
         if self.image_arrays > 2 and array == 2:
@@ -249,6 +257,8 @@ class MaterialShader(sl.Shader):
 
     def read_maps(self, array: int, place: sl.vec3, changes: sl.vec4) -> sl.vec4:
         """Return a texel of an array of data, given the changes of texture coordinates."""
+        if self.footprint != 1.0:
+            changes = changes * self.footprint
         if self.map_arrays > 1 and array == 1:
             return self.maps_1.sample_grad(place, changes.xy, changes.zw)
         if self.map_arrays > 2 and array == 2:

@@ -114,7 +114,7 @@ class NeededMaps:
         """Return the maps that a frame of this `size` needs, for views of `cameras` and the `visible` objects."""
         self.skipped = []
         suns = self._want_suns(resources, needs, cameras, visible)
-        return suns + self._want_lamps(resources.scene, needs, cameras, visible, size)
+        return suns + self._want_lamps(resources, needs, cameras, visible, size)
 
     def _want_suns(
         self, resources: SceneResources, needs: Needs, cameras: Sequence[Camera], visible: Rows
@@ -145,14 +145,19 @@ class NeededMaps:
         return wanted
 
     def _want_lamps(
-        self, scene: Scene, needs: Needs, cameras: Sequence[Camera], visible: Rows, size: tuple[int, int]
+        self,
+        resources: SceneResources,
+        needs: Needs,
+        cameras: Sequence[Camera],
+        visible: Rows,
+        size: tuple[int, int],
     ) -> list[WantedMap]:
         """Return the maps of lamps that reach something visible and have a caster, and note all of them."""
-        settings, found = self._settings, list[WantedLamp]()
+        scene, settings, found = resources.scene, self._settings, list[WantedLamp]()
         lower, upper = scene.objects.lower[visible], scene.objects.upper[visible]
         for kind, lights, rows in (
-            ("point", scene.lights.point, needs.in_view[Effect.POINT_SHADOWS]),
-            ("spot", scene.lights.spot, needs.in_view[Effect.SPOT_SHADOWS]),
+            ("point", resources.lights.point, needs.in_view[Effect.POINT_SHADOWS]),
+            ("spot", resources.lights.spot, needs.in_view[Effect.SPOT_SHADOWS]),
         ):
             if not len(rows):
                 continue

@@ -278,7 +278,7 @@ def _show(frame: Frame) -> None:
 def dispatch_tiles(frame: Frame, lit: Texture, *bases: type[Any], own: Mapping[str, Any] = {}, **switches: int) -> None:
     """Run the compute shader with these bases for all tiles, with bindings of its own and its switches."""
     uploads = frame.view.workspace(_make_uploads)
-    uploads.write(frame.camera, frame.targets.size, frame.resources.scene.lights)
+    uploads.write(frame.camera, frame.targets.size, frame.resources.lights)
     count = uploads.layout.count
     program: Any = frame.program(find_variant(frame, *bases, **find_contents(frame.needs), **switches))
     cones = uploads.cones if Effect.SPOT_LIGHTS in frame.needs.effects else {}

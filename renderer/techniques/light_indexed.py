@@ -195,7 +195,7 @@ def _pack_indices(frame: Frame) -> None:
 
 def list_volumes(frame: Frame) -> NDArray[Any]:
     """Return the volumes (l,) of `IndexedVolume` of the lights in view: point lights, then spot lights."""
-    needs, lights, eye = frame.needs, frame.resources.scene.lights, frame.camera.position
+    needs, lights, eye = frame.needs, frame.resources.lights, frame.camera.position
     points, spots = (kind.find_rows(lights)[needs.in_view[effect]] for effect, kind in LAMPS.items())
     volumes: Any = np.zeros(len(points) + len(spots), IndexedVolume.dtype)
     first, last = volumes[: len(points)], volumes[len(points) :]

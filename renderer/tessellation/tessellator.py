@@ -34,8 +34,6 @@ from rhi import Device, Encoder, Readback
 from rhi.math import is_parallel
 from rhi.shading import uint
 
-_UNSEEN: Final = 8.0
-"""Edges outside the view may be this many times as long: they only cast shadows, and are there when the eye turns."""
 _GROUPS: Final = 16
 """The largest number of work-groups of a dispatch, each of which takes every such group of triangles. How many there
 are is known to the device only, and on a CPU each group that finds none costs 2 µs, in some twenty dispatches."""
@@ -212,7 +210,7 @@ def view_field(world: Floats, camera: Camera, settings: TessellationSettings, he
             depth=(0.0, 0.0, 0.0, -1.0),
             eye=(0.0, 0.0, 0.0),
             scale=scale * most,
-            unseen=scale * most / _UNSEEN,
+            unseen=scale * most / settings.unseen,
             squeeze=0.0,
             is_lens=0.0,
             planes=inside,
@@ -222,7 +220,7 @@ def view_field(world: Floats, camera: Camera, settings: TessellationSettings, he
         depth=depth,
         eye=np.linalg.solve(linear, -offset),
         scale=scale,
-        unseen=scale / _UNSEEN,
+        unseen=scale / settings.unseen,
         squeeze=(least / most) ** 2,
         is_lens=1.0,
         planes=inside,

@@ -7,7 +7,7 @@ import random
 import re
 from contextlib import suppress
 from dataclasses import fields
-from math import inf
+from math import inf, nan
 from pathlib import Path
 from typing import Any
 
@@ -166,6 +166,20 @@ def test_numbers_of_numpy_become_python_s_own() -> None:
 def test_an_anisotropy_out_of_its_range_is_refused(anisotropy: float) -> None:
     assert find_rule(lambda: TextureSettings(anisotropy=anisotropy)) == "texture-settings"
     assert TextureSettings(anisotropy=1.0).anisotropy == 1.0
+
+
+@pytest.mark.parametrize("bias", [-16.01, 16.01, nan])
+def test_a_mip_bias_of_more_levels_than_there_are_is_refused(bias: float) -> None:
+    assert find_rule(lambda: TextureSettings(mip_bias=bias)) == "texture-settings"
+    assert [TextureSettings(mip_bias=most).mip_bias for most in (-16.0, 16.0)] == [-16.0, 16.0]
+
+
+@pytest.mark.parametrize("least", [-0.1, inf, nan])
+def test_a_cutoff_of_no_light_is_refused(least: float, null: rhi.Device) -> None:
+    assert find_rule(lambda: RenderSettings(light_cutoff=least)) == "light-cutoff"
+    with RenderSettings(light_cutoff=0.5).open(null, load_scene("grid:count=1"), (8, 8)) as renderer:
+        assert find_rule(lambda: setattr(renderer, "light_cutoff", least)) == "light-cutoff"
+        assert renderer.light_cutoff == 0.5
 
 
 def test_an_algorithm_that_no_frame_could_have_is_refused() -> None:

@@ -24,7 +24,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Final
 
 import numpy as np
@@ -46,6 +46,8 @@ MOST_POINTS: Final = 24
 """The most combinations that are timed in turns: those between the ends are left out evenly."""
 MOST_TRIED: Final = 120
 """The most combinations that a search tries."""
+_TURNS: Final = 3
+"""Turns of a walk between whose processor times a combination's is, when it is tried."""
 _MARGIN: Final = 4.0
 """Standard deviations between the mean error of the views of a check and what is expected of others."""
 _PLAIN: Final = {"technique.name": "forward", "algorithm": "frustum"}
@@ -109,7 +111,7 @@ def find_choices(scene: Scene, settings: RenderSettings, reports: Iterable[KnobR
     for report in reports:
         knob = KNOBS[report.knob]
         matters = all(base.get(path) == value for path, value in knob.within.items() if path != _ROOM)
-        lacks = knob.demand is Demand.STEREO or (knob.demand is Demand.SHADOWS and not casts)
+        lacks = knob.demand is Demand.STEREO or (knob.demand in (Demand.SHADOWS, Demand.RIDGES) and not casts)
         lacks = lacks or (knob.demand is Demand.GLOW and not (scene.glow and len(scene.find_glowing())))
         if report.rows and knob.path and knob.unit is Unit.LEVELS and matters and not lacks:
             found[knob.name] = report
@@ -144,16 +146,17 @@ def list_steps(reports: Mapping[str, KnobReport]) -> list[dict[str, str]]:
 def search(
     ladders: Mapping[str, Sequence[str]],
     start: Iterable[dict[str, str]],
-    measure: Callable[[dict[str, str]], tuple[float, float]],
+    measure: Callable[[dict[str, str]], tuple[float, float, float]],
     most: int = MOST_TRIED,
 ) -> list[dict[str, str]]:
-    """Return the combinations of values that none of those tried beats in error and time, the most accurate first.
+    """Return the combinations of values that none of those tried surely beats in error and time, the most accurate
+    first.
 
     Args:
         ladders: the values of each knob, in order. start: combinations to begin with.
-        measure: returns the error and the time of a combination. most: so many are tried at most.
+        measure: returns the error of a combination, and between which times it takes. most: so many are tried at most.
     """
-    found: dict[tuple[str, ...], tuple[float, float]] = {}
+    found: dict[tuple[str, ...], tuple[float, float, float]] = {}
     best = list[tuple[str, ...]]()
     wanted = [tuple(one[name] for name in ladders) for one in start]
     while wanted and len(found) < most:
@@ -162,8 +165,8 @@ def search(
         best, least = [], float("inf")
         for key in sorted(found, key=found.__getitem__):
             if found[key][1] < least:
-                least = found[key][1]
                 best.append(key)
+            least = min(least, found[key][2])
         near = dict.fromkeys(other for key in best for other in _list_neighbours(ladders, key))
         wanted = [key for key in near if key not in found]
     return [dict(zip(ladders, key, strict=True)) for key in best]
@@ -233,14 +236,17 @@ class CombinationBench(Bench):
             errors.append(float(np.nanmean(np.abs(shown - self._pictures[frame.number]).max(axis=2))))
         return errors
 
-    def walk(self, settings: RenderSettings, frames: Sequence[Shot], turns: int = 1) -> Floats:
-        """Return the milliseconds of frames that are drawn one after the other, as often as there are `turns` and once
-        before: the least of each."""
-        renderer, ends = self.exchange(settings), [0.0]
+    def walk(
+        self, settings: RenderSettings, frames: Sequence[Shot], turns: int = 1,
+        clock: Callable[[], float] = perf_counter,
+    ) -> Floats:  # fmt: skip
+        """Return the milliseconds (turns, frames) of frames that are drawn one after the other, in each of the `turns`;
+        they were drawn once before."""
+        renderer, ends = self.exchange(settings), [clock()]
         for frame in (*frames,) * (1 + turns):
             self.draw(renderer, settings, frame)
-            ends.append(perf_counter())
-        times: Floats = 1e3 * np.diff(ends).reshape(1 + turns, len(frames))[1:].min(axis=0)
+            ends.append(clock())
+        times: Floats = 1e3 * np.diff(ends).reshape(1 + turns, len(frames))[1:]
         return times
 
     def time(
@@ -265,7 +271,7 @@ class CombinationBench(Bench):
         work: dict[str, Callable[[int], object]] = {name: partial(draw, name) for name in combinations}
         times = alternate(work, progress(self._rounds), 1, exchange)
         base = times[next(iter(combinations))]
-        ratios = {name: one.compare_to(base) for name, one in times.items()}
+        ratios = {name: one.compare_to(base, processor=True) for name, one in times.items()}
         return {
             name: (round(1e3 * times[name].median, 3), round(ratio.median, 4), ratio.low, ratio.high)
             for name, ratio in ratios.items()
@@ -291,11 +297,12 @@ def find_front(
         tried = iter(progress(range(MOST_TRIED)))
         lost: dict[tuple[str, ...], list[float]] = {}
 
-        def measure(values: dict[str, str]) -> tuple[float, float]:
+        def measure(values: dict[str, str]) -> tuple[float, float, float]:
             next(tried, None)
             settings = combine(base, values)
             errors = lost[tuple(values.values())] = bench.compare(settings, frames)
-            return max(errors), float(bench.walk(settings, frames, 2).mean())
+            times = bench.walk(settings, frames, _TURNS, process_time).mean(axis=1)
+            return max(errors), float(times.min()), float(times.max())
 
         best = search(ladders, list_steps(found), measure)
         places = np.unique(np.linspace(0, len(best) - 1, min(len(best), MOST_POINTS)).round().astype(int)).tolist()
@@ -346,14 +353,14 @@ def choose(
         ValidationError `accuracy-out-of-reach`: no settings keep the bounds.
     """
     best = sorted((point for point in points if point.is_best), key=lambda point: point.milliseconds)
+    if error_at_most is None:  # a time is tried, so what others beat by noise alone is left out by no one
+        best = sorted(points, key=lambda point: (point.error, point.milliseconds))
     fast = [point for point in best if budget_ms is None or _find_least(point) <= budget_ms]
     good = [point for point in fast if error_at_most is None or point.error <= error_at_most]
-    if error_at_most is None:
-        good = good[::-1]  # the most accurate first
     bounds = ((budget_ms, "ms"), (error_at_most, "levels"))
     asked = " and ".join(f"{bound:.4g} {unit}" for bound, unit in bounds if bound is not None)
     if not good:
-        least, first = min(point.error for point in best), _find_least(best[0])
+        least, first = min(point.error for point in best), min(map(_find_least, best))
         allowed = f"{first:.4g} ms or more, an error of {least:.4g} levels or more"
         refuse(rules.OUT_OF_REACH, "choose", asked, allowed)
     scene = load_scene(situation.scene)
@@ -368,7 +375,7 @@ def choose(
         for refused, point in enumerate(good):
             over = None
             if budget_ms is not None:
-                times = bench.walk(point.settings, checks)
+                (times,) = bench.walk(point.settings, checks)
                 if np.median(times) > budget_ms:
                     found_out = f"{np.median(times):.4g} ms, the median of {len(times)} frames of a walk"
                     continue

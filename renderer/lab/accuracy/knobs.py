@@ -61,6 +61,7 @@ class Demand(Enum):
     CLOTH = "a cloth"
     FOUNTAINS = "a fountain"
     HEIGHT_FIELDS = "a height field whose limit holds all of its triangles"
+    RIDGES = "a height field that may cast shadows, and whose limit holds all of its triangles"
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,6 +249,15 @@ KNOBS: Final[dict[str, Knob]] = {
             "which single pictures don't show",
         ),
         _picture(
+            "mip_bias",
+            "levels that are added to the mip level of textures",
+            "textures.mip_bias",
+            _same(2.0, 1.0, 0.5, 0.0, -0.5, -1.0),
+            "images' own samplers ask for it; from -1 on, what is sharper flickers more",
+            truth=SUPER_SAMPLED,
+            demand=Demand.IMAGES,
+        ),
+        _picture(
             "edge_pixels",
             "length of the edges of a ground's triangles in pixels",
             "tessellation.edge_pixels",
@@ -255,6 +265,16 @@ KNOBS: Final[dict[str, Knob]] = {
             "outlines are off by less than a pixel nearly everywhere",
             truth=FINEST,
             demand=Demand.HEIGHT_FIELDS,
+        ),
+        _picture(
+            "unseen_edges",
+            "length of the edges of a ground's triangles out of view, in that of those in view",
+            "tessellation.unseen",
+            _same(64.0, 16.0, 8.0, 4.0, 1.0),
+            "only their shadows are seen",
+            truth=FINEST,
+            within=_ROOM,
+            demand=Demand.RIDGES,
         ),
         _shadows(
             "shadow_size",
@@ -345,6 +365,15 @@ KNOBS: Final[dict[str, Knob]] = {
             "half floats are off by more than a level from about 64 lights on a surface",
             truth=FORWARD,
             within={**_FORWARD, "technique.name": "deferred"},
+            demand=Demand.LAMPS,
+        ),
+        _picture(
+            "light_cutoff",
+            "light of a lamp that is too faint to matter, in that of a directional light of intensity 1",
+            "light_cutoff",
+            _same(1.0, 0.3, 0.1, 0.03, 0.01, 0.0),
+            "lamps end where the scene says",
+            truth=TRACED,
             demand=Demand.LAMPS,
         ),
         _picture(

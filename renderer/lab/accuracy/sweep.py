@@ -57,6 +57,8 @@ _VALUES: Final = 1 << 14
 """Vectors that an encoding is measured with."""
 _TRUTH_ROUNDS: Final = 3
 """The number of times that a truth is timed: it may take many times as long as a value, and isn't chosen by time."""
+NO_EFFECT: Final = "no value changes what these views show"
+"""The lack of a scene in which all values of a knob have the same errors, so that their times are noise."""
 DRAWS_NOTHING: Final = "it draws nothing"
 """The lack of a device that only records."""
 _MOST_SHARES: Final = 2
@@ -244,6 +246,8 @@ def join_shares(samples: Sequence[KnobSample]) -> KnobReport:
     if not first.values:
         return report((), first.left_out)
     values = {value: _join_samples([sample.values[value] for sample in samples]) for value in first.values}
+    if len(values) > 1 and len({(one.sums, one.flicker) for one in values.values()}) == 1:
+        return report((), first.left_out | dict.fromkeys(values, NO_EFFECT))
     times = {value: Measurement(value, one.seconds, one.processor_seconds) for value, one in values.items()}
     base = times[list(times)[-1]]
     ratios = [ratio for sample in samples for ratio in sample.truth_ratios]
@@ -300,7 +304,10 @@ def prepare_scene(scene: Scene, knob: Knob) -> str | None:
             has = sum(isinstance(one.simulation, Cloths) for one in scene.simulated)
         case Demand.FOUNTAINS:
             has = sum(isinstance(one.simulation, Fountains) for one in scene.simulated)
-        case Demand.HEIGHT_FIELDS:
+        case Demand.HEIGHT_FIELDS | Demand.RIDGES:
+            if knob.demand is Demand.RIDGES:
+                scene.lights.cast_shadows()
+                scene.objects.casts_shadow[list(scene.height_fields)] = True
             has = sum(field.limit == field.count for field in scene.height_fields.values())
         case _:
             return None
@@ -407,7 +414,7 @@ class KnobBench(Bench):
         self._knob, self._share = knob, share
         self._rounds = share.take(range(situation.rounds))
         self._history, self._views, self._timed = list_frames(scene, situation, knob, share)
-        has_next = not share.number and not knob.remembers
+        has_next = self._views and not share.number and not knob.remembers
         self._next = find_next(scene, situation, self._views[0]) if has_next else None
         self._settings = {value: knob.set(situation.settings, value) for value in values}
         best = self._settings[values[-1]]

@@ -235,7 +235,7 @@ def list_volumes(frame: Frame, effect: Effect) -> list[tuple[Mesh, NDArray[np.in
     rows = frame.needs.in_view[effect]
     narrow = np.zeros(len(rows), bool)
     if effect is Effect.SPOT_LIGHTS:
-        narrow = frame.resources.scene.lights.spot["outer"][rows] <= WIDEST_CONE
+        narrow = frame.resources.lights.spot["outer"][rows] <= WIDEST_CONE
     volumes = ((_make_cone, rows[narrow]), (_make_sphere, rows[~narrow]))
     return [(frame.resources.workspace(make), some) for make, some in volumes if len(some)]
 
@@ -294,7 +294,7 @@ def draw_volumes(
 def find_cut(frame: Frame, effect: Effect, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return (k,) which lights of `rows` may have volumes that a far plane cuts. Those can't be masked: moved to the
     depth of the background, their front faces would undo what their back faces have marked."""
-    camera, some = frame.camera, LAMPS[effect].find_rows(frame.resources.scene.lights)[rows]
+    camera, some = frame.camera, LAMPS[effect].find_rows(frame.resources.lights)[rows]
     distances = (some["position"] - camera.position) @ camera.forward
     # The base of a cone is at most √3 ranges wide.
     cut: NDArray[np.bool_] = distances + 2.0 * FARTHEST_CORNER * some["range"] > 0.999 * find_far(camera)

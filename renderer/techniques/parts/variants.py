@@ -76,9 +76,10 @@ def find_variant(frame: Frame, *bases: type[Any], **fixed: Any) -> type[Any]:
     switches |= {"has_sun": needs.has_sun, "has_both_models": needs.has_both_models, "has_planes": needs.has_planes}
     if images is not None:
         arrays = {"image_arrays": len(images.colors), "map_arrays": len(images.data)}
-        switches |= {**arrays, "has_table": images.table is not None}
+        switches |= {**arrays, "has_table": images.table is not None, "footprint": images.footprint}
+    needs_changes = images is not None and (images.table is not None or images.footprint != 1.0)
     own = [base for base in bases if base in needs.shaders]
-    switches |= {"is_own": bool(own), "has_changes": bool(own) or switches.get("has_table", False)}
+    switches |= {"is_own": bool(own), "has_changes": bool(own) or needs_changes}
     switches |= fixed
     switches["has_second_uvs"] = switches["has_second_uvs"] and switches.get("has_table", False)
     if any(issubclass(base, ShadowReceiver) for base in bases) and not needs.effects.isdisjoint(SHADOW_EFFECTS):

@@ -6,14 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from frames import EYE, make_boxes, open_renderer
+from frames import EYE, draw, find_difference, make_boxes, open_renderer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rhi
+from renderer.frame import TextureSettings
 from renderer.frame.images import MOST_ARRAYS, MOST_MEMORY, SceneImages, count_bytes, plan_arrays
-from renderer.scene import AlphaMode, Scene, SceneBuilder, TextureMap
-from renderer.techniques import ForwardPlus
+from renderer.scene import AlphaMode, Camera, Orthographic, Scene, SceneBuilder, TextureMap
+from renderer.techniques import TECHNIQUES, ForwardPlus
 from rhi import Filter, Op, SamplerDescriptor, Wrap
 
 CLAMPED = SamplerDescriptor(wrap_u=Wrap.CLAMP, wrap_v=Wrap.CLAMP)
@@ -165,3 +166,32 @@ def test_colors_and_data_are_in_arrays_of_their_own_that_passes_read_alone(null:
 def test_extreme_images_are_drawn(gl: rhi.Device, size: tuple[int, int]) -> None:
     images = SceneImages(gl, scene_of(size))
     assert images.textures[0].size == size
+
+
+TEXELS = 32
+
+
+def draw_texels(device: rhi.Device, image: Any, bias: float, technique: str = "forward", more: int = 0) -> Any:
+    """Draw a face of a box, on which an image of `TEXELS` has a texel for each pixel; with `more`, by a table."""
+    builder = make_boxes()
+    for texels in (image, *[np.zeros((8, 8, 4), np.uint8)] * more):
+        add_box(builder, texture=builder.add_image(texels), emission=1.0)
+    camera = Camera.look_at((0, 0, 10), (0, 0, 0)).with_projection(Orthographic(1.0, 1.0))
+    textures = TextureSettings(mip_bias=bias)
+    scene = builder.build()
+    scene.objects.shown[1:] = False
+    return draw(device, scene, TECHNIQUES[technique](), camera, size=(TEXELS, TEXELS), textures=textures)
+
+
+@pytest.mark.parametrize(("technique", "more"), [("forward", 0), ("forward", 1), ("deferred_plus", 0)])
+def test_a_bias_of_a_level_shows_half_as_many_texels(drawing_device: rhi.Device, technique: str, more: int) -> None:
+    """Blocks of 2 × 2 equal texels are what an image of half the size has; one level more shows that."""
+    small = np.full((TEXELS // 2, TEXELS // 2, 4), 255, np.uint8)
+    small[..., :3] = np.random.default_rng(1).integers(0, 256, small.shape[:2])[..., None]
+    image = small.repeat(2, 0).repeat(2, 1)
+    given = technique, more
+    coarse, fine = (draw_texels(drawing_device, image, bias, *given) for bias in (1.0, 0.0))
+    assert find_difference(coarse, draw_texels(drawing_device, small, 0.0, *given)) <= 1
+    assert find_difference(coarse, fine) > 50
+    assert find_difference(fine, draw_texels(drawing_device, image, -1.0, *given)) <= 1  # there is no finer level
+    assert np.ptp(draw_texels(drawing_device, image, 16.0, *given), axis=(0, 1)).max() <= 1

@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from frames import make_boxes, open_renderer
+from frames import EYE, find_difference, make_boxes, open_renderer, read_colors
 
 import rhi
+from renderer.lab.measure.light_evaluations import count_light_evaluations
 from renderer.lights.rectangles import bound_spheres
 from renderer.scene import Camera, Lights, Perspective
-from renderer.techniques import Forward
+from renderer.settings import RenderSettings
+from renderer.techniques import TECHNIQUES, Forward
 from rhi import ValidationError
 
 WRITTEN: dict[str, tuple[str, str, Any]] = {
@@ -102,3 +104,47 @@ def test_the_contents_of_lights_are_another_object_where_one_was_written_to(kind
     getattr(lights, kind)["intensity"] *= 0.5
     lights.refresh()
     assert lights.contents is not known
+
+
+LEAST = 0.25
+
+
+def make_faint() -> Lights:
+    """Make lamps of which the last two end before their light is faint: at their range, and at their source."""
+    lights = Lights()
+    lights.add_points([(0, 1.5, 2), (2, 0, 3), (-2, 0, 3)], [9.0, 1.5, 9.0], intensity=[1.0, 4.0, 0.1],
+                      color=[(0.5, 1, 0), (1, 1, 1), (1, 1, 1)], source_radius=[0, 0, 1.0])  # fmt: skip
+    lights.add_spot((0, 3, 3), (0, -1, -1), 20.0, 0.3, 0.6, intensity=4.0)
+    return lights
+
+
+def test_lamps_are_cut_where_their_light_is_faint_and_little_of_it_is_missing() -> None:
+    lights = make_faint()
+    cut, away = lights.cut(LEAST), np.linspace(0.01, 25.0, 5001)
+    assert cut.point["range"].tolist() == [2.0, 1.5, 1.0]
+    assert cut.spot["range"].tolist() == [4.0]
+    assert lights.point["range"].tolist() == [9.0, 1.5, 9.0]  # the scene's stay as they are
+    for before, after in ((lights.point[0], cut.point[0]), (lights.spot[0], cut.spot[0])):
+        full, less = (
+            one["intensity"] / away**2 * np.clip(1.0 - (away / one["range"]) ** 4, 0.0, 1.0) ** 2
+            for one in (before, after)
+        )
+        assert 0.9 * LEAST < (full - less).max() <= 1.1 * LEAST
+
+
+@pytest.mark.parametrize("technique", TECHNIQUES)
+def test_a_technique_draws_lamps_that_are_cut_as_if_their_ranges_were_shorter(gl: rhi.Device, technique: str) -> None:
+    settings, images, counts = RenderSettings(algorithm="frustum").change("technique.name", technique), [], []
+    for least, is_cut in ((LEAST, False), (0.0, True), (0.0, False)):
+        builder = make_boxes(*[(2 * x, 2 * y, 0) for x in (-1, 0, 1) for y in (-1, 0, 1)])
+        builder.lights = make_faint().cut(LEAST) if is_cut else make_faint()
+        builder.lights.cast_shadows()
+        with settings.change("light_cutoff", least).open(gl, builder.build(), (48, 32)) as renderer:
+            images.append(read_colors(renderer.render(EYE)))
+            counts.append(count_light_evaluations(renderer, EYE))
+            renderer.light_cutoff = LEAST  # between two frames
+            images.append(read_colors(renderer.render(EYE)))
+    assert counts[0] == counts[1] < counts[2]
+    assert find_difference(images[0], images[2]) == 0
+    assert find_difference(images[0], images[4]) > 20
+    assert [find_difference(images[0], images[place]) for place in (1, 3, 5)] == [0, 0, 0]

@@ -193,6 +193,17 @@ def test_nothing_is_dispatched_while_the_camera_stands_still(null: rhi.Device) -
     assert frames == [(levels + 2, 1), (0, 1), (levels + 2, 1)]
 
 
+def test_a_ground_out_of_view_has_as_few_triangles_as_is_asked_for() -> None:
+    field, counts = make_hills(), list[int]()
+    for unseen in (1.0, 8.0, 64.0):
+        settings = TessellationSettings(2.0, unseen)
+        keys, _ = find_keys(field, view_field(np.eye(4), CAMERAS["random 0"], settings, HEIGHT))
+        triangles = decode(keys, len(field.heights))
+        check_conforming(triangles, len(field.heights))
+        counts.append(len(triangles))
+    assert counts[0] > 1.2 * counts[1] > 1.2 * counts[2]
+
+
 def test_a_device_without_compute_shaders_draws_equal_triangles() -> None:
     with rhi.create_device("null") as null:
         lacking = replace(null.capabilities, compute=False)
@@ -210,3 +221,10 @@ def test_a_length_that_is_none_is_refused(edge_pixels: float) -> None:
     with pytest.raises(ValidationError, match=r"^\[tessellation-edge\]"):
         TessellationSettings(edge_pixels)
     assert TessellationSettings(1e-3).edge_pixels == 1e-3
+
+
+@pytest.mark.parametrize("unseen", [0.99, float("nan"), float("inf")])
+def test_edges_out_of_view_that_are_shorter_than_those_in_view_are_refused(unseen: float) -> None:
+    with pytest.raises(ValidationError, match="tessellation-edge"):
+        TessellationSettings(unseen=unseen)
+    assert TessellationSettings(unseen=1.0).unseen == 1.0

@@ -16,41 +16,51 @@ from renderer.lab.accuracy.sweep import list_views
 from renderer.settings import RenderSettings
 from tests.renderer.conftest import open_device
 
-VALUES = {
+SUN = {
     "scale": ("0.5", "0.75", "1.0", "2.0"),
     "fxaa": ("off", "on"),
     "shadow_size": ("256", "512", "1024", "2048"),
     "shadow_cascades": ("2", "3", "4"),
     "texture_filter": ("bilinear, no mip levels", "trilinear"),
 }
-"""192 combinations."""
-_NOISE = 1.0 / 1.15  # of a time: those of the same settings differ by as much where other programs run
-_ROUNDS = 4
-_MORE = 1.25
-"""Times the least error. A tenth more was aimed at: cl keeps it. On gl the times of two scales differ by less than
-those of the same settings, and the error was 1.12 times the least."""
+LAMPS = {
+    **{knob: SUN[knob] for knob in ("scale", "fxaa", "texture_filter")},
+    "lamp_shadow_size": ("64", "128", "256", "512"),
+    "shadow_filter": ("hard", "hardware", "smooth"),
+}
+SCENES = {
+    "city:blocks=2,shadows=1": SUN,
+    "hall:columns=4,rows=2,shadows=1,lights=8": LAMPS,
+    "night:blocks=2,shadows=1,lights=8": SUN,
+}
+"""Scenes, and the values of 192 combinations for each: the hall has no sun."""
+_ROUNDS = 3
+_MORE = 1.1
+"""Times the least error."""
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("backend", ["gl", "cl"])
-def test_a_choice_is_as_accurate_as_any_combination_that_is_as_fast(backend: str) -> None:
-    situation = Situation(
-        "city:blocks=2,shadows=1", backend=backend, size=(96, 54), views=2, rounds=5, settings=RenderSettings()
-    )
+@pytest.mark.parametrize("name", SCENES)
+def test_a_choice_is_as_accurate_as_any_combination_that_is_as_fast(name: str, backend: str) -> None:
+    """Times are of the processor, in the median of all combinations' in the same round. A combination is as fast as a
+    budget if its slowest round is, and one that the search has kept if its median is, or noise would be compared."""
+    situation = Situation(name, backend=backend, size=(96, 54), views=2, rounds=5, settings=RenderSettings())
+    values = SCENES[name]
     with open_device(backend):
         pass
-    sweeps = {knob: sweep_knob(situation, knob) for knob in VALUES}
+    sweeps = {knob: sweep_knob(situation, knob) for knob in values}
     reports = [
-        replace(sweep, rows=tuple(row for row in sweep.rows if row.value in VALUES[knob]))
+        replace(sweep, rows=tuple(row for row in sweep.rows if row.value in values[knob]))
         for knob, sweep in sweeps.items()
     ]
-    front = [point for point in find_front(situation, reports) if point.is_best]
+    front = find_front(situation, reports)
     base, scene = make_plain(situation.settings), load_scene(situation.scene)
-    everything = {each: combine(base, dict(zip(VALUES, each, strict=True))) for each in product(*VALUES.values())}
-    chosen = [tuple(point.values[knob] for knob in VALUES) for point in front]
+    everything = {each: combine(base, dict(zip(values, each, strict=True))) for each in product(*values.values())}
+    chosen = [tuple(point.values[knob] for knob in values) for point in front]
     errors, times = {}, dict[tuple[str, ...], list[float]]()
     frames = list_views(scene, situation)
-    with open_device(backend) as device, CombinationBench(device, scene, situation, list(VALUES)) as bench:
+    with open_device(backend) as device, CombinationBench(device, scene, situation, list(values)) as bench:
         for turn in range(_ROUNDS):
             for each, settings in everything.items():
                 if not turn:
@@ -61,8 +71,13 @@ def test_a_choice_is_as_accurate_as_any_combination_that_is_as_fast(backend: str
                 for frame in frames[::-1]:
                     bench.draw(renderer, settings, frame)
                 times.setdefault(each, []).append(process_time() - began)
-    taken = {each: float(np.median(some)) for each, some in times.items()}
-    for budget in np.quantile(list(taken.values()), (0.25, 0.5, 0.75, 1.0)):
-        best = min(errors[each] for each, seconds in taken.items() if seconds <= _NOISE * budget)
-        found = min(errors[each] for each in chosen if taken[each] <= budget)
-        assert found <= _MORE * best, f"{1e3 * budget:.1f} ms: {found:.2f} levels, where {best:.2f} are to be had"
+    by_round = np.array(list(times.values()))
+    taken = dict(zip(times, by_round / np.median(by_round, axis=0), strict=True))
+    assert len(everything) == 192
+    for budget in np.quantile([np.median(some) for some in taken.values()], (0.25, 0.5, 0.75, 1.0)):
+        sure = [errors[each] for each, some in taken.items() if some.max() <= budget]
+        found = [errors[each] for each in chosen if np.median(taken[each]) <= budget]
+        if sure:
+            best = min(sure)
+            assert found, f"{budget:.2f}: nothing, where {best:.2f} levels are to be had"
+            assert min(found) <= _MORE * best, f"{budget:.2f}: {min(found):.2f} levels, where {best:.2f} are to be had"

@@ -19,10 +19,11 @@ MOST = {"cl": 1.0, "gl": 5.0}
 """Levels that a picture may be from float64: half a level is rounding, and llvmpipe's pow has few bits."""
 
 
+@pytest.mark.parametrize("bias", [0.0, -1.25])
 @pytest.mark.parametrize("backend", ["gl", "cl"])
-def test_exact_shading_is_within_a_level_of_float64_at_each_pixel(backend: str) -> None:
+def test_exact_shading_is_within_a_level_of_float64_at_each_pixel(backend: str, bias: float) -> None:
     scene, size = load_scene("city:blocks=4"), (96, 54)
-    settings = SETTINGS.change("precision", Precision.EXACT)
+    settings = SETTINGS.change_all({"precision": Precision.EXACT, "textures.mip_bias": bias})
     with open_device(backend) as device, settings.open(device, scene, size) as renderer:
         camera = settings.aim(parse_camera("ground", scene, 600))
         exact = shade_exactly(renderer, camera, 10.0)

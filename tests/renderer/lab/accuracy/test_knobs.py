@@ -107,7 +107,7 @@ def watch_reads(settings: RenderSettings, path: str) -> Iterator[list[str]]:
 def test_a_frame_reads_what_a_knob_sets(knob: Knob) -> None:
     settings = knob.set(RenderSettings(), next(iter(knob.values)))
     null = settings.algorithm in ("none", "frustum")
-    ground = "terrain:cells=8,trees=0" if knob.demand is Demand.HEIGHT_FIELDS else "hall"
+    ground = "terrain:cells=8,trees=0" if knob.demand in (Demand.HEIGHT_FIELDS, Demand.RIDGES) else "hall"
     scene = load_scene("city:blocks=2,shadows=1" if "shadow" in knob.name else ground)
     scene.glow = Glow() if knob.demand is Demand.GLOW else None
     with (

@@ -12,6 +12,7 @@ from renderer.content import load_scene
 from renderer.lab.accuracy import KNOBS, Situation, sweep, sweep_knob
 from renderer.lab.accuracy.bench import shrink_picture
 from renderer.lab.accuracy.sweep import (
+    NO_EFFECT,
     KnobBench,
     SweepShare,
     count_reached,
@@ -108,6 +109,19 @@ def test_values_that_the_device_lacks_are_left_out_by_name() -> None:
     assert [row.value for row in report.rows] == ["1", "4"]
     assert report.left_out == {value: f"the device has no {value} samples a pixel" for value in ("2", "8")}
     assert report.rows[0].mean_error > report.rows[1].mean_error
+
+
+def test_a_knob_that_changes_nothing_in_the_views_has_no_rows() -> None:
+    report = sweep_knob(TINY, "precision")  # GL has one
+    assert (report.rows, set(report.left_out.values())) == ((), {NO_EFFECT})
+    assert len(sweep_knob(TINY, "fxaa").rows) == 2
+
+
+def test_a_camera_that_stands_has_one_view_in_all_shares_together() -> None:
+    still = replace(TINY, camera="street")
+    shares = [sweep_share(still, "fxaa", share) for share in list_shares(still, "fxaa")]
+    assert [len(share.values["on"].sums) for share in shares] == [0, 1]
+    assert join_shares(shares).rows[0].mean_error > 0.0
 
 
 def test_a_knob_that_the_scene_has_no_use_for_has_no_rows() -> None:
