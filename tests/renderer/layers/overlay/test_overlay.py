@@ -154,7 +154,9 @@ def test_the_overlay_covers_a_quarter_of_a_small_picture(
     drawing_device: rhi.Device, scene: Scene, shown: list[str], size: tuple[int, int], most: float
 ) -> None:
     camera = scene.paths["ground"].camera(600)
-    with Renderer(drawing_device, scene, visibility=make_visibility("chc", scene, drawing_device), size=size) as renderer:
+    with Renderer(
+        drawing_device, scene, visibility=make_visibility("chc", scene, drawing_device), size=size
+    ) as renderer:
         overlay = Overlay(drawing_device)
         for _ in range(3):
             plain = renderer.render(camera).image.read()
