@@ -1,4 +1,4 @@
-"""A grid: a layer that draws lines on the plane y = 0, a metre apart and each tenth one stronger, hidden by what is nearer.
+"""A grid: a layer of lines on the plane y = 0, a metre apart and each tenth one stronger, hidden by what is nearer.
 
 It is one quad around the eye. Lines fade where a pixel holds several, and towards the edge of the quad.
 """

@@ -7,11 +7,11 @@
 - `overdraw`: the number of fragments that were drawn to each pixel, one on top of the other, in the same colours: black
   0, blue 1, cyan 2 and 3, green to 7, yellow to 15, red to 31, white 32 and more.
 - `tiles`, `clusters`: the number of lights in the list of each tile of `forward_plus`, or of the cluster of `clustered`
-  that each surface is in, in the colours of `lights`, with lines between tiles, over the lit scene, which shows through.
-  They are those of the settings.
+  that each surface is in, in the colours of `lights`, with lines between tiles, over the lit scene, which shows
+  through. They are those of the settings.
 - `tessellation`: the lit scene, and the edges of the triangles of its height fields, or of all if it has none.
-- `volumes`: the lit scene, and the volumes of its lights, each in a colour of its own, in front of what they reach. Their
-  colours are added up in floats, and their mean is laid over the scene, which is so seen through hundreds.
+- `volumes`: the lit scene, and the volumes of its lights, each in a colour of its own, in front of what they reach.
+  Their colours are added up in floats, and their mean is laid over the scene, which is so seen through hundreds.
 
 Other pictures are those of a technique's own buffers (`watched`).
 """
