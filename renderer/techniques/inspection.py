@@ -7,9 +7,11 @@
 - `overdraw`: the number of fragments that were drawn to each pixel, one on top of the other, in the same colours: black
   0, blue 1, cyan 2 and 3, green to 7, yellow to 15, red to 31, white 32 and more.
 - `tiles`, `clusters`: the number of lights in the list of each tile of `forward_plus`, or of the cluster of `clustered`
-  that each surface is in, in the colours of `lights`, with lines between tiles. They are those of the settings.
+  that each surface is in, in the colours of `lights`, with lines between tiles, over the lit scene, which shows
+  through. They are those of the settings.
 - `tessellation`: the lit scene, and the edges of the triangles of its height fields, or of all if it has none.
 - `volumes`: the lit scene, and the volumes of its lights, each in a colour of its own, in front of what they reach.
+  Their colours are added up in floats, and their mean is laid over the scene, which is so seen through hundreds.
 
 Other pictures are those of a technique's own buffers (`watched`).
 """
@@ -18,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import rhi.shading as sl
 from renderer import rules
@@ -32,6 +34,7 @@ from renderer.techniques.parts.cell_lists import CLUSTERS, TILES, LightCells, bi
 from renderer.techniques.parts.depth import depth_pass
 from renderer.techniques.parts.finish import forward_passes
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
+from renderer.techniques.parts.resolve import EXACT_BITS, SUM_FORMATS
 from renderer.techniques.parts.scene_shader import LampShader, SceneShader, SurfaceShader
 from renderer.techniques.parts.variants import COVERAGE, draw_full_screen, list_lamps, scene_pass
 from rhi import BlendFunction, CullMode, DepthWrite, Format, PolygonMode, State, refuse
@@ -39,6 +42,8 @@ from rhi import BlendFunction, CullMode, DepthWrite, Format, PolygonMode, State,
 CELLS: Final = {"tiles": TILES, "clusters": CLUSTERS}
 """The cells of the pictures that show some, settings of techniques by the same names."""
 _DECADES: Final = 13.28771  # log2 of 10,000: from 0.1 m to 1 km
+_OPACITY: Final = 0.3  # of cells
+_VOLUME_OPACITY, _MOST_OPAQUE = 0.06, 0.6  # of a volume, and of as many as there may be
 
 
 @sl.function
@@ -146,21 +151,32 @@ class CellCounts(BackgroundScreen):
         if self.grid.count.z > 1:
             nearness = nearness_of(self.rays, self.depth.load(pixel).x)
             if nearness == 0.0:
-                return sl.vec4(0.0, 0.0, 0.0, 1.0)
+                return sl.vec4(0.0)
             distance = distance_at(self.rays, nearness)
         cell = cell_index(self.grid, pixel, distance)
         color = heat_color(float(self.light_rows[2 * cell + 2] - self.light_rows[2 * cell]), 8.0)
         if pixel.x % self.grid.tile == 0 or pixel.y % self.grid.tile == 0:
             color = sl.mix(color, sl.vec3(0.2), 0.5)
-        return sl.vec4(color, 1.0)
+        return sl.vec4(color, _OPACITY)
 
 
 class VolumeColors(VolumeShader):
-    """Shows the volumes of lights."""
+    """Adds up the colours of the volumes of lights, and their number."""
 
     def fragment(self, v: VolumeVarying) -> sl.vec4:
         turns = 6.2831853 * (0.61803399 * float(v.light) + sl.vec3(0.0, 1.0 / 3.0, 2.0 / 3.0))
-        return sl.vec4(0.03 + 0.025 * sl.cos(turns), 0.0)
+        return sl.vec4(0.5 + 0.4 * sl.cos(turns), 1.0)
+
+
+class MeanVolume(BackgroundScreen):
+    """Lays the mean of `VolumeColors` over the picture."""
+
+    volumes: sl.Texture2D
+
+    def fragment(self) -> sl.vec4:
+        added = self.volumes.load(sl.ivec2(sl.fragment_coordinate().xy))
+        opacity = _MOST_OPAQUE * (1.0 - sl.exp(-added.w * (_VOLUME_OPACITY / _MOST_OPAQUE)))
+        return sl.vec4(added.rgb / sl.max(added.w, 1.0), opacity)
 
 
 class Inspection:
@@ -201,6 +217,11 @@ def _show(frame: Frame, shader: type[BackgroundScreen]) -> None:
     draw_full_screen(frame, shader, frame.targets["image"])
 
 
+def _lay_over(frame: Frame, shader: type[BackgroundScreen], own: Mapping[str, Any] = {}) -> None:
+    """Draw what is as opaque as the shader says over the image."""
+    draw_full_screen(frame, shader, frame.targets["image"], own, states=(BlendFunction.ALPHA,))
+
+
 _IMAGE: Final = Target("image", IMAGE_FORMAT)
 _DEPTH: Final = Target("depth", DEPTH_FORMAT)
 _BECAUSE: Final = "was asked for"
@@ -229,38 +250,34 @@ def _declare_plain(name: str, needs: Needs, cells: LightCells) -> tuple[Pass[Fra
 
 
 def _declare_cells(needs: Needs, cells: LightCells) -> tuple[Pass[Frame], ...]:
-    depth = depth_pass("finds the nearest surfaces")
+    passes = forward_passes(needs)
     if not list_lamps(needs):
-        return depth, Pass("cells", _clear_image, "no light is in view", writes=(_IMAGE,))
+        return passes
     # As the techniques that have them: tiles end at surfaces, clusters are made without.
     lists = list_pass(needs, cells, depth="depth" if cells.slices == 1 else None)
-    show = partial(_show_cells, cells=cells)
-    return depth, lists, Pass("cells", show, _BECAUSE, reads=("light lists", "depth"), writes=(_IMAGE,))
-
-
-def _clear_image(frame: Frame) -> None:
-    with frame.device.render_pass(frame.targets["image"], clear=(0.0, 0.0, 0.0, 1.0)):
-        pass
+    show, last = partial(_show_cells, cells=cells), find_last(passes, "image")
+    return *passes, lists, Pass("cells", show, _BECAUSE, ("light lists", "depth"), changes={last: "image with cells"})
 
 
 def _show_cells(frame: Frame, *, cells: LightCells) -> None:
-    draw_full_screen(frame, CellCounts, frame.targets["image"], bind_lists(frame, cells))
+    _lay_over(frame, CellCounts, bind_lists(frame, cells))
 
 
 def _declare_volumes(needs: Needs, cells: LightCells) -> tuple[Pass[Frame], ...]:
     passes = forward_passes(needs)
     if not list_lamps(needs):
         return passes
-    last = find_last(passes, "image")
-    shown = Pass("volumes", _show_volumes, _BECAUSE, reads=("depth",), changes={last: "image with volumes"})
-    return *passes, shown
+    sums = Target("volumes", SUM_FORMATS[EXACT_BITS])
+    added = Pass("volumes", _add_volumes, _BECAUSE, ("depth",), (sums,))
+    show, last = partial(_lay_over, shader=MeanVolume), find_last(passes, "image")
+    return *passes, added, Pass("mean volume", show, _BECAUSE, ("volumes",), changes={last: "image with volumes"})
 
 
-def _show_volumes(frame: Frame) -> None:
+def _add_volumes(frame: Frame) -> None:
     nearer = NEARER[frame.camera.projection.depth]
     states = (CullMode.NONE, DepthWrite.OFF, nearer, BlendFunction.ADDITIVE)
-    for effect in list_lamps(frame.needs):
-        draw_volumes(frame, effect, VolumeColors, ["image"], clears=False, states=states)
+    for number, effect in enumerate(list_lamps(frame.needs)):
+        draw_volumes(frame, effect, VolumeColors, ["volumes"], clears=number == 0, states=states)
 
 
 def _declare_edges(needs: Needs, cells: LightCells) -> tuple[Pass[Frame], ...]:
@@ -291,4 +308,4 @@ INSPECTIONS: Final[dict[str, Callable[[Needs, LightCells], tuple[Pass[Frame], ..
 }
 """The passes of each picture, by what a frame needs and the cells of lights."""
 
-_LIT: Final = ("tessellation", "volumes")
+_LIT: Final = ("tessellation", "volumes", *CELLS)

@@ -58,6 +58,7 @@ def _looks(stage: ViewerStage) -> Iterable[ViewerCommand]:
     yield _entry(stage, "fxaa", "smooth edges")
     yield _entry(stage, "overlay", "draw times, counters and the culling over the picture")
     yield _entry(stage, "particles", "draw the drops of fountains as particles")
+    yield _entry(stage, "grid", "draw lines on the ground, a metre apart")
 
     def assign(path: str, word: str | None = None) -> str:
         settings = stage.look.settings

@@ -23,10 +23,11 @@ from renderer.content import GENERATORS, change_options, load_scene
 from renderer.scene.files import parse_path
 from renderer.settings import RenderSettings
 from renderer.viewer.command_table import Parameter, ViewerCommand
-from renderer.viewer.commands import find_file, switch
+from renderer.viewer.commands import find_file, parse_number, switch
 from renderer.viewer.stage import ViewerStage
 from rhi import Reloader, RhiError, ShaderError
 
+_COUNTS: Final = {"bazaar": "instances", "glass": "panes", "terrain": "trees"}  # other generators have `count`
 LOGGER: Final = logging.getLogger("rhi.reload")
 
 
@@ -179,6 +180,24 @@ def make_commands(saved: SavedFiles, stage: ViewerStage) -> Iterator[ViewerComma
 
     summary = "show another scene, or this one with other options: lights=300"
     yield ViewerCommand("scene", summary, saved.show_scene, (Parameter("TEXT", words=lambda: GENERATORS),))
+
+    def lights(number: int | None = None) -> str:
+        if number is not None:
+            saved.show_scene(f"lights={number}")
+        stage.try_frame()  # which finds what reaches objects
+        lights, (needs, _) = stage.scene.lights, stage.renderer.plan(stage.camera)
+        kinds = f"{len(lights.directional)} directional, {len(lights.point)} point, {len(lights.spot)} spot"
+        return f"{len(lights)} lights: {kinds}; of the last two {needs.lamps_in_view} reach what is in view"
+
+    numbers = (Parameter("NUMBER", parse_number, is_optional=True),)
+    yield ViewerCommand("lights", "show the scene with so many lights, or count them", lights, numbers)
+
+    def objects(number: int | None = None) -> str:
+        if number is not None:
+            saved.show_scene(f"{_COUNTS.get(stage.scene.name.partition(':')[0], 'count')}={number}")
+        return f"{len(stage.scene.objects.node)} objects, {int(stage.scene.objects.shown.sum())} of them not hidden"
+
+    yield ViewerCommand("objects", "show the scene with so many objects, or count them", objects, numbers)
 
     def settings(path: Path) -> str:
         saved.read_settings(path)

@@ -5,7 +5,7 @@ A look is changed as a whole. If the device refuses to draw it, the viewer goes 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from renderer.frame import Blending, Frame, Layer
 from renderer.lab.measure.contents import picture_contents
+from renderer.layers.ground_grid import GroundGrid
 from renderer.layers.overlay import Overlay
 from renderer.layers.particles import Particles
 from renderer.renderer import Renderer
@@ -44,6 +45,9 @@ _SETTINGS: Final = {
 }
 """The settings that entries of a look are, by their paths."""
 
+_SCENE_LAYERS: Final[dict[str, Callable[[Device], Layer]]] = {"particles": Particles, "grid": GroundGrid}
+"""What makes the layers of the scene, by the entries of a look."""
+
 
 @dataclass(frozen=True, slots=True)
 class Look:
@@ -53,7 +57,7 @@ class Look:
         settings: how the scene is drawn.
         show: `LIT`, one of `INSPECTIONS`, or contents of the plan.
         shadows: one of `SHADOWS`. stereo: one of `OUTPUTS`, or None for one eye.
-        overlay, particles: whether these layers are drawn.
+        overlay, particles, grid: whether these layers are drawn.
     """
 
     settings: RenderSettings = PLAIN
@@ -62,6 +66,7 @@ class Look:
     stereo: str | None = None
     overlay: bool = False
     particles: bool = False
+    grid: bool = False
 
     @property
     def technique(self) -> str:
@@ -105,7 +110,7 @@ class Look:
     def describe(self) -> str:
         """Return what differs from the plain look, in a line."""
         words, plain = [self.technique, self.visibility], Look()
-        for name in ("show", "samples", "fxaa", "shadows", "blending", "stereo", "overlay", "particles"):
+        for name in ("show", "samples", "fxaa", "shadows", "blending", "stereo", "overlay", "particles", "grid"):
             value = getattr(self, name)
             if value != getattr(plain, name):
                 words.append(name if value is True else f"{name} {value}")
@@ -179,7 +184,7 @@ class Configurator:
         if "technique" in changed:
             technique = self._make_technique(look)
         layers: list[Layer] = [WatchedPicture(technique, look.show)] if isinstance(technique, Watched) else []
-        layers += [self._find_layer(name) for name in ("particles", "overlay") if getattr(look, name)]
+        layers += [self._find_layer(name) for name in (*_SCENE_LAYERS, "overlay") if getattr(look, name)]
         if "stereo" in changed:
             stereo = None
             if look.stereo is not None:
@@ -224,7 +229,8 @@ class Configurator:
         if name not in self._layers:
             device = self._renderer.device
             scale = max(1, self._renderer.size[1] // 720)
-            self._layers[name] = Particles(device) if name == "particles" else Overlay(device, scale=scale)
+            made = _SCENE_LAYERS[name](device) if name in _SCENE_LAYERS else Overlay(device, scale=scale)
+            self._layers[name] = made
         return self._layers[name]
 
     def _make_plain(self, look: Look) -> Technique:

@@ -3,6 +3,8 @@
 Its own cost is part of what it shows: as an event of the timer tree, and as the foot of each bar of the graph. The
 counters are those of the frame before the overlay is drawn. Nothing waits for the device: times are those of the
 latest frame whose timestamps are available, and what only the device knows isn't shown.
+
+Over a small image there is only what takes a quarter of it: times and counters.
 """
 
 from __future__ import annotations
@@ -38,6 +40,7 @@ _GRAPH: Final = 60  # height
 _NAMES: Final = 130  # width of the names of counters
 _EVENTS: Final = 90  # width of the names of events
 _MAP: Final = 280  # width and height
+_SMALL: Final = (900, 500)  # images that aren't wider and higher than this have times and counters alone
 _COUNTERS: Final = ("draws", "queries", "upload_bytes", "creations", "software_state_changes",
                     "hardware_state_changes")  # fmt: skip
 
@@ -72,10 +75,11 @@ class Overlay:
             self._begin_frame(began, device.statistics)
         shown = frame.first or frame
         with device.event("overlay"):
-            self._add_left(device, shown, self._counted)
-            if shown.statistics is not None:
-                self._add_right(shown)
             image = frame.targets.image
+            is_small = any(side <= self._scale * most for side, most in zip(image.size, _SMALL, strict=True))
+            self._add_left(device, shown, self._counted, is_small)
+            if shown.statistics is not None and not is_small:
+                self._add_right(shown)
             with device.render_pass(image):
                 self.draws += self._canvas.draw(image.size)
         self._after = device.statistics
@@ -95,23 +99,26 @@ class Overlay:
         if not self._was_timing and self._device.timing:
             self._device.timing = False
 
-    def _add_left(self, device: Device, frame: Frame, counted: Statistics) -> None:
-        """Add the panel of times and counters."""
+    def _add_left(self, device: Device, frame: Frame, counted: Statistics, is_small: bool) -> None:
+        """Add the panel of times and counters; if it isn't small, with the graph and the timers."""
         canvas, scale = self._canvas, self._scale
         counters = {name: getattr(counted, name) - getattr(self._before, name) for name in _COUNTERS}
         rows = _list_counters(frame, counters)
-        timers = device.timers
+        timers = [] if is_small else device.timers
         line, pad = canvas.font.line_height * scale, _PAD * scale
         events = min(sum(1 for _ in list_events(timers)), MOST_EVENTS + 1)
         width = _FRAMES * _BAR * scale
-        height = line + _GRAPH * scale + line * (len(rows) + events) + 3 * pad
+        graph_height = 0 if is_small else _GRAPH * scale + pad
+        height = line * (1 + len(rows) + events) + graph_height + (0 if is_small else 2 * pad)
         outside = Box(pad, pad, width + 2 * pad, height + 2 * pad)
         canvas.rects([outside], PANEL)
         inside = outside.inset(pad)
         canvas.text(inside.x, inside.y, self._describe_times(), TEXT, scale)
-        graph = Box(inside.x, inside.y + line, width, _GRAPH * scale)
-        draw_graph(canvas, graph, self._frames.values, self._own.values, _BAR * scale)
-        y = graph.y + graph.height + pad
+        y = inside.y + line
+        if not is_small:
+            graph = Box(inside.x, y, width, _GRAPH * scale)
+            draw_graph(canvas, graph, self._frames.values, self._own.values, _BAR * scale)
+        y += graph_height
         y += draw_rows(canvas, inside.x, y, rows, _NAMES * scale, scale) + pad
         draw_timers(canvas, Box(inside.x, y, width, height), timers, _EVENTS * scale, scale)
 

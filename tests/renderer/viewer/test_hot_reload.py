@@ -309,6 +309,38 @@ def test_a_scene_with_other_options_is_seen_from_here(model: tuple[Path, Viewer]
     assert (viewer.stage.camera.view.tolist(), viewer.stage.scene) == (camera, shown)
 
 
+@pytest.mark.parametrize(("scene", "count", "are"), [("grid", 4, 4), ("bazaar", 700, None), ("glass", 5, None)])
+def test_lights_and_objects_are_counted_and_shown_in_other_numbers(
+    model: tuple[Path, Viewer], scene: str, count: int, are: int | None
+) -> None:
+    viewer = model[1]
+    viewer.run(f"scene {scene}:lights=3")
+    if scene == "grid":
+        viewer.run("camera field")
+    said, is_error = viewer.run("lights 12")
+    lights, before = viewer.stage.scene.lights, len(viewer.stage.scene.objects.node)
+    assert (len(lights.point) + len(lights.spot), is_error) == (12, False)
+    assert said.startswith(f"{len(lights)} lights: {len(lights.directional)} directional, {len(lights.point)} point, ")
+    assert said.endswith("of the last two 12 reach what is in view") or scene != "grid"
+    assert viewer.run("lights") == (said, False)
+    assert viewer.run(f"objects {count}")[1] is False
+    after = len(viewer.stage.scene.objects.node)
+    assert after != before
+    assert after == (are or after)
+    assert viewer.run("objects") == (f"{after} objects, {after} of them not hidden", False)
+    viewer.run("camera 0,1,9000,0,1,9001")
+    assert viewer.run("lights")[0].endswith("of the last two 0 reach what is in view")
+
+
+def test_a_number_of_objects_is_refused_where_none_can_be_chosen(model: tuple[Path, Viewer]) -> None:
+    viewer = model[1]
+    viewer.run("scene hall")
+    shown = viewer.stage.scene
+    for line in ("objects 5", "objects -1", "lights x"):
+        assert viewer.run(line)[1]
+    assert viewer.stage.scene is shown
+
+
 def test_another_scene_is_seen_from_its_first_view_and_has_other_files(model: tuple[Path, Viewer]) -> None:
     path, viewer = model
     viewer.run("scene glass")

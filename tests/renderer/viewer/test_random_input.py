@@ -31,7 +31,18 @@ CONSOLE = ("Enter", "Tab", "Backspace", "Delete", "ArrowLeft", "ArrowUp", "Arrow
 FILES = ("x.png", "w.json")
 WORDS = ("next", "1", "-1", "nan", "32,18", *FILES, "'", "é", "0,2,5,0,1,0", "0.01", "ground", "off", "#")
 QUIET = {"quit", "listen", "script"}
-SWITCHES = ("technique", "visibility", "shadows", "blending", "stereo", "samples", "fxaa", "overlay", "particles")
+SWITCHES = (
+    "technique",
+    "visibility",
+    "shadows",
+    "blending",
+    "stereo",
+    "samples",
+    "fxaa",
+    "overlay",
+    "particles",
+    "grid",
+)
 BLOCKS_A_FRAME = {"null": 0.5, "gl": 1.0, "cl": 2.0}
 """What may stay of a frame in most stretches: new states of known programs stay."""
 BLOCKS_OF_EACH = 0.8
@@ -153,7 +164,9 @@ def settle(viewer: Viewer) -> None:
         viewer.run("console")
     viewer.handle({"event_type": "pointer_leave"})
     viewer.stage.end_recording()
-    viewer.stage.change(settings=PLAIN, show="image", stereo=None, overlay=False, particles=False, shadows="scene")
+    viewer.stage.change(
+        settings=PLAIN, show="image", stereo=None, overlay=False, particles=False, grid=False, shadows="scene"
+    )
     for line in ("reload off", "clear", "camera overview", "drive fly", *["time 0"] * 200):
         viewer.run(line)
     for key in HELD:

@@ -192,7 +192,7 @@ def test_next_goes_round_through_all_choices(
         assert set(seen) == {*OUTPUTS, None}
 
 
-@pytest.mark.parametrize("key", ["fxaa", "overlay", "particles"])
+@pytest.mark.parametrize("key", ["fxaa", "overlay", "particles", "grid"])
 def test_a_switch_turns_on_and_off(viewer: Viewer, draw: Draw, key: str) -> None:
     for line, on in ((key, True), (key, False), (f"{key} on", True), (f"{key} on", True), (f"{key} off", False)):
         assert viewer.run(line) == (f"{key} {'on' if on else 'off'}", False)

@@ -149,6 +149,36 @@ def test_the_overlay_covers_its_panels_and_changes_no_other_pixel(
     assert overlay.milliseconds > 0.0
 
 
+@pytest.mark.parametrize(("size", "most"), [((640, 360), 0.25), ((900, 640), 0.12), ((960, 500), 0.12)])
+def test_the_overlay_covers_a_quarter_of_a_small_picture(
+    drawing_device: rhi.Device, scene: Scene, shown: list[str], size: tuple[int, int], most: float
+) -> None:
+    camera = scene.paths["ground"].camera(600)
+    with Renderer(
+        drawing_device, scene, visibility=make_visibility("chc", scene, drawing_device), size=size
+    ) as renderer:
+        overlay = Overlay(drawing_device)
+        for _ in range(3):
+            plain = renderer.render(camera).image.read()
+        renderer.layers.append(overlay)
+        covered = (renderer.render(camera).image.read() != plain).any(axis=2)
+        overlay.destroy()
+    assert 0.5 * most < covered.mean() <= most
+    assert int(find_value(shown, "queries").split(" ")[0]) > 0
+
+
+@pytest.mark.parametrize(("size", "panels"), [((901, 501), 2), ((900, 501), 1), ((901, 500), 1)])
+def test_a_map_is_shown_over_images_with_room_for_it(
+    null: rhi.Device, scene: Scene, shown: list[str], size: tuple[int, int], panels: int
+) -> None:
+    with Renderer(null, scene, visibility=FrustumCulling(scene), size=size) as renderer:
+        overlay = Overlay(null)
+        renderer.layers.append(overlay)
+        renderer.render(scene.paths["ground"].camera(600))
+        overlay.destroy()
+    assert sum("objects from above" in text for text in shown) == panels - 1
+
+
 def draw_panels(device: rhi.Device, scale: int) -> np.ndarray:
     """Return the panels with values that don't change."""
     rng = np.random.default_rng(5)

@@ -1,0 +1,75 @@
+"""A grid: a layer of lines on the plane y = 0, a metre apart and each tenth one stronger, hidden by what is nearer.
+
+It is one quad around the eye. Lines fade where a pixel holds several, and towards the edge of the quad.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import rhi.shading as sl
+from renderer.frame import Frame, SceneLayer
+from renderer.frame.passes import NEARER
+from renderer.shaders import ViewConstants
+from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device
+
+_REACH: Final = 200.0  # m from the eye
+_STRONG: Final = 10.0  # m between stronger lines
+
+
+class GridVarying(sl.Struct):
+    """The varyings of `GridLines`: a place from the eye, and from a crossing of stronger lines, along x and z."""
+
+    clip: sl.vec4
+    away: sl.vec2
+    place: sl.vec2
+
+
+@sl.function
+def find_lines(place: sl.vec2) -> float:
+    """Return how much of a pixel the lines at whole numbers cover that are as wide as it, 0 where it holds several."""
+    width = sl.max(sl.fwidth(place), sl.vec2(1e-6))
+    near = sl.saturate(1.0 - sl.abs(sl.fract(place + 0.5) - 0.5) / width) * sl.saturate(1.0 - 2.0 * width)
+    return sl.max(near.x, near.y)
+
+
+class GridLines(sl.Shader):
+    """Draws the lines; `eye` is where it is from a crossing of stronger lines of the plane."""
+
+    view: sl.Uniform[ViewConstants]
+    eye: sl.Uniform[sl.vec3]
+
+    def vertex(self) -> GridVarying:
+        number = sl.vertex_index()
+        away = _REACH * (sl.vec2(float((22 >> number) & 1), float((52 >> number) & 1)) * 2.0 - 1.0)
+        position = 0.999 * sl.vec3(away.x, -self.eye.y, away.y)  # before a floor in that plane
+        clip = self.view.relative_view_projection @ sl.vec4(position, 1.0)
+        return GridVarying(clip=clip, away=away, place=away + self.eye.xz)
+
+    def fragment(self, v: GridVarying) -> sl.vec4:
+        covered = sl.max(0.35 * find_lines(v.place), 0.7 * find_lines(v.place / _STRONG))
+        return sl.vec4(sl.vec3(0.8), covered * sl.saturate(1.0 - sl.length(v.away) / _REACH))
+
+
+class GroundGrid(SceneLayer):
+    """A layer that draws the lines, in one draw."""
+
+    def __init__(self, device: Device) -> None:
+        self._mesh = device.mesh(6, label="ground grid")
+
+    def render(self, device: Device, frame: Frame) -> None:
+        """Draw the lines."""
+        x, y, z = frame.camera.position
+        program: Any = device.program(GridLines)
+        states = (CullMode.NONE, DepthTest.ON, NEARER[frame.camera.projection.depth], DepthWrite.OFF)
+        with (
+            device.event("grid"),
+            device.render_pass(frame.targets["image"], frame.targets.depth),
+            device.states(*states, BlendFunction.ALPHA),
+        ):
+            eye = device.transient.uniform(sl.vec3(x % _STRONG, y, z % _STRONG))
+            device.draw(program, self._mesh, view=frame.view.buffer, eye=eye)
+
+    def destroy(self) -> None:
+        """Destroy the resources on the device."""
+        self._mesh.destroy()
