@@ -33,15 +33,7 @@ from typing import Any, Final
 
 import rhi
 from renderer import rules
-from renderer.cli import options
-from renderer.cli.accuracy_report import (
-    ERRORS,
-    plot_all,
-    show_choice,
-    show_row,
-    write_images,
-    write_page,
-)
+from renderer.cli import accuracy_report, options
 from renderer.cli.arguments import load_settings, open_scene
 from renderer.cli.executors import KINDS, make_executor
 from renderer.cli.options import option
@@ -129,11 +121,11 @@ def _run(given: argparse.Namespace) -> None:
     found = describe(situation, shown, points, choice) | list_omissions(scene)
     title = f"{given.scene}, {shown[0].device}"
     if given.plot is not None:
-        plot_all(given.plot, title, shown, points, choice)
+        accuracy_report.plot_all(given.plot, title, shown, points, choice)
         note(f"wrote {given.plot}")
     if given.output is not None:
-        charts = write_images(given.output / "images", shown, points, choice)
-        write_page(given.output / "report.html", situation, reports, points, choice, charts)
+        charts = accuracy_report.write_images(given.output / "images", shown, points, choice)
+        accuracy_report.write_page(given.output / "report.html", situation, reports, points, choice, charts)
         (given.output / "accuracy.json").write_text(json.dumps(found, indent=2) + "\n")
         (given.output / "table.md").write_text(show_reports(shown, markdown=True) + "\n")
         best = [BudgetStep(point.settings, point.milliseconds, point.error) for point in points if point.is_best]
@@ -144,7 +136,7 @@ def _run(given: argparse.Namespace) -> None:
         note(f"wrote {answer}")
     print(json.dumps(found) if given.json else show_reports(shown, markdown=given.markdown))
     if choice is not None and not given.json:
-        print(f"\nchosen: {show_choice(choice)}")
+        print(f"\nchosen: {accuracy_report.show_choice(choice)}")
     if refusal is not None:
         raise refusal
 
@@ -203,9 +195,11 @@ def _describe_point(point: FrontPoint) -> dict[str, Any]:
 
 def show_reports(reports: list[KnobReport], *, markdown: bool = False) -> str:
     """Format the rows of all knobs as a table."""
-    header = ["knob", "value", *ERRORS, "unit", "ms", "ratio", "processor", "default"]
+    header = ["knob", "value", *accuracy_report.ERRORS, "unit", "ms", "ratio", "processor", "default"]
     rows = [
-        [row.knob, *show_row(row), "default" if row.is_default else ""] for report in reports for row in report.rows
+        [row.knob, *accuracy_report.show_row(row), "default" if row.is_default else ""]
+        for report in reports
+        for row in report.rows
     ]
     return format_table(header, rows, markdown=markdown)
 

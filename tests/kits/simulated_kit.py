@@ -7,14 +7,7 @@ from typing import Any
 import numpy as np
 
 from rhi.backends.null import CostModel, SimulatedBackend, Simulation
-from rhi.contract.descriptors import (
-    BufferDescriptor,
-    BufferUsage,
-    PassDescriptor,
-    Primitive,
-    VertexArrayDescriptor,
-    VertexStream,
-)
+from rhi.contract import descriptors
 
 PLAIN, STATIC, STREAM = 100, 200, 201
 
@@ -27,20 +20,22 @@ def make_backend(cost: CostModel = ROUND, **times: Any) -> SimulatedBackend:
     1,000 samples per instance."""
     simulation = Simulation(cost, **({"call": 10, "submission_latency": 100, "wake_latency": 7} | times))
     backend = SimulatedBackend(simulation)
-    backend.create_vertex_array(PLAIN, VertexArrayDescriptor(1, (VertexStream(STATIC, 0, 8, False, ()),)))
-    backend.create_buffer(STATIC, BufferDescriptor(256))
-    backend.create_buffer(STREAM, BufferDescriptor(256, BufferUsage.STREAM))
+    backend.create_vertex_array(
+        PLAIN, descriptors.VertexArrayDescriptor(1, (descriptors.VertexStream(STATIC, 0, 8, False, ()),))
+    )
+    backend.create_buffer(STATIC, descriptors.BufferDescriptor(256))
+    backend.create_buffer(STREAM, descriptors.BufferDescriptor(256, descriptors.BufferUsage.STREAM))
     backend.count_samples(lambda draw: draw.instances * 1000)
     return backend
 
 
 def draw(backend: SimulatedBackend, instances: int = 1) -> None:
     """Draw; it takes the GPU 1 µs per instance."""
-    backend.draw(PLAIN, Primitive.TRIANGLES, 0, 3, instances, 0, 0)
+    backend.draw(PLAIN, descriptors.Primitive.TRIANGLES, 0, 3, instances, 0, 0)
 
 
 def begin_pass(backend: SimulatedBackend, label: str = "") -> None:
-    backend.begin_pass(PassDescriptor((64, 64), label=label))
+    backend.begin_pass(descriptors.PassDescriptor((64, 64), label=label))
 
 
 def words(*values: int) -> bytes:

@@ -17,17 +17,10 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.content.assets import share_geometry
+from renderer.content.gltf import deformations
 from renderer.content.gltf.accessors import Accessors
 from renderer.content.gltf.animations import Tracks, make_motion, read_tracks
 from renderer.content.gltf.container import EXTENSIONS, NOTED_IN_USE, GltfFile
-from renderer.content.gltf.deformations import (
-    Deformations,
-    DeformedMesh,
-    NodeTree,
-    Skeleton,
-    read_deformed,
-    read_skins,
-)
 from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.extras import Surroundings, find_own_name, is_placed, private, read_surroundings
 from renderer.content.gltf.materials import Materials
@@ -101,7 +94,7 @@ class _GltfReader:
         self._has_nodes = bool(nodes)
         tracks = read_tracks(self._root, self._accessors, self._omissions, self._builder.clips)
         worlds = find_worlds(nodes)
-        tree = NodeTree.make(nodes, make_motion(nodes, tracks, self._omissions, self._builder.clips))
+        tree = deformations.NodeTree.make(nodes, make_motion(nodes, tracks, self._omissions, self._builder.clips))
         self._add_nodes(tree, tracks)
         self._add_cameras(nodes, worlds, tree.moves)
         self._add_lights(nodes, worlds, tree.moves)
@@ -156,10 +149,10 @@ class _GltfReader:
                     found.append(_GltfPart(mesh, primitive, mesh_id, material))
             self._meshes.append(found)
 
-    def _add_nodes(self, tree: NodeTree, tracks: Tracks) -> None:
+    def _add_nodes(self, tree: deformations.NodeTree, tracks: Tracks) -> None:
         """Add nodes, objects and their animations."""
-        skeletons = read_skins(self._root, self._accessors, tree)
-        deformed: list[tuple[int, DeformedMesh]] = []  # objects, and how they change
+        skeletons = deformations.read_skins(self._root, self._accessors, tree)
+        deformed: list[tuple[int, deformations.DeformedMesh]] = []  # objects, and how they change
         count = self._root.length("nodes")
         dynamic, hidden = (frozenset(self._private.indices(name, count)) for name in ("dynamic", "hidden"))
         ids: list[int] = []
@@ -197,7 +190,7 @@ class _GltfReader:
         before = self._builder.object_count
         self._add_objects([(ids[at], geometry, material) for at, geometry, material in objects])
         if deformed:
-            changes = Deformations([change for _, change in deformed], self._builder.clips)
+            changes = deformations.Deformations([change for _, change in deformed], self._builder.clips)
             self._builder.simulate([before + number for number, _ in deformed], changes)
         if tree.motion is not None:
             rows = np.flatnonzero(tree.member >= 0)
@@ -213,8 +206,8 @@ class _GltfReader:
         node: GltfNode,
         part: _GltfPart,
         tracks: Tracks,
-        skeletons: list[Skeleton | None],
-    ) -> DeformedMesh | None:
+        skeletons: list[deformations.Skeleton | None],
+    ) -> deformations.DeformedMesh | None:
         """Return how a part of a mesh is deformed at a node, or None if it isn't."""
         skin = node.fields.index("skin", len(skeletons))
         skeleton = skeletons[skin] if skin >= 0 else None
@@ -230,9 +223,11 @@ class _GltfReader:
         shape = self._primitives.read(part.primitive)
         if shape is None or (skeleton is None and not moved and not weights.any()):
             return None
-        return read_deformed(part.primitive, shape, self._accessors, weights, moved, self._builder.clips, skeleton)
+        return deformations.read_deformed(
+            part.primitive, shape, self._accessors, weights, moved, self._builder.clips, skeleton
+        )
 
-    def _add_deformed(self, change: DeformedMesh, name: str) -> int:
+    def _add_deformed(self, change: deformations.DeformedMesh, name: str) -> int:
         """Add the mesh of a deformed object as it is at the beginning."""
         vertices = change.geometry.vertices.copy()
         made = change.vertices(0.0)

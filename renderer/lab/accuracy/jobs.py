@@ -21,19 +21,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import rhi
+from renderer.lab.accuracy import sweep
 from renderer.lab.accuracy.choice import FrontPoint, combine, find_front, make_plain
 from renderer.lab.accuracy.knobs import KNOBS, Demand, Unit
-from renderer.lab.accuracy.sweep import (
-    WHOLE,
-    KnobReport,
-    KnobSample,
-    Situation,
-    SweepShare,
-    ValueSample,
-    join_shares,
-    list_shares,
-    sweep_share,
-)
 from renderer.settings import to_plain
 
 _VERSION: Final = 4
@@ -52,9 +42,9 @@ _MAPS: Final = 2
 class SweepJob:
     """A share of the sweep of a knob."""
 
-    situation: Situation
+    situation: sweep.Situation
     knob: str
-    share: SweepShare = WHOLE
+    share: sweep.SweepShare = sweep.WHOLE
 
     @property
     def key(self) -> str:
@@ -79,14 +69,14 @@ class SweepJob:
         judged = views * _JUDGED_FRAMES if knob.truth.rays else judged
         return (frames + judged) * (_MAPS if knob.demand is Demand.SHADOWS else 1.0)
 
-    def run(self) -> KnobSample:
+    def run(self) -> sweep.KnobSample:
         """Measure the share."""
-        return sweep_share(self.situation, self.knob, self.share)
+        return sweep.sweep_share(self.situation, self.knob, self.share)
 
 
-def list_jobs(situation: Situation, knobs: Iterable[str]) -> list[SweepJob]:
+def list_jobs(situation: sweep.Situation, knobs: Iterable[str]) -> list[SweepJob]:
     """Return the jobs of the sweeps of some knobs."""
-    return [SweepJob(situation, name, share) for name in knobs for share in list_shares(situation, name)]
+    return [SweepJob(situation, name, share) for name in knobs for share in sweep.list_shares(situation, name)]
 
 
 def order_jobs(jobs: Iterable[SweepJob]) -> list[SweepJob]:
@@ -99,7 +89,7 @@ def run_jobs(
     executor: Executor,
     folder: Path | None,
     progress: Callable[[Iterable[Any], int], Iterable[Any]] = lambda items, total: items,
-) -> list[KnobReport]:
+) -> list[sweep.KnobReport]:
     """Return the report of each knob, in the order of their first jobs; as many run at a time as the executor allows.
 
     If one fails, the others are finished and kept, and then its error is raised.
@@ -110,22 +100,22 @@ def run_jobs(
     """
     known = {} if folder is None else {job: load_sample(folder / f"{job.key}.json") for job in jobs}
     left = [job for job in order_jobs(jobs) if known.get(job) is None]
-    futures: dict[SweepJob, Future[KnobSample]] = {}
+    futures: dict[SweepJob, Future[sweep.KnobSample]] = {}
     for job in progress(left, len(left)):
         futures[job] = executor.submit(SweepJob.run, job)
         if folder is not None:
             futures[job].add_done_callback(partial(_keep, folder / f"{job.key}.json"))
     for _ in progress(as_completed(futures.values()), len(left)):
         pass
-    found: dict[str, list[KnobSample]] = {}
+    found: dict[str, list[sweep.KnobSample]] = {}
     for job in jobs:
         found.setdefault(job.knob, []).append(known.get(job) or futures[job].result())
-    return [join_shares(samples) for samples in found.values()]
+    return [sweep.join_shares(samples) for samples in found.values()]
 
 
 def keep_front(
-    situation: Situation,
-    reports: Sequence[KnobReport],
+    situation: sweep.Situation,
+    reports: Sequence[sweep.KnobReport],
     folder: Path | None,
     progress: Callable[[range], Iterable[int]] = lambda rounds: rounds,
 ) -> list[FrontPoint]:
@@ -157,28 +147,28 @@ def _write_whole(path: Path, text: str) -> None:
     beside.replace(path)
 
 
-def _keep(path: Path, future: Future[KnobSample]) -> None:
+def _keep(path: Path, future: Future[sweep.KnobSample]) -> None:
     """Keep the result of a job as soon as it is there: the process may end before the others are."""
     if not future.cancelled() and future.exception() is None:
         save_sample(path, future.result())
 
 
-def save_sample(path: Path, sample: KnobSample) -> None:
+def save_sample(path: Path, sample: sweep.KnobSample) -> None:
     """Write what a job has found."""
     _write_whole(path, json.dumps(asdict(sample)))
 
 
-def load_sample(path: Path) -> KnobSample | None:
+def load_sample(path: Path) -> sweep.KnobSample | None:
     """Read what a job has found; None if there is no file, or if it is damaged: then it is measured again."""
     try:
         found = json.loads(path.read_text())
         values = {value: _read_sample(one) for value, one in found["values"].items()}
-        return KnobSample(**found | {"values": values, "truth_ratios": tuple(found["truth_ratios"])})
+        return sweep.KnobSample(**found | {"values": values, "truth_ratios": tuple(found["truth_ratios"])})
     except (OSError, ValueError, TypeError, KeyError):
         return None
 
 
-def _read_sample(found: dict[str, Any]) -> ValueSample:
+def _read_sample(found: dict[str, Any]) -> sweep.ValueSample:
     lists = {name: tuple(found[name]) for name in ("seconds", "processor_seconds", "flips")}
     worst = None if found["worst"] is None else tuple(found["worst"])
-    return ValueSample(**found | lists | {"worst": worst, "sums": tuple((a, b) for a, b in found["sums"])})
+    return sweep.ValueSample(**found | lists | {"worst": worst, "sums": tuple((a, b) for a, b in found["sums"])})

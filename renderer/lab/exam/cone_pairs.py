@@ -14,14 +14,8 @@ from numpy.typing import NDArray
 
 from renderer.lab.exam.cell_pairs import LENSES, choose_cells, find_corners, make_test_grid
 from renderer.lab.exam.pair_tests import GROUP, run_tests
+from renderer.lights.culling import cone_tests
 from renderer.lights.culling.cells import Cell, CellGrid, block_cell, padded_radius
-from renderer.lights.culling.cone_tests import (
-    Cone,
-    cone_overlaps_always,
-    cone_overlaps_planes,
-    cone_overlaps_sphere,
-    cone_overlaps_tightly,
-)
 from renderer.lights.culling.table import CONE_TESTS
 from renderer.scene.arrays import Floats
 from rhi import Device
@@ -135,7 +129,7 @@ def make_cone_pairs(name: str) -> ConePairs:
 class ConePair(Struct):
     """A cone, and the cell of a tile between two depths."""
 
-    cone: Cone
+    cone: cone_tests.Cone
     tile: ivec2
     near: float
     far: float
@@ -157,11 +151,11 @@ class RunConeTests(Shader):
             padding = padded_radius(cell, pair.cone.apex, pair.cone.range) - pair.cone.range
             self.kept[row] = uint(self.test(cell, pair.cone, padding))
 
-    def test(self, cell: Cell, cone: Cone, padding: float) -> int:
-        always = 1 if cone_overlaps_always(cell, cone, padding) else 0
-        sphere = 2 if cone_overlaps_sphere(cell, cone, padding) else 0
-        planes = 4 if cone_overlaps_planes(cell, cone, padding) else 0
-        tight = 8 if cone_overlaps_tightly(cell, cone, padding) else 0
+    def test(self, cell: Cell, cone: cone_tests.Cone, padding: float) -> int:
+        always = 1 if cone_tests.cone_overlaps_always(cell, cone, padding) else 0
+        sphere = 2 if cone_tests.cone_overlaps_sphere(cell, cone, padding) else 0
+        planes = 4 if cone_tests.cone_overlaps_planes(cell, cone, padding) else 0
+        tight = 8 if cone_tests.cone_overlaps_tightly(cell, cone, padding) else 0
         return always + sphere + planes + tight
 
 

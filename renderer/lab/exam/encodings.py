@@ -29,22 +29,7 @@ from renderer.lab.measure.encodings import (
 from renderer.lab.measure.published_encodings import decode_octahedral_truncated, encode_octahedral_truncated
 from renderer.scene import Camera, Depth, Perspective
 from renderer.scene.arrays import Floats
-from renderer.shaders.encodings import (
-    TangentFrame,
-    decode_change,
-    decode_frame,
-    decode_normal,
-    decode_octahedral,
-    decode_uv,
-    encode_change,
-    encode_frame,
-    encode_normal,
-    encode_octahedral,
-    encode_octahedral_best,
-    encode_uv,
-    find_bitangent,
-    material_depth,
-)
+from renderer.shaders import encodings
 from renderer.shadows.maps import FarDepth
 from renderer.techniques.parts.full_screen import find_rays
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format
@@ -63,17 +48,19 @@ class EveryEncoding(sl.Shader):
             return
         first = self.values[row].first
         second = self.values[row].second
-        frame = decode_frame(encode_frame(TangentFrame(normal=first.xyz, tangent=second.xyz, side=second.w)))
-        fine = decode_normal(encode_normal(first.xyz))
-        coarse = decode_octahedral(encode_octahedral(first.xyz, 127.0), 127.0)
-        best = decode_octahedral(encode_octahedral_best(first.xyz, 127.0), 127.0)
-        read = decode_uv(encode_uv(first.xy))
-        x = decode_change(encode_change(first.xy))
-        y = decode_change(encode_change(first.zw))
+        frame = encodings.decode_frame(
+            encodings.encode_frame(encodings.TangentFrame(normal=first.xyz, tangent=second.xyz, side=second.w))
+        )
+        fine = encodings.decode_normal(encodings.encode_normal(first.xyz))
+        coarse = encodings.decode_octahedral(encodings.encode_octahedral(first.xyz, 127.0), 127.0)
+        best = encodings.decode_octahedral(encodings.encode_octahedral_best(first.xyz, 127.0), 127.0)
+        read = encodings.decode_uv(encodings.encode_uv(first.xy))
+        x = encodings.decode_change(encodings.encode_change(first.xy))
+        y = encodings.decode_change(encodings.encode_change(first.zw))
         self.results[4 * row] = StoredValue(first=sl.vec4(frame.normal, 0.0), second=sl.vec4(frame.tangent, frame.side))
         self.results[4 * row + 1] = StoredValue(first=sl.vec4(fine, 0.0), second=sl.vec4(coarse, 0.0))
         self.results[4 * row + 2] = StoredValue(first=sl.vec4(best, 0.0), second=sl.vec4(x, y))
-        bitangent = find_bitangent(frame)
+        bitangent = encodings.find_bitangent(frame)
         self.results[4 * row + 3] = StoredValue(first=sl.vec4(read, 0.0, 0.0), second=sl.vec4(bitangent, 0.0))
 
 
@@ -212,7 +199,7 @@ class MaterialOfPixel(FarDepth):
 
     def fragment(self) -> MaterialDepth:
         pixel = sl.ivec2(sl.fragment_coordinate().xy)
-        return MaterialDepth(depth=material_depth(pixel.x + 256 * pixel.y))
+        return MaterialDepth(depth=encodings.material_depth(pixel.x + 256 * pixel.y))
 
 
 class ChosenMaterial(sl.Struct):
@@ -228,7 +215,7 @@ class AtMaterial(sl.Shader):
 
     def vertex(self) -> sl.vec4:
         corner = sl.vertex_index()
-        depth = material_depth(self.chosen.row)
+        depth = encodings.material_depth(self.chosen.row)
         return sl.vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, depth, 1.0)
 
     def fragment(self) -> sl.vec4:

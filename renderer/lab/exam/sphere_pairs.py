@@ -9,23 +9,8 @@ from numpy.typing import NDArray
 
 from renderer.lab.exam.cell_pairs import Pairs
 from renderer.lab.exam.pair_tests import GROUP, run_tests
+from renderer.lights.culling import sphere_tests
 from renderer.lights.culling.cells import Cell, CellGrid, block_cell, padded_radius
-from renderer.lights.culling.sphere_tests import (
-    overlaps_all_axes,
-    overlaps_always,
-    overlaps_box,
-    overlaps_edges,
-    overlaps_edges_vertices,
-    overlaps_exactly,
-    overlaps_faces,
-    overlaps_faces_edges,
-    overlaps_faces_vertices,
-    overlaps_hybrid,
-    overlaps_nearest_vertex,
-    overlaps_planes,
-    overlaps_planes_box,
-    overlaps_vertices,
-)
 from renderer.lights.culling.table import SPHERE_TESTS
 from rhi import Device
 from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, function, global_id, ivec2, uint, vec3
@@ -64,20 +49,20 @@ class RunSphereTests(Shader):
 
     def test(self, cell: Cell, centre: vec3, radius: float) -> uint:
         return (
-            bit_of(0, overlaps_always(cell, centre, radius))
-            | bit_of(1, overlaps_planes(cell, centre, radius))
-            | bit_of(2, overlaps_faces(cell, centre, radius))
-            | bit_of(3, overlaps_edges(cell, centre, radius))
-            | bit_of(4, overlaps_vertices(cell, centre, radius))
-            | bit_of(5, overlaps_faces_edges(cell, centre, radius))
-            | bit_of(6, overlaps_faces_vertices(cell, centre, radius))
-            | bit_of(7, overlaps_edges_vertices(cell, centre, radius))
-            | bit_of(8, overlaps_all_axes(cell, centre, radius))
-            | bit_of(9, overlaps_nearest_vertex(cell, centre, radius))
-            | bit_of(10, overlaps_hybrid(cell, centre, radius))
-            | bit_of(11, overlaps_box(cell, centre, radius))
-            | bit_of(12, overlaps_planes_box(cell, centre, radius))
-            | bit_of(13, overlaps_exactly(cell, centre, radius))
+            bit_of(0, sphere_tests.overlaps_always(cell, centre, radius))
+            | bit_of(1, sphere_tests.overlaps_planes(cell, centre, radius))
+            | bit_of(2, sphere_tests.overlaps_faces(cell, centre, radius))
+            | bit_of(3, sphere_tests.overlaps_edges(cell, centre, radius))
+            | bit_of(4, sphere_tests.overlaps_vertices(cell, centre, radius))
+            | bit_of(5, sphere_tests.overlaps_faces_edges(cell, centre, radius))
+            | bit_of(6, sphere_tests.overlaps_faces_vertices(cell, centre, radius))
+            | bit_of(7, sphere_tests.overlaps_edges_vertices(cell, centre, radius))
+            | bit_of(8, sphere_tests.overlaps_all_axes(cell, centre, radius))
+            | bit_of(9, sphere_tests.overlaps_nearest_vertex(cell, centre, radius))
+            | bit_of(10, sphere_tests.overlaps_hybrid(cell, centre, radius))
+            | bit_of(11, sphere_tests.overlaps_box(cell, centre, radius))
+            | bit_of(12, sphere_tests.overlaps_planes_box(cell, centre, radius))
+            | bit_of(13, sphere_tests.overlaps_exactly(cell, centre, radius))
         )
 
 

@@ -24,18 +24,7 @@ from renderer.lab.measure.published_encodings import (
 )
 from renderer.scene import Camera, Depth, Perspective
 from renderer.scene.arrays import Floats
-from renderer.shaders.encodings import (
-    TangentFrame,
-    decode_change,
-    decode_frame,
-    decode_octahedral,
-    decode_uv,
-    encode_change,
-    encode_frame,
-    encode_octahedral,
-    encode_octahedral_best,
-    encode_uv,
-)
+from renderer.shaders import encodings
 from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_pixel
 from renderer.techniques.parts.full_screen import find_rays
 from rhi import Device, Program
@@ -88,7 +77,7 @@ class RoundedNormal(RoundTrip):
 
     def store(self, value: StoredValue) -> StoredValue:
         steps = float((1 << self.bits - 1) - 1)
-        normal = decode_octahedral(encode_octahedral(value.first.xyz, steps), steps)
+        normal = encodings.decode_octahedral(encodings.encode_octahedral(value.first.xyz, steps), steps)
         return StoredValue(first=sl.vec4(normal, 0.0), second=value.second)
 
 
@@ -97,7 +86,7 @@ class BestNormal(RoundedNormal):
 
     def store(self, value: StoredValue) -> StoredValue:
         steps = float((1 << self.bits - 1) - 1)
-        normal = decode_octahedral(encode_octahedral_best(value.first.xyz, steps), steps)
+        normal = encodings.decode_octahedral(encodings.encode_octahedral_best(value.first.xyz, steps), steps)
         return StoredValue(first=sl.vec4(normal, 0.0), second=value.second)
 
 
@@ -114,8 +103,8 @@ class StoredFrame(RoundTrip):
     """Stores a normal and a tangent."""
 
     def store(self, value: StoredValue) -> StoredValue:
-        frame = TangentFrame(normal=value.first.xyz, tangent=value.second.xyz, side=value.second.w)
-        frame = decode_frame(encode_frame(frame))
+        frame = encodings.TangentFrame(normal=value.first.xyz, tangent=value.second.xyz, side=value.second.w)
+        frame = encodings.decode_frame(encodings.encode_frame(frame))
         return StoredValue(first=sl.vec4(frame.normal, 0.0), second=sl.vec4(frame.tangent, frame.side))
 
 
@@ -123,7 +112,7 @@ class PublishedFrame(RoundTrip):
     """Stores a normal and a tangent as Listing 1.6 does."""
 
     def store(self, value: StoredValue) -> StoredValue:
-        frame = TangentFrame(normal=value.first.xyz, tangent=value.second.xyz, side=value.second.w)
+        frame = encodings.TangentFrame(normal=value.first.xyz, tangent=value.second.xyz, side=value.second.w)
         frame = decode_tangent_frame(encode_tangent_frame(frame))
         return StoredValue(first=sl.vec4(frame.normal, 0.0), second=sl.vec4(frame.tangent, frame.side))
 
@@ -132,8 +121,8 @@ class StoredChanges(RoundTrip):
     """Stores the derivatives of texture coordinates."""
 
     def store(self, value: StoredValue) -> StoredValue:
-        x = decode_change(encode_change(value.first.xy))
-        y = decode_change(encode_change(value.first.zw))
+        x = encodings.decode_change(encodings.encode_change(value.first.xy))
+        y = encodings.decode_change(encodings.encode_change(value.first.zw))
         return StoredValue(first=sl.vec4(x, y), second=value.second)
 
 
@@ -148,7 +137,9 @@ class StoredPlace(RoundTrip):
     """Stores texture coordinates."""
 
     def store(self, value: StoredValue) -> StoredValue:
-        return StoredValue(first=sl.vec4(decode_uv(encode_uv(value.first.xy)), 0.0, 0.0), second=value.second)
+        return StoredValue(
+            first=sl.vec4(encodings.decode_uv(encodings.encode_uv(value.first.xy)), 0.0, 0.0), second=value.second
+        )
 
 
 class StoredPosition(RoundTrip):

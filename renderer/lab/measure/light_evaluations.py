@@ -17,25 +17,12 @@ from typing import Final
 
 import numpy as np
 
+from renderer import techniques
 from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target
 from renderer.renderer import Renderer
 from renderer.scene import Camera
 from renderer.shaders.pixels import BackgroundScreen, distance_at, nearness_of
 from renderer.shaders.structs import Material, SurfacePoint
-from renderer.techniques import (
-    Clustered,
-    ClusteredDeferred,
-    Deferred,
-    DeferredPlus,
-    Forward,
-    ForwardMultipass,
-    ForwardPlus,
-    Inferred,
-    LightIndexed,
-    LightPrePass,
-    Technique,
-    TiledDeferred,
-)
 from renderer.techniques.deferred_cells import TiledLighting, dispatch_tiles
 from renderer.techniques.forward_multipass import LampPairs, draw_pairs
 from renderer.techniques.light_indexed import BY_INDICES
@@ -136,29 +123,29 @@ def count_light_evaluations(renderer: Renderer, camera: Camera) -> int | None:
         renderer.technique = technique
 
 
-def find_count(technique: Technique) -> Pass[Frame] | None:
+def find_count(technique: techniques.Technique) -> Pass[Frame] | None:
     """Return the pass that counts the evaluations of a technique with lamps in view; None for an unknown technique."""
     match technique:
-        case Forward(samples=1):
+        case techniques.Forward(samples=1):
             return _declare_fragments(technique.lighting)
-        case Clustered(samples=1):
+        case techniques.Clustered(samples=1):
             return _declare_fragments(by_cells(technique.cells))
-        case ForwardPlus(samples=1):
+        case techniques.ForwardPlus(samples=1):
             return _declare_fragments(by_cells(technique.cells), after_depth=True)
-        case LightIndexed():
+        case techniques.LightIndexed():
             return _declare_fragments(BY_INDICES, after_depth=True)
-        case ClusteredDeferred(samples=1):
+        case techniques.ClusteredDeferred(samples=1):
             return _declare(_count_pixels, "light lists", "surface", "material", "depth")
-        case DeferredPlus(samples=1):
+        case techniques.DeferredPlus(samples=1):
             return _declare(_count_places, "light lists", "depth")
-        case TiledDeferred(samples=1):
+        case techniques.TiledDeferred(samples=1):
             return _declare(_count_tiles, "surface", "material", "depth", format=LIGHT_FORMAT)
-        case Deferred() | LightPrePass():
+        case techniques.Deferred() | techniques.LightPrePass():
             return _declare(partial(_count_volumes, stencil=technique.stencil, depth="depth"), "depth")
-        case Inferred():
+        case techniques.Inferred():
             depth = "small depth"
             return _declare(partial(_count_volumes, stencil=False, depth=depth), depth, scale=technique.scale)
-        case ForwardMultipass():
+        case techniques.ForwardMultipass():
             return _declare(_count_pairs, "depth")
     return None
 

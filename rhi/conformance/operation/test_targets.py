@@ -7,22 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhi import (
-    AlphaFunction,
-    AlphaReference,
-    AlphaTest,
-    AlphaToCoverage,
-    BlendFunction,
-    ColorWrite,
-    CullMode,
-    DepthFunction,
-    Device,
-    DrawPlan,
-    Format,
-    Mesh,
-    Primitive,
-    TextureKind,
-)
+import rhi
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_point_sizes, require_renderable, require_samples
 from rhi.conformance.patience import PATIENCE
@@ -40,13 +25,13 @@ SIZE = (4, 4)
 
 
 def identity(value: Any) -> str:
-    return value.name if isinstance(value, Format | TextureKind) else str(value)
+    return value.name if isinstance(value, rhi.Format | rhi.TextureKind) else str(value)
 
 
 @pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if not f.is_integer], ids=identity)
 @pytest.mark.parametrize("color", [(0.2, 0.4, 0.6, 0.8), (-0.5, 1.5, 0.0, 0.3)], ids=str)
 def test_a_fragment_s_color_is_converted_to_the_format(
-    device: Device, format: Format, color: tuple[float, float, float, float]
+    device: rhi.Device, format: rhi.Format, color: tuple[float, float, float, float]
 ) -> None:
     require_renderable(device, format)
     back = channels_of(format, draw_once(device, SIZE, format, rectangle(color=color))).reshape(16, -1)
@@ -55,7 +40,7 @@ def test_a_fragment_s_color_is_converted_to_the_format(
 
 
 @pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.is_integer], ids=identity)
-def test_integers_are_stored_as_they_are(device: Device, format: Format) -> None:
+def test_integers_are_stored_as_they_are(device: rhi.Device, format: rhi.Format) -> None:
     require_renderable(device, format)
     top = min(2.0 ** format.channel_bits[0] - 1, 2.0**24)
     last = min(100.0, 2.0 ** format.channel_bits[-1] - 1)
@@ -83,8 +68,8 @@ class ToThree(Shader):
         return Three(first=v.color * 0.4, second=uvec4(v.color * 100.0), third=v.color.zw)
 
 
-def test_each_output_goes_to_its_target(device: Device) -> None:
-    targets = [device.texture(SIZE, f) for f in (Format.RGBA8, Format.RGBA16UI, Format.RG32F)]
+def test_each_output_goes_to_its_target(device: rhi.Device) -> None:
+    targets = [device.texture(SIZE, f) for f in (rhi.Format.RGBA8, rhi.Format.RGBA16UI, rhi.Format.RG32F)]
     with device.mesh(rectangle(color=(1, 0, 0.25, 2))) as mesh, device.render_pass(targets):
         device.draw(device.program(ToThree), mesh)
     assert_same(targets[0].read()[..., [0, 1, 3]], (102, 0, 204))
@@ -111,10 +96,10 @@ class ToTwo(Shader):
         return Two(first=v.color, second=v.color.wzyx)
 
 
-def two_after(device: Device, *states: Any) -> tuple[Any, Any]:
+def two_after(device: rhi.Device, *states: Any) -> tuple[Any, Any]:
     with (
-        device.texture(SIZE, Format.RGBA8) as one,
-        device.texture(SIZE, Format.RGBA16F) as two,
+        device.texture(SIZE, rhi.Format.RGBA8) as one,
+        device.texture(SIZE, rhi.Format.RGBA16F) as two,
         device.mesh(rectangle(color=(1.0, 0.0, 0.0, 0.0))) as mesh,
     ):
         with device.render_pass([one, two], clear=(0, 0, 0, 1)), device.states(*states):
@@ -122,50 +107,52 @@ def two_after(device: Device, *states: Any) -> tuple[Any, Any]:
         return one.read()[0, 0], two.read()[0, 0]
 
 
-def test_color_write_of_all_targets(device: Device) -> None:
-    one, two = two_after(device, ColorWrite.OFF)
+def test_color_write_of_all_targets(device: rhi.Device) -> None:
+    one, two = two_after(device, rhi.ColorWrite.OFF)
     assert_same(one, (0, 0, 0, 255))
     assert_same(two, (0, 0, 0, 1))
 
 
-def test_color_write_of_one_target(device: Device) -> None:
-    one, two = two_after(device, ColorWrite.OFF.at(0))
+def test_color_write_of_one_target(device: rhi.Device) -> None:
+    one, two = two_after(device, rhi.ColorWrite.OFF.at(0))
     assert_same(one, (0, 0, 0, 255))
     assert_same(two, (0, 0, 0, 1))  # the second output, (1, 0, 0, 0) reversed, equals the clear color
-    one, two = two_after(device, ColorWrite(alpha=False).at(0), ColorWrite(alpha=False).at(1))
+    one, two = two_after(device, rhi.ColorWrite(alpha=False).at(0), rhi.ColorWrite(alpha=False).at(1))
     assert_same(one, (255, 0, 0, 255))
     assert_same(two, (0, 0, 0, 1))
 
 
 @pytest.mark.needs("blend_per_target")
-def test_each_target_blends_by_its_own_function(device: Device) -> None:
-    one, two = two_after(device, BlendFunction.ADDITIVE.at(1))
+def test_each_target_blends_by_its_own_function(device: rhi.Device) -> None:
+    one, two = two_after(device, rhi.BlendFunction.ADDITIVE.at(1))
     assert_same(one, (255, 0, 0, 0))
     assert_same(two, (0, 0, 0, 2))
-    one, two = two_after(device, BlendFunction.ADDITIVE.at(0))
+    one, two = two_after(device, rhi.BlendFunction.ADDITIVE.at(0))
     assert_same(one, (255, 0, 0, 255))
     assert_same(two, (0, 0, 0, 1))
 
 
-def test_a_target_without_an_output_keeps_other_targets_right(device: Device, mesh: Mesh) -> None:
+def test_a_target_without_an_output_keeps_other_targets_right(device: rhi.Device, mesh: rhi.Mesh) -> None:
     """A program with one output, in a pass with two targets, writes the first target."""
-    with device.texture(SIZE, Format.RGBA8) as one, device.texture(SIZE, Format.RGBA8) as two:
-        with device.render_pass([one, two], clear=(0, 0, 0, 0)), device.states(ColorWrite.OFF.at(1)):
+    with device.texture(SIZE, rhi.Format.RGBA8) as one, device.texture(SIZE, rhi.Format.RGBA8) as two:
+        with device.render_pass([one, two], clear=(0, 0, 0, 0)), device.states(rhi.ColorWrite.OFF.at(1)):
             device.draw(device.program(Colored), mesh)
         assert_same(one.read(), 255)
         assert_same(two.read(), 0)
 
 
-def test_a_pass_with_depth_alone_draws_depth(device: Device) -> None:
-    assert_same(draw_once(device, SIZE, Format.D32F, rectangle()), 0.5)
+def test_a_pass_with_depth_alone_draws_depth(device: rhi.Device) -> None:
+    assert_same(draw_once(device, SIZE, rhi.Format.D32F, rectangle()), 0.5)
 
 
 @pytest.mark.parametrize(
-    ("kind", "layers"), [(TextureKind.D2_ARRAY, 3), (TextureKind.D3, 3), (TextureKind.CUBE, 6)], ids=identity
+    ("kind", "layers"),
+    [(rhi.TextureKind.D2_ARRAY, 3), (rhi.TextureKind.D3, 3), (rhi.TextureKind.CUBE, 6)],
+    ids=identity,
 )
-def test_a_layer_is_drawn_to_alone(device: Device, kind: TextureKind, layers: int) -> None:
+def test_a_layer_is_drawn_to_alone(device: rhi.Device, kind: rhi.TextureKind, layers: int) -> None:
     with (
-        device.texture(SIZE, Format.R8, kind=kind, layers=layers) as image,
+        device.texture(SIZE, rhi.Format.R8, kind=kind, layers=layers) as image,
         device.mesh(rectangle(0, 0, 1, 1)) as mesh,
     ):
         with device.render_pass(image.at(layer=2)):
@@ -175,9 +162,9 @@ def test_a_layer_is_drawn_to_alone(device: Device, kind: TextureKind, layers: in
         assert_same(image.read_layers(), expected)
 
 
-def test_layers_of_one_texture_are_targets_side_by_side(device: Device) -> None:
+def test_layers_of_one_texture_are_targets_side_by_side(device: rhi.Device) -> None:
     with (
-        device.texture(SIZE, Format.RGBA8, kind=TextureKind.D2_ARRAY, layers=2) as image,
+        device.texture(SIZE, rhi.Format.RGBA8, kind=rhi.TextureKind.D2_ARRAY, layers=2) as image,
         device.mesh(rectangle(color=(1, 0, 0, 0))) as mesh,
     ):
         with device.render_pass([image.at(layer=1), image.at(layer=0)]):
@@ -186,18 +173,18 @@ def test_layers_of_one_texture_are_targets_side_by_side(device: Device) -> None:
         assert_same(image.read_layers()[0], (0, 0, 0, 255))
 
 
-def test_a_depth_layer_is_drawn_to_alone(device: Device, mesh: Mesh) -> None:
-    with device.texture(SIZE, Format.D32F, kind=TextureKind.D2_ARRAY, layers=3) as depth:
+def test_a_depth_layer_is_drawn_to_alone(device: rhi.Device, mesh: rhi.Mesh) -> None:
+    with device.texture(SIZE, rhi.Format.D32F, kind=rhi.TextureKind.D2_ARRAY, layers=3) as depth:
         with device.render_pass(depth=depth.at(layer=1)):
             device.draw(device.program(Colored), mesh)
         assert_same(depth.read_layers()[..., 0], np.array([0, 0.5, 0])[:, None, None])
 
 
-def test_eight_targets_are_drawn_at_once(device: Device) -> None:
+def test_eight_targets_are_drawn_at_once(device: rhi.Device) -> None:
     count = device.capabilities.max_color_targets
     assert count >= 4
-    fits = target_bytes([Format.RGBA8] * count) <= device.capabilities.max_target_bytes
-    format = Format.RGBA8 if fits else Format.R8
+    fits = target_bytes([rhi.Format.RGBA8] * count) <= device.capabilities.max_target_bytes
+    format = rhi.Format.RGBA8 if fits else rhi.Format.R8
     targets = [device.texture(SIZE, format) for _ in range(count)]
     with device.mesh(rectangle(color=(1, 1, 1, 1))) as mesh:
         with device.render_pass(targets, clear=[(i / 255, 0, 0, 0) for i in range(count)]):
@@ -211,18 +198,18 @@ def test_eight_targets_are_drawn_at_once(device: Device) -> None:
 
 
 @pytest.mark.parametrize("samples", [2, 4, 8])
-def test_inside_a_triangle_all_samples_are_covered(device: Device, samples: int) -> None:
+def test_inside_a_triangle_all_samples_are_covered(device: rhi.Device, samples: int) -> None:
     require_samples(device, samples)
-    drawn = draw_once(device, SIZE, Format.RGBA8, rectangle(color=(0.2, 0.4, 0.6, 0.8)), samples=samples)
+    drawn = draw_once(device, SIZE, rhi.Format.RGBA8, rectangle(color=(0.2, 0.4, 0.6, 0.8)), samples=samples)
     assert_same(drawn, (51, 102, 153, 204))
 
 
 @pytest.mark.parametrize("samples", [2, 4, 8])
-def test_an_edge_covers_some_samples_of_its_texels(device: Device, samples: int) -> None:
+def test_an_edge_covers_some_samples_of_its_texels(device: rhi.Device, samples: int) -> None:
     """An edge through the middle of a column: its texels are covered in part, those beside it fully or not."""
     require_samples(device, samples)
     rows = rectangle(right=4.5 / 8 * 2 - 1)
-    covered = draw_once(device, (8, 8), Format.R16F, rows, samples=samples).astype(np.float64)
+    covered = draw_once(device, (8, 8), rhi.Format.R16F, rows, samples=samples).astype(np.float64)
     assert_same(covered[:, :4], 1)
     assert_same(covered[:, 5:], 0)
     middle = covered[:, 4]
@@ -231,7 +218,7 @@ def test_an_edge_covers_some_samples_of_its_texels(device: Device, samples: int)
 
 
 @pytest.mark.parametrize("samples", [2, 4, 8])
-def test_a_resolve_averages_the_samples(device: Device, samples: int) -> None:
+def test_a_resolve_averages_the_samples(device: rhi.Device, samples: int) -> None:
     """Two triangles that share a diagonal leave no gap: the average is the mix of both colors."""
     require_samples(device, samples)
     rows = np.concatenate(
@@ -240,24 +227,27 @@ def test_a_resolve_averages_the_samples(device: Device, samples: int) -> None:
             corners([(-1, 1), (1, -1), (1, 1)], (0, 1, 0, 1)),
         ]
     )
-    resolved = draw_once(device, (8, 8), Format.RGBA16F, rows, samples=samples)
+    resolved = draw_once(device, (8, 8), rhi.Format.RGBA16F, rows, samples=samples)
     assert_near(resolved[..., 0] + resolved[..., 1], 1, 1e-6, "an average in float32")
     assert_near(resolved[..., 3], 1, 1e-6, "an average in float32")
     assert_same(resolved[7, 0], (1, 0, 0, 1))
     assert_same(resolved[0, 7], (0, 1, 0, 1))
 
 
-def test_a_resolve_keeps_row_0_on_top(device: Device) -> None:
+def test_a_resolve_keeps_row_0_on_top(device: rhi.Device) -> None:
     require_samples(device, 4)
     expected = np.zeros((4, 4), bool)
     expected[0] = True
-    assert_mask(draw_once(device, SIZE, Format.R8, rectangle(-1, 0.5, 1, 1), samples=4), expected)
+    assert_mask(draw_once(device, SIZE, rhi.Format.R8, rectangle(-1, 0.5, 1, 1), samples=4), expected)
 
 
 @pytest.mark.parametrize("at_end", [True, False], ids=["end of pass", "command"])
-def test_a_clear_reaches_all_samples_and_their_mean(device: Device, at_end: bool) -> None:
+def test_a_clear_reaches_all_samples_and_their_mean(device: rhi.Device, at_end: bool) -> None:
     require_samples(device, 4)
-    with device.texture((3, 2), Format.RGBA8, samples=4) as source, device.texture((3, 2), Format.RGBA8) as target:
+    with (
+        device.texture((3, 2), rhi.Format.RGBA8, samples=4) as source,
+        device.texture((3, 2), rhi.Format.RGBA8) as target,
+    ):
         with device.render_pass(source, clear=(0.2, 0.4, 0.6, 0.8), resolve=target if at_end else None):
             pass
         if not at_end:
@@ -267,13 +257,13 @@ def test_a_clear_reaches_all_samples_and_their_mean(device: Device, at_end: bool
 
 
 @pytest.mark.parametrize("samples", [4, 8])
-def test_depth_is_tested_for_each_sample(device: Device, samples: int) -> None:
+def test_depth_is_tested_for_each_sample(device: rhi.Device, samples: int) -> None:
     """A triangle covers half of each texel on the diagonal; the other samples show the surface behind it."""
     require_samples(device, samples)
     with (
-        device.texture((8, 8), Format.R16F, samples=samples) as image,
-        device.texture((8, 8), Format.D32F, samples=samples) as depth,
-        device.texture((8, 8), Format.R16F) as target,
+        device.texture((8, 8), rhi.Format.R16F, samples=samples) as image,
+        device.texture((8, 8), rhi.Format.D32F, samples=samples) as depth,
+        device.texture((8, 8), rhi.Format.R16F) as target,
         device.mesh(corners([(-1, 1), (-1, -1), (1, -1)], (0, 0, 0, 1), 0.75)) as front,
         device.mesh(rectangle(depth=0.25)) as behind,
     ):
@@ -284,10 +274,10 @@ def test_depth_is_tested_for_each_sample(device: Device, samples: int) -> None:
     assert ((diagonal > 0) & (diagonal < 1)).all(), diagonal
 
 
-def test_each_of_several_targets_is_resolved_to_its_own(device: Device) -> None:
+def test_each_of_several_targets_is_resolved_to_its_own(device: rhi.Device) -> None:
     require_samples(device, 4)
-    sources = [device.texture(SIZE, Format.RGBA8, samples=4) for _ in range(2)]
-    targets = [device.texture(SIZE, Format.RGBA8) for _ in range(2)]
+    sources = [device.texture(SIZE, rhi.Format.RGBA8, samples=4) for _ in range(2)]
+    targets = [device.texture(SIZE, rhi.Format.RGBA8) for _ in range(2)]
     with device.mesh(rectangle(color=(1, 0, 0, 0))) as mesh:
         with device.render_pass(sources, clear=(0, 0, 0, 0), resolve=targets):
             device.draw(device.program(ToTwo), mesh)
@@ -300,40 +290,47 @@ def test_each_of_several_targets_is_resolved_to_its_own(device: Device) -> None:
 @pytest.mark.needs("alpha_to_coverage")
 @pytest.mark.parametrize("samples", [4, 8])
 @pytest.mark.parametrize("alpha", [0.0, 0.5, 1.0])
-def test_alpha_becomes_coverage(device: Device, alpha: float, samples: int) -> None:
+def test_alpha_becomes_coverage(device: rhi.Device, alpha: float, samples: int) -> None:
     require_samples(device, samples)
     rows = rectangle(color=(1, 1, 1, alpha))
-    drawn = draw_once(device, (8, 8), Format.RGBA16F, rows, AlphaToCoverage.ON, samples=samples)
+    drawn = draw_once(device, (8, 8), rhi.Format.RGBA16F, rows, rhi.AlphaToCoverage.ON, samples=samples)
     assert_near(
         drawn[..., 0].mean(), alpha, 0.25 if alpha == 0.5 else 0.0, "which samples are covered is left to the device"
     )
 
 
 @pytest.mark.needs("alpha_to_coverage")
-def test_without_the_state_alpha_covers_nothing_less(device: Device) -> None:
+def test_without_the_state_alpha_covers_nothing_less(device: rhi.Device) -> None:
     require_samples(device, 4)
-    assert_same(draw_once(device, SIZE, Format.RGBA16F, rectangle(color=(1, 1, 1, 0.5)), samples=4)[..., 0], 1)
+    assert_same(draw_once(device, SIZE, rhi.Format.RGBA16F, rectangle(color=(1, 1, 1, 0.5)), samples=4)[..., 0], 1)
 
 
 @pytest.mark.needs("alpha_test")
 @pytest.mark.parametrize("reference", [0.5, 0.25])
-@pytest.mark.parametrize("function", list(AlphaFunction), ids=lambda f: f.name)
+@pytest.mark.parametrize("function", list(rhi.AlphaFunction), ids=lambda f: f.name)
 def test_an_alpha_function_compares_alpha_with_the_reference(
-    device: Device, function: AlphaFunction, reference: float
+    device: rhi.Device, function: rhi.AlphaFunction, reference: float
 ) -> None:
     alphas = np.array([0.25, 0.5, 0.75])
     rows = corners(centers([(0, 0), (1, 0), (2, 0)], (3, 1)), np.stack([alphas * 0 + 1] * 3 + [alphas], axis=1))
     drawn = draw_once(
-        device, (3, 1), Format.R8, rows, AlphaTest.ON, function, AlphaReference(reference), primitive=Primitive.POINTS
+        device,
+        (3, 1),
+        rhi.Format.R8,
+        rows,
+        rhi.AlphaTest.ON,
+        function,
+        rhi.AlphaReference(reference),
+        primitive=rhi.Primitive.POINTS,
     )
     assert_same(drawn[0], compare(function, alphas, reference) * 255)
 
 
-def test_points_and_lines_ignore_culling(device: Device) -> None:
+def test_points_and_lines_ignore_culling(device: rhi.Device) -> None:
     rows = corners(centers([(0, 0), (2, 2)], SIZE))
-    with device.texture(SIZE, Format.R8) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
-        for cull in CullMode:
-            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(cull, DepthFunction.ALWAYS):
+    with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rows, primitive=rhi.Primitive.POINTS) as mesh:
+        for cull in rhi.CullMode:
+            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(cull, rhi.DepthFunction.ALWAYS):
                 device.draw(device.program(Colored), mesh)
             assert image.read()[0, 0] == 255
             assert image.read()[2, 2] == 255
@@ -349,29 +346,29 @@ class Nothing(Shader):
         pass
 
 
-def test_a_program_without_outputs_draws_depth(device: Device) -> None:
-    assert_same(draw_once(device, SIZE, Format.D32F, rectangle(), shader=Nothing), 0.5)
+def test_a_program_without_outputs_draws_depth(device: rhi.Device) -> None:
+    assert_same(draw_once(device, SIZE, rhi.Format.D32F, rectangle(), shader=Nothing), 0.5)
 
 
 @pytest.mark.parametrize("samples", [4, 8])
-def test_a_point_with_a_size_covers_samples(device: Device, samples: int) -> None:
+def test_a_point_with_a_size_covers_samples(device: rhi.Device, samples: int) -> None:
     require_samples(device, samples)
     require_point_sizes(device)
     size = (24, 20)
     rows = point_rows([(12.0, 10.0)], size, 5.0)
-    back = draw_once(device, size, Format.R8, rows, shader=Sized, primitive=Primitive.POINTS, samples=samples)
+    back = draw_once(device, size, rhi.Format.R8, rows, shader=Sized, primitive=rhi.Primitive.POINTS, samples=samples)
     whole, touched = point_square(12.0, 10.0, 4.0, size), point_square(12.0, 10.0, 6.0, size)
     assert_same(back[whole], 255)
     assert ((back[touched & ~whole] > 0) & (back[touched & ~whole] < 255)).all()
     assert_same(back[~touched], 0)
 
 
-def test_a_fragment_of_several_samples_knows_its_place_in_the_point(device: Device) -> None:
+def test_a_fragment_of_several_samples_knows_its_place_in_the_point(device: rhi.Device) -> None:
     require_point_sizes(device)
     require_samples(device, 4)
     size = (32, 24)
     rows = point_rows([(12.0, 10.0)], size, 8.0, (0.625, 0, 0, 1), w=3.0)
-    back = draw_once(device, size, Format.RGBA16F, rows, shader=Located, primitive=Primitive.POINTS, samples=4)
+    back = draw_once(device, size, rhi.Format.RGBA16F, rows, shader=Located, primitive=rhi.Primitive.POINTS, samples=4)
     rows, columns = np.nonzero(point_square(12.0, 10.0, 8.0, size))  # whole texels
     expected = np.stack([columns - 7.5, rows - 5.5], -1) / 8
     assert_near(back[rows, columns, :2], expected, 1 / 16 + 2e-3, "anywhere in the texel, and as with one sample")
@@ -382,13 +379,13 @@ def test_a_fragment_of_several_samples_knows_its_place_in_the_point(device: Devi
 
 
 @pytest.mark.parametrize("names_targets", [True, False])
-def test_prepared_draws_draw_what_others_do(device: Device, names_targets: bool) -> None:
+def test_prepared_draws_draw_what_others_do(device: rhi.Device, names_targets: bool) -> None:
     """`device.prepare` builds ahead what a draw needs, on platforms that can, and changes nothing else."""
-    states = BlendFunction.ADDITIVE, CullMode.NONE
+    states = rhi.BlendFunction.ADDITIVE, rhi.CullMode.NONE
     pictures = []
     for prepares in (False, True):
         with (
-            device.texture(SIZE, Format.RGBA8) as image,
+            device.texture(SIZE, rhi.Format.RGBA8) as image,
             device.mesh(rectangle(color=(0.2, 0.4, 0.6, 0.8))) as mesh,
         ):
             program = device.program(Colored)
@@ -405,13 +402,13 @@ def test_prepared_draws_draw_what_others_do(device: Device, names_targets: bool)
     assert_same(*pictures)
 
 
-def test_many_plans_are_prepared_at_once(device: Device) -> None:
+def test_many_plans_are_prepared_at_once(device: rhi.Device) -> None:
     program = device.program(Colored)
-    with device.mesh(rectangle()) as mesh, device.texture(SIZE, Format.RGBA8) as image:
+    with device.mesh(rectangle()) as mesh, device.texture(SIZE, rhi.Format.RGBA8) as image:
         plans = [
-            DrawPlan(program, mesh, (image,)),
-            DrawPlan(program, mesh, (Format.RGBA8, Format.D32F), (DepthFunction.GREATER,)),
-            DrawPlan(program),
+            rhi.DrawPlan(program, mesh, (image,)),
+            rhi.DrawPlan(program, mesh, (rhi.Format.RGBA8, rhi.Format.D32F), (rhi.DepthFunction.GREATER,)),
+            rhi.DrawPlan(program),
         ]
         preparation = device.prepare(plans)
         preparation.result(PATIENCE * 60)
@@ -419,11 +416,11 @@ def test_many_plans_are_prepared_at_once(device: Device) -> None:
         assert device.prepare([]).done()
 
 
-def test_a_preparation_may_be_left_alone(device: Device) -> None:
+def test_a_preparation_may_be_left_alone(device: rhi.Device) -> None:
     """Draws needn't wait for it, and what it names may be destroyed."""
     program = device.program(Colored)
-    with device.mesh(rectangle(color=(1, 0, 0, 1))) as mesh, device.texture(SIZE, Format.RGBA16F) as image:
-        device.prepare(program, mesh, targets=(image,), states=(BlendFunction.ALPHA,))
+    with device.mesh(rectangle(color=(1, 0, 0, 1))) as mesh, device.texture(SIZE, rhi.Format.RGBA16F) as image:
+        device.prepare(program, mesh, targets=(image,), states=(rhi.BlendFunction.ALPHA,))
         with device.render_pass(image):
             device.draw(program, mesh)
         assert_same(image.read().reshape(16, 4), (1, 0, 0, 1))

@@ -10,21 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import rhi.shading as sl
-from renderer.lab.exam import CASES, Found
-from renderer.lab.exam.encodings import (
-    ACROSS,
-    LENSES,
-    EveryEncoding,
-    find_far_positions,
-    find_position_errors,
-    judge_axes,
-    judge_changes,
-    judge_normals,
-    judge_places,
-    judge_tangents,
-    list_far_pixels,
-    list_values,
-)
+from renderer.lab.exam import CASES, Found, encodings
 from renderer.lab.measure.encodings import (
     GROUP,
     Turns,
@@ -129,12 +115,18 @@ def test_derivatives_are_stored_better_than_by_cosines() -> None:
 
 @pytest.mark.parametrize(
     ("number", "judge"),
-    [(37, judge_normals), (38, judge_axes), (39, judge_changes), (40, judge_tangents), (41, judge_places)],
+    [
+        (37, encodings.judge_normals),
+        (38, encodings.judge_axes),
+        (39, encodings.judge_changes),
+        (40, encodings.judge_tangents),
+        (41, encodings.judge_places),
+    ],
 )
 def test_hard_cases_are_stored_in_float64(number: int, judge: Callable[[Floats], Found]) -> None:
-    packed = pack_values(list_values())
+    packed = pack_values(encodings.list_values())
     groups, results = -(-len(packed) // GROUP), 4 * len(packed)
-    read = sl.run_compute(EveryEncoding, groups, values=packed, results=results, dtype=np.float64)["results"]
+    read = sl.run_compute(encodings.EveryEncoding, groups, values=packed, results=results, dtype=np.float64)["results"]
     found = judge(np.concatenate([read["first"], read["second"]], axis=1).reshape(-1, 4, 8))
     assert CASES[number].judge(found), found
 
@@ -142,17 +134,17 @@ def test_hard_cases_are_stored_in_float64(number: int, judge: Callable[[Floats],
 # positions far from the origin; on devices the exam has them
 
 
-@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("lens", encodings.LENSES)
 def test_positions_far_from_the_origin_are_read_in_float64(lens: str) -> None:
-    values = list_far_pixels()
-    camera, encoding = find_far_positions(lens)
+    values = encodings.list_far_pixels()
+    camera, encoding = encodings.find_far_positions(lens)
     groups = -(-len(values) // GROUP)
     bindings = {"values": pack_values(values), "turns": Turns(count=1), "results": len(values), **encoding.uniforms}
     found = sl.run_compute(encoding.shader, groups, dtype=np.float64, **bindings)["results"]
     read = np.concatenate([found["first"], found["second"]], axis=1)
-    along, across = find_position_errors(camera, values, read)
+    along, across = encodings.find_position_errors(camera, values, read)
     assert along.max() < 1e-6
-    assert across.max() < ACROSS
+    assert across.max() < encodings.ACROSS
 
 
 @pytest.mark.parametrize("codes", [4, 512, 2048])

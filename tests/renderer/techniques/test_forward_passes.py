@@ -13,14 +13,7 @@ from frames import find_difference, list_passes, make_boxes, open_renderer, read
 import rhi
 from renderer.content import load_scene
 from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
-from renderer.techniques import Forward, ForwardMultipass, ForwardPlus, LightIndexed, Smoothed, Technique
-from renderer.techniques.light_indexed import (
-    LIGHTS_FULL,
-    LIGHTS_PER_PIXEL,
-    MOST_LIGHTS,
-    count_overflowing,
-    pack_numbers,
-)
+from renderer.techniques import Forward, ForwardMultipass, ForwardPlus, LightIndexed, Smoothed, Technique, light_indexed
 from rhi import Op
 
 SIZE = (64, 48)
@@ -90,7 +83,7 @@ def test_every_way_to_find_the_visible_objects_gives_the_same_image(
 
 def test_a_pixel_with_too_many_lights_is_counted_and_lit_by_all_of_them(drawing_device: rhi.Device) -> None:
     few, many = (lamps(0), lamps(0))
-    for builder, count in ((few, LIGHTS_PER_PIXEL), (many, LIGHTS_PER_PIXEL + 1)):
+    for builder, count in ((few, light_indexed.LIGHTS_PER_PIXEL), (many, light_indexed.LIGHTS_PER_PIXEL + 1)):
         for i in range(count):
             builder.lights.add_point((0.05 * i, 2.0, 0.1 * i), 9.0, (1, 1 - 0.1 * i, 0.1 * i), 0.7)
     counts = []
@@ -102,7 +95,7 @@ def test_a_pixel_with_too_many_lights_is_counted_and_lit_by_all_of_them(drawing_
             assert find_difference(read_colors(result), wanted) <= 2
             indices = result.targets["light indices"].read()
             assert (indices[..., 0] > 0.0).any()
-            counts.append(count_overflowing(result.targets))
+            counts.append(light_indexed.count_overflowing(result.targets))
     assert counts[0] == 0
     assert counts[1] is not None
     assert counts[1] > 500
@@ -111,22 +104,22 @@ def test_a_pixel_with_too_many_lights_is_counted_and_lit_by_all_of_them(drawing_
 def test_a_technique_without_light_indices_counts_no_overflow(null: rhi.Device) -> None:
     scene = lamps(1).build()
     with open_renderer(null, scene) as renderer:
-        assert count_overflowing(renderer.render(scene.views["eye"]).targets) is None
+        assert light_indexed.count_overflowing(renderer.render(scene.views["eye"]).targets) is None
 
 
 def test_packed_numbers_are_exact_up_to_the_last_light_and_fill_a_pixel_beyond() -> None:
-    numbers = np.arange(1, MOST_LIGHTS + 3)
-    packed = pack_numbers(numbers)
+    numbers = np.arange(1, light_indexed.MOST_LIGHTS + 3)
+    packed = light_indexed.pack_numbers(numbers)
     assert ((packed[:-2] << 3 * np.arange(4)).sum(1) == numbers[:-2]).all()
     assert (packed[:-2].max(1) > 0).all()  # no number is nothing
-    assert (packed[-2:] == LIGHTS_FULL).all()
+    assert (packed[-2:] == light_indexed.LIGHTS_FULL).all()
     # Blended as the device does, in float32: eight lights stay below the mark, the ninth passes it.
     rng = np.random.default_rng(2)
     for _ in range(200):
         pixel = np.zeros(4, np.float32)
         for count, number in enumerate(rng.choice(packed[:-2], 9), 1):
             pixel = pixel * np.float32(8) + number.astype(np.float32)
-            assert bool((pixel >= LIGHTS_FULL).any()) == (count > LIGHTS_PER_PIXEL)
+            assert bool((pixel >= light_indexed.LIGHTS_FULL).any()) == (count > light_indexed.LIGHTS_PER_PIXEL)
 
 
 @pytest.mark.parametrize(

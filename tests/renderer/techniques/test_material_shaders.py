@@ -23,15 +23,7 @@ from numpy.typing import NDArray
 
 import rhi
 import rhi.shading as sl
-from renderer.content import load_scene
-from renderer.content.material_shaders import (
-    Checker,
-    CheckerParameters,
-    Marble,
-    Parallax,
-    ParallaxParameters,
-    find_noise,
-)
+from renderer.content import load_scene, material_shaders
 from renderer.frame import Effect, find_needs
 from renderer.lab.accuracy.float64 import shade_exactly
 from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, scaling, translation
@@ -193,7 +185,7 @@ def test_transparent_surfaces_have_the_opacity_that_a_shader_says(drawing_device
 
 def test_parameters_and_instances_may_change_between_frames(drawing_device: rhi.Device) -> None:
     builder = make_boxes()
-    parent = builder.add_material(shader=Checker, second_color=(1, 0, 0), base_color=(1, 1, 1))
+    parent = builder.add_material(shader=material_shaders.Checker, second_color=(1, 0, 0), base_color=(1, 1, 1))
     child = builder.add_material(parent=parent)
     builder.add_objects(builder.add_node(), 0, child)
     builder.lights.sky = builder.lights.ground = (1, 1, 1)
@@ -212,7 +204,7 @@ def test_parameters_and_instances_may_change_between_frames(drawing_device: rhi.
 # -- the shaders of the yard, against other ways to compute the same
 
 
-class BoardProbe(Checker):
+class BoardProbe(material_shaders.Checker):
     """Describes points of a checkerboard."""
 
     points: sl.Storage[sl.vec4]
@@ -234,7 +226,7 @@ def test_a_checkerboard_is_its_mean_over_the_pixel() -> None:
     uv, size = rng.random((count, 2)), 10.0 ** rng.uniform(-2.5, 0.2, (count, 2))
     points = np.zeros((2 * count, 4), np.float32)
     points[::2, :2], points[1::2, 0], points[1::2, 3] = uv, size[:, 0], size[:, 1]
-    board = np.zeros(1, CheckerParameters.dtype)
+    board = np.zeros(1, material_shaders.CheckerParameters.dtype)
     board["squares"] = squares
     materials = np.zeros(1, load_scene("grid:mesh=box,count=1").materials.dtype)
     found = run_compute(BoardProbe, count, points=points, found=count, parameters=board, materials=materials)["found"]
@@ -245,7 +237,7 @@ def test_a_checkerboard_is_its_mean_over_the_pixel() -> None:
         assert abs(found[one] - white.mean()) < 0.02
 
 
-class ReliefProbe(Parallax):
+class ReliefProbe(material_shaders.Parallax):
     """Follows rays into waves of height, instead of into a texture."""
 
     points: sl.Storage[sl.vec4]
@@ -272,7 +264,7 @@ def test_parallax_finds_where_the_ray_meets_the_heights(steps: int, tolerance: f
     to_eye = np.stack([rng.uniform(-1.2, 1.2, count), rng.uniform(-0.5, 0.5, count), np.ones(count)], axis=1)
     start = rng.random(count)
     points = np.concatenate([-to_eye, start[:, None]], axis=1).astype(np.float32)
-    relief = np.zeros(1, ParallaxParameters.dtype)
+    relief = np.zeros(1, material_shaders.ParallaxParameters.dtype)
     relief["depth"], relief["steps"] = depth, steps
     found = run_compute(ReliefProbe, count, points=points, found=count, parameters=relief)["found"]
     down = np.linspace(0.0, 1.0, 100_001)
@@ -291,7 +283,7 @@ class NoiseProbe(sl.Shader):
 
     def compute(self) -> None:
         i = sl.global_id().x
-        self.found[i] = find_noise(self.places[i].xyz)
+        self.found[i] = material_shaders.find_noise(self.places[i].xyz)
 
 
 def test_noise_is_smooth_within_its_bounds_and_has_no_direction() -> None:
@@ -310,11 +302,13 @@ def test_noise_is_smooth_within_its_bounds_and_has_no_direction() -> None:
 def test_marble_goes_through_objects(gl: rhi.Device) -> None:
     """Two boxes whose faces meet have the veins of one."""
     builder = make_boxes()
-    stone = builder.add_material(shader=Marble, base_color=(1, 1, 1), vein_color=(0, 0, 0), frequency=2.0)
+    stone = builder.add_material(
+        shader=material_shaders.Marble, base_color=(1, 1, 1), vein_color=(0, 0, 0), frequency=2.0
+    )
     for x in (-0.5, 0.5):
         builder.add_objects(builder.add_node(translation((x, 0, 0))), 0, stone)
     wide = make_boxes()
-    whole = wide.add_material(shader=Marble, base_color=(1, 1, 1), vein_color=(0, 0, 0), frequency=2.0)
+    whole = wide.add_material(shader=material_shaders.Marble, base_color=(1, 1, 1), vein_color=(0, 0, 0), frequency=2.0)
     wide.add_objects(wide.add_node(scaling((2, 1, 1))), 0, whole)
     for one in (builder, wide):
         one.lights.sky = one.lights.ground = (1, 1, 1)

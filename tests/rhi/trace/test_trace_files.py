@@ -19,17 +19,7 @@ from trace_kit import VERSION_1, edit_line, record, rewrite
 import rhi
 from rhi.conformance.validation.refusal import refuses
 from rhi.errors import Rule
-from rhi.trace import load, save
-from rhi.trace.rules import (
-    TRACE_ARRAY,
-    TRACE_COMMAND,
-    TRACE_COUNT,
-    TRACE_FILE,
-    TRACE_MEMBER,
-    TRACE_REFERENCE,
-    TRACE_SIZE,
-    TRACE_VERSION,
-)
+from rhi.trace import load, rules, save
 
 
 @pytest.fixture
@@ -64,14 +54,14 @@ def test_a_missing_file_is_the_systems_error(tmp_path: Path) -> None:
 def test_what_is_no_zip_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "t.zip"
     path.write_bytes(data)
-    refused(path, TRACE_FILE)
+    refused(path, rules.TRACE_FILE)
 
 
 def test_a_file_cut_off_anywhere_is_refused(file: Path) -> None:
     data = file.read_bytes()
     for length in (10, len(data) // 2, len(data) - 1):
         file.write_bytes(data[:length])
-        refused(file, TRACE_FILE)
+        refused(file, rules.TRACE_FILE)
     file.write_bytes(data)
     load(file)
 
@@ -94,7 +84,7 @@ def test_a_flipped_byte_is_refused_or_harmless(tmp_path: Path, place: float, val
 
 @pytest.mark.parametrize("name", ["trace.json", "commands.jsonl"])
 def test_a_missing_member_is_refused(file: Path, name: str) -> None:
-    refused(rewrite(file, lambda members: members.pop(name) and None), TRACE_FILE)
+    refused(rewrite(file, lambda members: members.pop(name) and None), rules.TRACE_FILE)
 
 
 @pytest.mark.parametrize(
@@ -108,14 +98,14 @@ def test_other_names_are_refused(file: Path, name: str) -> None:
     def add(members: dict[str, bytes]) -> None:
         members[name] = b"x"
 
-    assert refused(rewrite(file, add), TRACE_MEMBER) == name
+    assert refused(rewrite(file, add), rules.TRACE_MEMBER) == name
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
 def test_a_member_that_is_there_twice_is_refused(file: Path) -> None:
     with zipfile.ZipFile(file, "a") as archive:
         archive.writestr("arrays/0.npy", b"x")
-    refused(file, TRACE_MEMBER)
+    refused(file, rules.TRACE_MEMBER)
 
 
 def test_a_bomb_is_refused_before_it_is_unpacked(file: Path) -> None:
@@ -124,14 +114,14 @@ def test_a_bomb_is_refused_before_it_is_unpacked(file: Path) -> None:
 
     bomb = rewrite(file, add)
     assert bomb.stat().st_size < 1 << 20
-    refused(bomb, TRACE_SIZE, max_bytes=100 << 20)
+    refused(bomb, rules.TRACE_SIZE, max_bytes=100 << 20)
 
 
 def test_the_size_allowed_is_a_sharp_bound(file: Path) -> None:
     with zipfile.ZipFile(file) as archive:
         size = sum(info.file_size for info in archive.infolist())
     load(file, max_bytes=size)
-    refused(file, TRACE_SIZE, max_bytes=size - 1)
+    refused(file, rules.TRACE_SIZE, max_bytes=size - 1)
 
 
 def test_a_size_that_lies_is_refused(file: Path) -> None:
@@ -142,14 +132,14 @@ def test_a_size_that_lies_is_refused(file: Path) -> None:
     assert data[place + 24 : place + 28] == struct.pack("<I", info.file_size)
     data[place + 24 : place + 28] = struct.pack("<I", 100)
     file.write_bytes(data)
-    refused(file, TRACE_FILE)
+    refused(file, rules.TRACE_FILE)
 
 
 def test_an_encrypted_member_is_refused(file: Path) -> None:
     data = bytearray(file.read_bytes())
     data[data.index(b"PK\x01\x02") + 8] |= 1
     file.write_bytes(data)
-    refused(file, TRACE_FILE)
+    refused(file, rules.TRACE_FILE)
 
 
 def test_other_compressions_are_refused(file: Path) -> None:
@@ -157,7 +147,7 @@ def test_other_compressions_are_refused(file: Path) -> None:
     with zipfile.ZipFile(file) as source, zipfile.ZipFile(other, "w", zipfile.ZIP_BZIP2) as target:
         for name in source.namelist():
             target.writestr(name, source.read(name))
-    refused(other, TRACE_FILE)
+    refused(other, rules.TRACE_FILE)
 
 
 def test_a_save_that_fails_leaves_the_old_file(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -176,7 +166,7 @@ def test_a_save_that_fails_leaves_the_old_file(file: Path, monkeypatch: pytest.M
 
 @pytest.mark.parametrize("version", [0, 3, "1", None, 1.0, True])
 def test_another_version_is_refused(file: Path, version: object) -> None:
-    refused(rewrite(file, header(lambda h: h.update(version=version))), TRACE_VERSION)
+    refused(rewrite(file, header(lambda h: h.update(version=version))), rules.TRACE_VERSION)
 
 
 @pytest.mark.parametrize(
@@ -187,17 +177,17 @@ def test_another_version_is_refused(file: Path, version: object) -> None:
     ],
 )  # fmt: skip
 def test_a_wrong_header_is_refused(file: Path, change: dict[str, object]) -> None:
-    refused(rewrite(file, header(lambda h: h.update(change))), TRACE_FILE)
+    refused(rewrite(file, header(lambda h: h.update(change))), rules.TRACE_FILE)
 
 
 @pytest.mark.parametrize("text", [b"", b"[]", b"{", b"\xff", b"[" * 100_000])
 def test_a_header_that_is_no_json_object_is_refused(file: Path, text: bytes) -> None:
-    refused(rewrite(file, lambda members: members.update({"trace.json": text})), TRACE_FILE)
+    refused(rewrite(file, lambda members: members.update({"trace.json": text})), rules.TRACE_FILE)
 
 
 @pytest.mark.parametrize("difference", [-1, 1])
 def test_a_wrong_count_is_refused(file: Path, difference: int) -> None:
-    refused(rewrite(file, header(lambda h: h.update(commands=h["commands"] + difference))), TRACE_COUNT)
+    refused(rewrite(file, header(lambda h: h.update(commands=h["commands"] + difference))), rules.TRACE_COUNT)
 
 
 # -- its commands ----------------------------------------------------------------------------------------------
@@ -208,7 +198,7 @@ def test_a_line_that_is_no_json_is_refused(file: Path) -> None:
         lines = members["commands.jsonl"].splitlines(keepends=True)
         members["commands.jsonl"] = b"".join([lines[0], b'{"op":\n', *lines[2:]])
 
-    assert "line 2" in refused(rewrite(file, cut), TRACE_FILE)
+    assert "line 2" in refused(rewrite(file, cut), rules.TRACE_FILE)
 
 
 def argument(op: str, name: str, value: object) -> tuple[str, Callable[[dict[str, Any]], None]]:
@@ -257,7 +247,7 @@ def argument(op: str, name: str, value: object) -> tuple[str, Callable[[dict[str
 def test_what_is_no_command_of_the_contract_is_refused(
     file: Path, op: str, change: Callable[[dict[str, Any]], None]
 ) -> None:
-    assert "line " in refused(edit_line(file, op, change), TRACE_COMMAND)
+    assert "line " in refused(edit_line(file, op, change), rules.TRACE_COMMAND)
 
 
 @pytest.mark.parametrize(
@@ -304,12 +294,12 @@ def test_what_is_no_command_of_the_contract_is_refused(
 def test_a_command_that_no_device_would_have_issued_is_refused(
     file: Path, op: str, change: Callable[[dict[str, Any]], None]
 ) -> None:
-    given = refused(edit_line(file, op, change), TRACE_REFERENCE)
+    given = refused(edit_line(file, op, change), rules.TRACE_REFERENCE)
     assert given.startswith("line ")
 
 
 def test_resources_larger_than_any_memory_are_refused(file: Path) -> None:
-    refused(edit_line(file, *argument("create_buffer", "descriptor.size", 1 << 40)), TRACE_SIZE)
+    refused(edit_line(file, *argument("create_buffer", "descriptor.size", 1 << 40)), rules.TRACE_SIZE)
 
 
 def test_a_field_that_a_file_lacks_takes_its_default(file: Path) -> None:
@@ -320,7 +310,9 @@ def test_a_field_that_a_file_lacks_takes_its_default(file: Path) -> None:
 
     trace = load(edit_line(file, "create_program", drop))
     assert str(trace.stream) == str(load(file).stream)
-    refused(edit_line(file, "create_program", lambda line: line["arguments"]["descriptor"].pop("name")), TRACE_COMMAND)
+    refused(
+        edit_line(file, "create_program", lambda line: line["arguments"]["descriptor"].pop("name")), rules.TRACE_COMMAND
+    )
     shorter = edit_line(file, "create_texture", lambda line: line["arguments"]["descriptor"].pop("label"))
     assert load(shorter).stream.filter(rhi.Op.CREATE_TEXTURE)[0]["descriptor"].label == ""
 
@@ -355,27 +347,27 @@ def test_the_arrays_are_ordinary_npy_files(file: Path) -> None:
 )  # fmt: skip
 def test_another_dtype_or_shape_is_refused(file: Path, array: np.ndarray[Any, Any]) -> None:
     load(with_array(file, as_npy(np.zeros(24, np.uint8))))
-    refused(with_array(file, as_npy(array)), TRACE_ARRAY)
+    refused(with_array(file, as_npy(array)), rules.TRACE_ARRAY)
 
 
 @pytest.mark.parametrize("length", [0, 6, 40, -1])
 def test_an_array_that_is_cut_off_is_refused(file: Path, length: int) -> None:
-    refused(with_array(file, as_npy(np.zeros(24, np.uint8))[:length]), TRACE_ARRAY)
+    refused(with_array(file, as_npy(np.zeros(24, np.uint8))[:length]), rules.TRACE_ARRAY)
 
 
 def test_a_header_that_promises_too_much_is_refused(file: Path) -> None:
     whole = as_npy(np.zeros(24, np.uint8))
-    refused(with_array(file, whole.replace(b"(24,)", b"(9**99,)", 1)), TRACE_ARRAY)
-    refused(with_array(file, whole.replace(b"(24,), }  ", b"(2400,), }", 1)), TRACE_ARRAY)
+    refused(with_array(file, whole.replace(b"(24,)", b"(9**99,)", 1)), rules.TRACE_ARRAY)
+    refused(with_array(file, whole.replace(b"(24,), }  ", b"(2400,), }", 1)), rules.TRACE_ARRAY)
 
 
 def test_more_bytes_than_the_buffer_has_are_refused(file: Path) -> None:
-    refused(with_array(file, as_npy(np.zeros(25, np.uint8))), TRACE_REFERENCE)
+    refused(with_array(file, as_npy(np.zeros(25, np.uint8))), rules.TRACE_REFERENCE)
 
 
 @pytest.mark.parametrize("number", [999, -1, "0", None, True])
 def test_an_array_that_is_not_there_is_refused(file: Path, number: object) -> None:
-    refused(edit_line(file, *argument("write_buffer", "data", number)), TRACE_ARRAY)
+    refused(edit_line(file, *argument("write_buffer", "data", number)), rules.TRACE_ARRAY)
 
 
 # -- its programs ----------------------------------------------------------------------------------------------
