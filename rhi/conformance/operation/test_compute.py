@@ -176,7 +176,7 @@ MIXED: dict[str, Any] = {
 def test_structs_lie_where_their_dtype_says(device: Device) -> None:
     inner = [Inner(weight=weight, axis=(weight + 1, weight + 2, weight + 3)) for weight in (24.0, 100.0, 104.0)]
     value = Mixed(**MIXED, h=inner[0], o=inner[1:])
-    rows = np.zeros(3, Mixed.dtype)
+    rows: Any = np.zeros(3, Mixed.dtype)
     for name, part in MIXED.items():
         rows[name][(1, *map(slice, np.shape(part)))] = part
     for name in ("weight", "axis"):
