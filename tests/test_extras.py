@@ -9,18 +9,17 @@ import shutil
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from browser_kit import browser as browser
+from browser_kit import PATIENCE, wait_for
 from PIL import Image
 
 ROOT = Path(__file__).parents[1]
-PATIENCE = 120.0
 
 pytestmark = [pytest.mark.nightly, pytest.mark.filterwarnings("ignore")]
 
@@ -78,32 +77,6 @@ def test_the_programs_of_an_extra_run(extra: str, wheel: Path, tmp_path: Path) -
     for program in PROGRAMS[extra]:
         done = subprocess.run([python, *program], cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode == 0, (program, done.stdout[-1000:], done.stderr[-2000:])
-
-
-def wait_for(what: Callable[[], Any], name: str) -> Any:
-    """Return what something is, once it is something."""
-    until = time.monotonic() + PATIENCE
-    while time.monotonic() < until:
-        found = what()
-        if found:
-            return found
-        time.sleep(0.2)
-    pytest.fail(f"waited for {name} in vain")
-
-
-@pytest.fixture
-def browser() -> Iterator[Any]:
-    webdriver = pytest.importorskip("selenium.webdriver", reason="no selenium: pip install selenium")
-    program, driver = (shutil.which(name) for name in ("chromium", "chromedriver"))
-    if program is None or driver is None:
-        pytest.skip("no browser: apt install chromium chromium-driver")
-    options = webdriver.ChromeOptions()
-    options.binary_location = program
-    for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
-        options.add_argument(argument)
-    opened = webdriver.Chrome(options, webdriver.ChromeService(driver))
-    yield opened
-    opened.quit()
 
 
 ATTACK = """\

@@ -8,8 +8,9 @@ from signal import SIGSEGV
 
 import pytest
 from hypothesis import given
-from test_shading_lane_programs import check, program_settings, programs
+from test_shading_lane_programs import check_shader, program_settings, programs
 
+from rhi.shading import from_source
 from rhi.shading.ir import lanes
 from rhi.shading.lowering.context import Lowering
 from rhi.shading.numpy import writer as numpy_code
@@ -100,12 +101,12 @@ FAULTS = [
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.__name__)
-def test_a_fault_in_the_masks_is_found(fault, tmp_path, run, monkeypatch, request):
+def test_a_fault_in_the_masks_is_found(fault, run, monkeypatch, request):
     @program_settings(400)  # up to the first that finds it
     @given(source=programs())
     def all_agree(source):
         try:
-            check(source, tmp_path, run)
+            check_shader(from_source(source), source, run)
         except ValueError as error:  # NumPy has no branch for lanes that part
             raise AssertionError("NumPy") from error
 

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 
-import pytest
+from typing_kit import check_mistakes
 
-Mypy = Callable[..., tuple[str, int]]
-RIGHT = Path(__file__).with_name("device_right.py")
 DRAW = "device.draw(flat, mesh, tint=tint, many=many, albedo=image)"
 MANY = "device.draw_many(flat, mesh, mesh.draws(), tint=tint, many=many, albedo=image)"
 
-# (what to replace, by what, the error that mypy must give)
 MISTAKES = [
     # a wrong state value
     ("CullMode.NONE, DepthWrite.OFF,", "CullMode.OFF, DepthWrite.OFF,", 'has no attribute "OFF"'),
@@ -61,25 +57,7 @@ MISTAKES = [
 ]
 
 
-@pytest.fixture(scope="module")
-def rows(mypy_strict: Mypy, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """What mypy says of the right use and of each mistake, in one run."""
-    source, folder = RIGHT.read_text(), tmp_path_factory.mktemp("typing")
-    paths = []
-    for number, (old, new, _) in enumerate(MISTAKES):
-        assert source.count(old) >= 1, old
-        paths.append(folder / f"device_mistake_{number}.py")
-        paths[-1].write_text(source.replace(old, new, 1))
-    return mypy_strict("--hide-error-context", RIGHT, *paths)[0].splitlines()
-
-
-def test_right_use_passes_mypy_strict(rows: list[str]) -> None:
-    assert [row for row in rows if "device_mistake_" not in row] == []
-
-
-def test_every_mistake_is_refused_on_its_line(rows: list[str]) -> None:
-    source = RIGHT.read_text()
-    for number, (old, new, says) in enumerate(MISTAKES):
-        line = source[: source.index(old)].count("\n") + 1
-        errors = [row for row in rows if re.search(rf"device_mistake_{number}.py:{line}: error", row)]
-        assert any(says in row for row in errors), (new, errors or "accepted")
+def test_right_use_passes_and_each_mistake_is_refused_on_its_line(
+    mypy_strict: Callable[..., tuple[str, int]], tmp_path: Path
+) -> None:
+    check_mistakes(mypy_strict, tmp_path, Path(__file__).with_name("device_right.py"), MISTAKES)

@@ -1,16 +1,13 @@
 """mypy --strict on shaders: correct code passes, and each mistake is reported on its line."""
 
-import re
 from pathlib import Path
 
-import pytest
+from typing_kit import check_mistakes
 
 from rhi.shading.tools.stubs import stub_texts
 
-RIGHT = Path(__file__).with_name("shading_right.py")
 DRAW = "device.draw(lit, None, light=light, lights=lights, counts=counts, albedo=texture, target=target)"
 
-# (what to replace, by what, the error that mypy must give)
 MISTAKES = [
     (DRAW, DRAW.replace("albedo=texture, ", ""), 'Missing named argument "albedo"'),
     (DRAW, DRAW.replace("target=target", "targte=target"), 'Unexpected keyword argument "targte"'),
@@ -46,29 +43,8 @@ MISTAKES = [
 ]
 
 
-@pytest.fixture(scope="module")
-def rows(mypy_strict, tmp_path_factory):
-    """What mypy says of the right shaders and of each mistake, in one run."""
-    source, folder = RIGHT.read_text(), tmp_path_factory.mktemp("typing")
-    paths = []
-    for number, (old, new, _) in enumerate(MISTAKES):
-        assert source.count(old) >= 1, old
-        paths.append(folder / f"mistake_{number}.py")
-        paths[-1].write_text(source.replace(old, new, 1))
-    return mypy_strict("--hide-error-context", RIGHT, *paths)[0].splitlines()
-
-
-def test_right_shaders_pass_mypy_strict(rows):
-    assert [row for row in rows if "mistake_" not in row] == []
-
-
-def test_every_mistake_is_refused_on_its_line(rows):
-    source = RIGHT.read_text()
-    for number, (old, new, says) in enumerate(MISTAKES):
-        line = source[: source.index(old)].count("\n") + 1
-        errors = [row for row in rows if re.search(rf"mistake_{number}.py:\d+: error", row)]
-        assert errors, f"{new}: accepted"
-        assert any(f"mistake_{number}.py:{line}:" in row and says in row for row in errors), (new, errors)
+def test_right_shaders_pass_and_each_mistake_is_refused_on_its_line(mypy_strict, tmp_path):
+    check_mistakes(mypy_strict, tmp_path, Path(__file__).with_name("shading_right.py"), MISTAKES)
 
 
 def test_the_stubs_are_what_the_tables_say():

@@ -126,6 +126,11 @@ class Mixed(sl.Struct):
     i: sl.Array[sl.vec3] = sl.array(sl.vec3, 2)
     j: sl.uint
     k: sl.mat4
+    m: sl.mat2
+    n: sl.uvec3
+    o: sl.Array[Inner] = sl.array(Inner, 2)
+    p: sl.ivec2
+    q: sl.Array[sl.mat3] = sl.array(sl.mat3, 2)
 
 
 class ReadMixed(sl.Shader):
@@ -141,9 +146,13 @@ class ReadMixed(sl.Shader):
         self.results[0] = sl.vec4(c.a, c.b.z, c.c, c.d.y)
         self.results[1] = sl.vec4(c.e[1][2], c.f[2], float(c.g), c.h.weight)
         self.results[2] = sl.vec4(c.h.axis.y, c.i[1].z, float(c.j), c.k[3][1])
-        self.results[3] = sl.vec4(r.a, r.b.z, r.c, r.d.y)
-        self.results[4] = sl.vec4(r.e[1][2], r.f[2], float(r.g), r.h.weight)
-        self.results[5] = sl.vec4(r.h.axis.y, r.i[1].z, float(r.j), r.k[3][1])
+        self.results[3] = sl.vec4(c.m[1][0], float(c.n.z), c.o[1].weight, c.o[1].axis.z)
+        self.results[4] = sl.vec4(float(c.p.y), c.q[0][2][1], c.q[1][1][2], float(len(c.q)))
+        self.results[5] = sl.vec4(r.a, r.b.z, r.c, r.d.y)
+        self.results[6] = sl.vec4(r.e[1][2], r.f[2], float(r.g), r.h.weight)
+        self.results[7] = sl.vec4(r.h.axis.y, r.i[1].z, float(r.j), r.k[3][1])
+        self.results[8] = sl.vec4(r.m[1][0], float(r.n.z), r.o[1].weight, r.o[1].axis.z)
+        self.results[9] = sl.vec4(float(r.p.y), r.q[0][2][1], r.q[1][1][2], float(len(r.q)))
 
 
 MIXED: dict[str, Any] = {
@@ -157,26 +166,27 @@ MIXED: dict[str, Any] = {
     "i": ((30.0, 31.0, 32.0), (33.0, 34.0, 35.0)),
     "j": 40,
     "k": np.arange(16.0).reshape(4, 4) + 50,
+    "m": np.arange(4.0).reshape(2, 2) + 70,
+    "n": (74, 75, 76),
+    "p": (-77, 78),
+    "q": np.arange(18.0).reshape(2, 3, 3) + 80,
 }
 
 
 def test_structs_lie_where_their_dtype_says(device: Device) -> None:
-    value = Mixed(**MIXED, h=Inner(weight=24.0, axis=(25.0, 26.0, 27.0)))
-    rows = np.zeros(3, Mixed.dtype)
+    inner = [Inner(weight=weight, axis=(weight + 1, weight + 2, weight + 3)) for weight in (24.0, 100.0, 104.0)]
+    value = Mixed(**MIXED, h=inner[0], o=inner[1:])
+    rows: Any = np.zeros(3, Mixed.dtype)
     for name, part in MIXED.items():
-        shape = np.shape(part)
-        target = rows[name][1]
-        if shape:
-            target[tuple(slice(n) for n in shape)] = part
-        else:
-            rows[name][1] = part
-    rows["h"]["weight"][1] = 24.0
-    rows["h"]["axis"][1] = (25.0, 26.0, 27.0)
-    expected = [(1, 4, 5, 7), (15, 22, -23, 24), (26, 35, 40, 63)] * 2
+        rows[name][(1, *map(slice, np.shape(part)))] = part
+    for name in ("weight", "axis"):
+        rows["h"][name][1] = getattr(inner[0], name)
+        rows["o"][name][1] = [getattr(each, name) for each in inner[1:]]
+    expected = [(1, 4, 5, 7), (15, 22, -23, 24), (26, 35, 40, 63), (72, 76, 104, 107), (78, 87, 94, 2)] * 2
     with (
         device.uniform(value) as constants,
         device.storage(Mixed, rows) as storage,
-        device.storage(sl.vec4, 6) as results,
+        device.storage(sl.vec4, 10) as results,
     ):
         device.dispatch(device.program(ReadMixed), 1, constants=constants, rows=storage, results=results)
         assert_same(results.read(), expected)

@@ -9,32 +9,29 @@ import importlib.util
 import io
 import json
 import os
-import shutil
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
 
 import numpy as np
 import pytest
+from browser_kit import browser as browser
+from browser_kit import wait_for
 from numpy.typing import NDArray
 from PIL import Image
 
 from tests.renderer.conftest import open_device
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="no selenium: pip install selenium")
-errors = pytest.importorskip("selenium.common.exceptions")
 pytest.importorskip("jupyter_rfb", reason="no jupyter_rfb: pip install jupyter_rfb")
 
 pytestmark = [pytest.mark.nightly, pytest.mark.filterwarnings("ignore")]
 
 SIZE = (480, 270)
-PATIENCE = 180.0
 SHOW = f"""\
 import renderer, notes
 widget = renderer.view("city:blocks=6", size={SIZE})
@@ -59,18 +56,6 @@ def take(widget):
 """
 
 
-def wait_for(what: Callable[[], Any], name: str) -> Any:
-    """Return what something is, once it is something."""
-    until = time.monotonic() + PATIENCE
-    while time.monotonic() < until:
-        with suppress(errors.WebDriverException):  # JupyterLab is still building its page
-            found = what()
-            if found:
-                return found
-        time.sleep(0.2)
-    pytest.fail(f"waited for {name} in vain")
-
-
 def find_port() -> int:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -83,21 +68,6 @@ def answers(url: str) -> bool:
             return True
     except OSError:
         return False
-
-
-@pytest.fixture
-def browser() -> Iterator[Any]:
-    program, driver = (shutil.which(name) for name in ("chromium", "chromedriver"))
-    if program is None or driver is None:
-        pytest.skip("no browser: apt install chromium chromium-driver")
-    options = webdriver.ChromeOptions()
-    options.binary_location = program
-    for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
-        options.add_argument(argument)
-    options.add_argument("--window-size=1000,800")
-    opened = webdriver.Chrome(options, webdriver.ChromeService(driver))
-    yield opened
-    opened.quit()
 
 
 @pytest.fixture(scope="module", params=["cl", "gl"])

@@ -41,12 +41,15 @@ def run_everywhere(request: pytest.FixtureRequest, context: moderngl.Context) ->
 
 @pytest.fixture
 def link(context: moderngl.Context) -> Callable[[type[Shader]], ProgramDescriptor]:
-    """Compile a shader's graphics stages on the driver and return its descriptor."""
+    """Compile a shader's stages on the driver and return its descriptor."""
 
     def link(shader: type[Shader]) -> ProgramDescriptor:
         program = compile_shader(shader)
         texts = {f"{stage.value}_shader": program.emit("glsl", stage).text for stage in program.stages}
-        context.program(**texts).release()
+        if "compute_shader" in texts:
+            context.compute_shader(texts["compute_shader"]).release()
+        else:
+            context.program(**texts).release()
         return program
 
     return link

@@ -1,9 +1,7 @@
 """Every row of the table of built-ins: each overload compiles on the driver, each function returns the right value."""
 
-import importlib.util
 import math
 import struct
-import sys
 
 import numpy as np
 import pytest
@@ -11,7 +9,7 @@ import pytest
 from rhi.contract.descriptors import Stage, TextureKind
 from rhi.contract.formats import Format
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, MatrixType, ScalarType, VectorType
-from rhi.shading import compile_shader
+from rhi.shading import from_source
 from rhi.shading.language import textures
 from rhi.shading.language.builtins import BUILTINS, SideEffect
 from rhi.shading.language.textures import methods_of
@@ -20,23 +18,8 @@ from rhi.shading.language.types import VOID, ImageType, TextureType
 HEADER = "from rhi import Format\nfrom rhi.shading import *\n"
 
 
-@pytest.fixture
-def load(tmp_path):
-    """Return `load(source)`, which runs the source as a module and returns its class `Test`."""
-
-    def load(source):
-        path = tmp_path / "generated.py"
-        path.write_text(HEADER + source)
-        spec = importlib.util.spec_from_file_location("generated_shader", path)
-        module = importlib.util.module_from_spec(spec)
-        sys.modules["generated_shader"] = module
-        try:
-            spec.loader.exec_module(module)
-        finally:
-            del sys.modules["generated_shader"]
-        return module.Test
-
-    return load
+def load(source):
+    return from_source(HEADER + source)
 
 
 def argument(parameter):
@@ -77,19 +60,10 @@ STAGES = {
 }
 
 
-def compile_on_driver(context, shader):
-    program = compile_shader(shader)
-    texts = {stage: program.emit("glsl", stage).text for stage in program.stages}
-    if Stage.COMPUTE in texts:
-        context.compute_shader(texts[Stage.COMPUTE]).release()
-    else:
-        context.program(**{f"{stage.value}_shader": text for stage, text in texts.items()}).release()
-
-
 @pytest.mark.parametrize("stage", list(Stage))
-def test_every_overload_of_every_builtin_compiles(context, load, stage):
+def test_every_overload_of_every_builtin_compiles(link, stage):
     rows = [row for row in BUILTINS.values() if stage in row.stages]
-    compile_on_driver(context, load(STAGES[stage].format(bindings=BINDINGS, calls=calls(rows))))
+    link(load(STAGES[stage].format(bindings=BINDINGS, calls=calls(rows))))
 
 
 def sampled_types():
@@ -103,24 +77,24 @@ def sampled_types():
 
 
 @pytest.mark.parametrize("type", list(sampled_types()), ids=str)
-def test_every_texture_method_compiles(context, load, type):
+def test_every_texture_method_compiles(link, type):
     for stage in (Stage.FRAGMENT, Stage.COMPUTE):
         rows = [row for row in methods_of(type).values() if stage in row.stages]
         source = STAGES[stage].format(bindings=f"    texture: {type}\n", calls=calls(rows, "self.texture."))
-        compile_on_driver(context, load(source))
+        link(load(source))
 
 
 IMAGE_FORMATS = [f for f in Format if not f.is_depth and f is not Format.RGBA8_SRGB]
 
 
 @pytest.mark.parametrize("format", IMAGE_FORMATS, ids=lambda f: f.name)
-def test_every_image_format_compiles(context, load, format):
+def test_every_image_format_compiles(link, format):
     for kind in (TextureKind.D2, TextureKind.D2_ARRAY, TextureKind.D3):
         type = ImageType(kind, format)
         binding = f"    texture: {type} = image(Format.{format.name})\n"
         rows = methods_of(type).values()
         source = STAGES[Stage.COMPUTE].format(bindings=binding, calls=calls(rows, "self.texture."))
-        compile_on_driver(context, load(source))
+        link(load(source))
 
 
 def bits(value):
@@ -233,7 +207,7 @@ ELSEWHERE = {
 }  # fmt: skip
 
 
-def test_every_builtin_has_its_value(run_everywhere, load):
+def test_every_builtin_has_its_value(run_everywhere):
     lines = "\n".join(f"        self.out[{i}] = {text}" for i, (text, _) in enumerate(VALUES.values()))
     source = (
         "class Test(Shader):\n"

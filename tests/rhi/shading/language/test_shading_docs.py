@@ -5,8 +5,7 @@ import re
 import sys
 from pathlib import Path
 
-from rhi.contract.descriptors import Stage
-from rhi.shading import Shader, compile_shader
+from rhi.shading import Shader
 from rhi.shading.language.builtins import BUILTINS
 from rhi.shading.tools.reference import update
 
@@ -14,7 +13,7 @@ PAGE = Path(__file__).parents[4] / "docs" / "shading.md"
 REFERENCE = PAGE.with_name("shading-builtins.md")
 
 
-def test_the_code_of_the_page_runs_and_its_shaders_compile_on_the_driver(tmp_path, context):
+def test_the_code_of_the_page_runs_and_its_shaders_compile_on_the_driver(tmp_path, link):
     path = tmp_path / "page.py"
     path.write_text("\n".join(re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)))
     spec = importlib.util.spec_from_file_location("page", path)
@@ -27,12 +26,7 @@ def test_the_code_of_the_page_runs_and_its_shaders_compile_on_the_driver(tmp_pat
     shaders = [v for v in vars(module).values() if isinstance(v, type) and issubclass(v, Shader) and v is not Shader]
     assert len(shaders) == 7
     for shader in shaders:
-        program = compile_shader(shader)
-        texts = {f"{stage.value}_shader": program.emit("glsl", stage).text for stage in program.stages}
-        if Stage.COMPUTE in program.stages:
-            context.compute_shader(texts["compute_shader"])
-        else:
-            context.program(**texts)
+        link(shader)
 
 
 def test_the_page_names_every_builtin():

@@ -6,7 +6,9 @@ import pytest
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 from stage_runner import run_fragment_glsl, run_fragment_lanes, run_fragment_numpy
-from test_shading_lane_programs import N, blocks, load, program_settings
+from test_shading_lane_programs import N, blocks, program_settings
+
+from rhi.shading import from_source
 
 FRAGMENTS = """from rhi.shading import *
 
@@ -51,8 +53,8 @@ def stages(draw):
     return FRAGMENTS.format(helper=helper, body=body, slope=SLOPE if draw(st.booleans()) else "")
 
 
-def check(source, folder, context):
-    shader = load(source, folder)
+def check(source, context):
+    shader = from_source(source)
     given_values = (np.arange(N, dtype="i4") * 37) % 23 - 8
     values = {"given": given_values, "out": N, "sums": 16}
     offset = {"offset": np.array(1, "i4")}
@@ -71,19 +73,19 @@ def check(source, folder, context):
 
 @program_settings(10)
 @given(source=stages())
-def test_fragments_mean_the_same_in_every_language(source, tmp_path, context):
-    check(source, tmp_path, context)
+def test_fragments_mean_the_same_in_every_language(source, context):
+    check(source, context)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("piece", range(10))
-def test_a_thousand_fragment_stages_mean_the_same_in_every_language(piece, tmp_path, context):
+def test_a_thousand_fragment_stages_mean_the_same_in_every_language(piece, context):
     """A hundred programs for each seed; `-k "[7]"` repeats one seed."""
 
     @seed(piece)
     @settings(program_settings(100), derandomize=False)
     @given(source=stages())
     def piece_of_them(source):
-        check(source, tmp_path, context)
+        check(source, context)
 
     piece_of_them()

@@ -4,9 +4,7 @@ Numbers are ints, so that agreement is equality. Programs nest loops with varyin
 returns, write local arrays at varying places, store where a mask says so, and add atomically.
 """
 
-import importlib.util
 import itertools
-import sys
 
 import numpy as np
 import pytest
@@ -14,7 +12,7 @@ from hypothesis import Phase, given, seed, settings
 from hypothesis import strategies as st
 from opencl_runner import built_together, run_opencl
 
-from rhi.shading import run_compute
+from rhi.shading import from_source, run_compute
 
 N = 64
 HEADER = """from rhi.shading import *
@@ -149,23 +147,6 @@ def programs(draw):
     return HEADER.format(helper=text(helper), body=text(draw(blocks())))
 
 
-def load(source, folder):
-    path = folder / f"program_{next(numbers)}.py"
-    path.write_text(source)
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module
-    try:
-        spec.loader.exec_module(module)
-    finally:
-        del sys.modules[path.stem]
-    return module.Test
-
-
-def check(source, folder, run):
-    check_shader(load(source, folder), source, run)
-
-
 def check_shader(shader, source, run):
     given_values = (np.arange(N, dtype="i4") * 37) % 23 - 8
     values = {"given": given_values, "out": N, "sums": 16}
@@ -189,15 +170,15 @@ def program_settings(count):
     )
 
 
-def check_together(sources, folder, run):
+def check_together(sources, run):
     """Check programs whose kernels are built as one OpenCL program per width."""
-    shaders = {source: load(source, folder) for source in sources}
+    shaders = {source: from_source(source) for source in sources}
     with built_together(shaders.values(), 1), built_together(shaders.values(), 16):
         for source, shader in shaders.items():
             check_shader(shader, source, run)
 
 
-def test_programs_mean_the_same_in_every_language(tmp_path, run):
+def test_programs_mean_the_same_in_every_language(run):
     sources = []
 
     @program_settings(12)
@@ -206,7 +187,7 @@ def test_programs_mean_the_same_in_every_language(tmp_path, run):
         sources.append(source)
 
     make()
-    check_together(sources, tmp_path, run)
+    check_together(sources, run)
 
 
 @pytest.mark.parametrize(
@@ -225,15 +206,15 @@ def test_programs_mean_the_same_in_every_language(tmp_path, run):
         ),
     ],
 )
-def test_a_program_that_once_differed_means_the_same_in_every_language(helper, body, tmp_path, run):
+def test_a_program_that_once_differed_means_the_same_in_every_language(helper, body, run):
     source = HEADER.format(helper=f"        {helper}", body=f"        {body}")
     assert helper in source
-    check(source, tmp_path, run)
+    check_shader(from_source(source), source, run)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("piece", range(20))
-def test_two_thousand_programs_mean_the_same_in_every_language(piece, tmp_path, run):
+def test_two_thousand_programs_mean_the_same_in_every_language(piece, run):
     """A hundred programs for each seed; `-k "[7]"` repeats one seed."""
 
     sources = []
@@ -245,4 +226,4 @@ def test_two_thousand_programs_mean_the_same_in_every_language(piece, tmp_path, 
         sources.append(source)
 
     make()
-    check_together(sources, tmp_path, run)
+    check_together(sources, run)

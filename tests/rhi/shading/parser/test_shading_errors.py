@@ -1,16 +1,13 @@
 """Every rule of the language: a shader that breaks it, and beside it one that doesn't."""
 
 import bisect
-import importlib.util
-import itertools
 import pickle
-import sys
 import textwrap
 
 import pytest
 
 from rhi.errors import RULES, ShaderError, ShaderWarning, ValidationError
-from rhi.shading import Shader, StorageRW, Struct, compile_shader, function, mat3, sin, uint, vec3, vec4
+from rhi.shading import Shader, StorageRW, Struct, compile_shader, from_source, function, mat3, sin, uint, vec3, vec4
 
 PRELUDE = """
 from rhi import Format
@@ -40,27 +37,11 @@ class Base(Shader):
     def bump(self) -> int:
         return atomic_add(self.counts[0], 1)
 """
-_number = itertools.count()
 
 
-@pytest.fixture
-def define(tmp_path):
-    """Return `define(source)`, which returns the last class of a module made of the prelude and the source."""
-
-    def define(source):
-        name = f"shader_of_a_test_{next(_number)}"
-        path = tmp_path / f"{name}.py"
-        path.write_text(PRELUDE + textwrap.dedent(source))
-        spec = importlib.util.spec_from_file_location(name, path)
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module
-        try:
-            spec.loader.exec_module(module)
-        finally:
-            del sys.modules[name]
-        return [value for value in vars(module).values() if isinstance(value, type)][-1]
-
-    return define
+def define(source):
+    """Return the last shader of a text made of the prelude and the source."""
+    return from_source(PRELUDE + textwrap.dedent(source), file="test.py")
 
 
 def body(*lines):
@@ -255,7 +236,7 @@ BODIES = [
 
 
 @pytest.mark.parametrize(("rule", "bad", "good", "says"), BODIES, ids=[f"{b[0]}: {'; '.join(b[1])}" for b in BODIES])
-def test_a_body_that_breaks_a_rule_is_refused_and_its_neighbour_is_not(define, rule, bad, good, says):
+def test_a_body_that_breaks_a_rule_is_refused_and_its_neighbour_is_not(rule, bad, good, says):
     with pytest.raises(ShaderError, match=rf"^\[shading-{rule}\]") as error:
         compile_shader(define(body(*bad)))
     assert says in str(error.value)
@@ -378,7 +359,7 @@ CLASSES = [
 
 
 @pytest.mark.parametrize(("rule", "shader", "old", "new", "says"), CLASSES, ids=[f"{c[0]}: {c[3]}" for c in CLASSES])
-def test_a_class_that_breaks_a_rule_is_refused_and_the_original_is_not(define, rule, shader, old, new, says):
+def test_a_class_that_breaks_a_rule_is_refused_and_the_original_is_not(rule, shader, old, new, says):
     assert old in shader
     with pytest.raises(ShaderError, match=rf"^\[shading-{rule}\]") as error:
         compile_shader(define(shader.replace(old, new)), strict=True)
@@ -386,7 +367,7 @@ def test_a_class_that_breaks_a_rule_is_refused_and_the_original_is_not(define, r
     compile_shader(define(shader), strict=True)
 
 
-def test_all_that_is_wrong_in_a_shader_is_one_error(define):
+def test_all_that_is_wrong_in_a_shader_is_one_error():
     """A helper for each faulty body, called from one stage, with bodies that are right between them."""
     bodies = [lines for _, bad, good, _ in BODIES for lines in (bad, good)]
     text, calls, first = ["class Test(Base):"], [], []
@@ -408,7 +389,7 @@ def test_all_that_is_wrong_in_a_shader_is_one_error(define):
     assert found.keys() < wanted.keys(), "bodies that are right are said to be wrong"
 
 
-def test_what_follows_from_an_error_is_no_error(define):
+def test_what_follows_from_an_error_is_no_error():
     lines = (
         "a = wieght",
         "b = a.x + 1.0",
@@ -432,7 +413,7 @@ def test_what_follows_from_an_error_is_no_error(define):
     assert all(f"{error.site}" in text for error in caught.value.others)
 
 
-def test_more_errors_than_are_shown_are_counted(define):
+def test_more_errors_than_are_shown_are_counted():
     for count, rest in ((10, ""), (11, "and 1 more errors"), (13, "and 3 more errors")):
         with pytest.raises(ShaderError) as caught:
             compile_shader(define(body(*(f"x{number} = lost{number}" for number in range(count)))))
@@ -441,7 +422,7 @@ def test_more_errors_than_are_shown_are_counted(define):
         assert str(caught.value).endswith(rest)
 
 
-def test_both_stages_their_interface_and_a_shared_function_are_checked(define):
+def test_both_stages_their_interface_and_a_shared_function_are_checked():
     shader = GRAPHICS.replace("vec4(0)", "lost").replace("v.uv, 0", "v.lost, wieght").replace("v: V", "v: int, w: V")
     with pytest.raises(ShaderError) as caught:
         compile_shader(define(shader))
@@ -453,13 +434,13 @@ def test_both_stages_their_interface_and_a_shared_function_are_checked(define):
     ]
 
 
-def test_all_bindings_that_are_wrong_are_one_error(define):
+def test_all_bindings_that_are_wrong_are_one_error():
     with pytest.raises(ShaderError) as caught:
         define("class Test(Base):\n    a: Uniform[str]\n    b: Uniform[float]\n    c: int\n")
     assert [error.call for error in (caught.value, *caught.value.others)] == ["class Test: a", "class Test: c"]
 
 
-def test_an_unused_binding_is_a_warning_once(define):
+def test_an_unused_binding_is_a_warning_once():
     shader = define(VARIANT.replace("= self.spare", "= 2.0"))
     with pytest.warns(ShaderWarning, match="spare is never used") as caught:
         program = compile_shader(shader)
@@ -470,7 +451,7 @@ def test_an_unused_binding_is_a_warning_once(define):
         compile_shader(shader, strict=True)
 
 
-def test_an_error_names_file_line_and_column_and_points_at_the_word(define):
+def test_an_error_names_file_line_and_column_and_points_at_the_word():
     with pytest.raises(ShaderError) as error:
         compile_shader(define(body("x = 1.0", "y = x * wieght")))
     line = PRELUDE.count("\n") + 4
@@ -484,13 +465,13 @@ def test_an_error_names_file_line_and_column_and_points_at_the_word(define):
     assert shown[at + 1].count("^") == len("wieght")
 
 
-def test_a_traceback_is_not_filled_with_the_compiler(define):
+def test_a_traceback_is_not_filled_with_the_compiler():
     with pytest.raises(ShaderError) as error:
         compile_shader(define(body("x = wieght")))
     assert len(error.traceback) <= 2  # this line, and the function it calls
 
 
-def test_a_caret_counts_characters_and_not_bytes(define):
+def test_a_caret_counts_characters_and_not_bytes():
     with pytest.raises(ShaderError) as error:
         compile_shader(define(body("größe = 1.0", "y = größe + nnn")))
     shown = str(error.value).splitlines()
@@ -509,7 +490,7 @@ def test_a_caret_counts_characters_and_not_bytes(define):
     ],
     ids=["a type", "a function", "an annotation", "a field", "a binding"],
 )
-def test_a_name_of_the_language_that_is_not_imported_is_to_be_imported(define, name, source):
+def test_a_name_of_the_language_that_is_not_imported_is_to_be_imported(name, source):
     with pytest.raises(ShaderError) as caught:
         compile_shader(define(f"del {name}\n{source}"))
     assert caught.value.tip == f"import it: from rhi.shading import {name}"
