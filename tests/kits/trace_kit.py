@@ -13,20 +13,6 @@ from testing_kit import Corner, House, Tint
 
 import rhi
 import rhi.shading as sl
-from rhi import (
-    BlendFunction,
-    ColorWrite,
-    CullMode,
-    Format,
-    IndirectDraws,
-    Primitive,
-    SamplerDescriptor,
-    Scissor,
-    StencilFront,
-    StencilTest,
-    TextureKind,
-    Viewport,
-)
 from rhi.trace import save
 
 VERSION_1 = Path(__file__).parents[1] / "rhi/trace/version-1.zip"
@@ -56,7 +42,7 @@ class Pictured(sl.Shader):
 class Inked(sl.Shader):
     """Work on an image and on memory."""
 
-    ink: sl.Image2D = sl.image(Format.R32F)
+    ink: sl.Image2D = sl.image(rhi.Format.R32F)
     numbers: sl.StorageRW[float]
     work_group = (4,)
 
@@ -97,23 +83,23 @@ def record_much(device: rhi.Device) -> rhi.Texture:
     """A frame of the house, and a second one of what it leaves out; the presented image."""
     house = House(device)
     house.render()
-    picture = device.texture(np.full((4, 4, 4), (10, 200, 30, 255), np.uint8), Format.RGBA8, levels=None)
-    faces = device.texture((4, 4), Format.RGBA16F, kind=TextureKind.CUBE, label="faces")
+    picture = device.texture(np.full((4, 4, 4), (10, 200, 30, 255), np.uint8), rhi.Format.RGBA8, levels=None)
+    faces = device.texture((4, 4), rhi.Format.RGBA16F, kind=rhi.TextureKind.CUBE, label="faces")
     faces.write(np.ones((6, 4, 4, 4), np.float16))
     numbers = device.storage(int, np.arange(8, dtype=np.int32))
     doubled = device.storage(int, 8)
     device.dispatch(device.program(Doubled), 2, source=numbers, target=doubled)
     device.buffer(np.arange(4)).copy_to(device.buffer(4, np.int64))
     query = device.occlusion_query()
-    stencil = device.texture((64, 48), Format.D32FS8)
-    sampler = device.sampler(SamplerDescriptor(minify=rhi.Filter.NEAREST, magnify=rhi.Filter.NEAREST))
+    stencil = device.texture((64, 48), rhi.Format.D32FS8)
+    sampler = device.sampler(rhi.SamplerDescriptor(minify=rhi.Filter.NEAREST, magnify=rhi.Filter.NEAREST))
     with (
         device.event("second"),
         device.render_pass(house.image, stencil, clear=(0, 0, 1, 1), clear_depth=0, clear_stencil=3),
     ):
         with device.states(
-            CullMode.NONE, StencilTest.ON, StencilFront(), Scissor(0, 0, 32, 48), Viewport(0, 0, 64, 48),
-            BlendFunction.ALPHA.at(0), ColorWrite.OFF.at(3),
+            rhi.CullMode.NONE, rhi.StencilTest.ON, rhi.StencilFront(), rhi.Scissor(0, 0, 32, 48),
+            rhi.Viewport(0, 0, 64, 48), rhi.BlendFunction.ALPHA.at(0), rhi.ColorWrite.OFF.at(3),
         ):  # fmt: skip
             with query:
                 device.draw(device.program(Pictured), house.walls, picture=picture.sampled(sampler))
@@ -121,7 +107,7 @@ def record_much(device: rhi.Device) -> rhi.Texture:
             device.draw_many(device.program(Pictured), house.walls, draws, picture=picture.sampled(sampler))
             queries = device.query_set(2)
             device.draw_counted(device.program(Pictured), house.walls, draws, queries, picture=picture.sampled(sampler))
-        with device.immediate(house.lit, Primitive.TRIANGLES, light=house.light, tint=house.tint) as corners:
+        with device.immediate(house.lit, rhi.Primitive.TRIANGLES, light=house.light, tint=house.tint) as corners:
             for place in ((-1, -1), (1, -1), (0, 1)):
                 corners.vertex(position=place)
     device.present(house.image)
@@ -142,18 +128,18 @@ def record_draws(path: Path) -> Path:
         mesh = device.mesh(vertices, np.array([0, 1, 2, 0, 2, 3], np.uint16),
                            instances={"offset": np.zeros((5, 2), np.float32)})  # fmt: skip
         plain = device.mesh(vertices)
-        target = device.texture((8, 8), Format.RGBA8)
+        target = device.texture((8, 8), rhi.Format.RGBA8)
         tint = device.uniform(Tint(color=(1, 1, 1, 1)))
         arguments = device.buffer(mesh.draws([0, 3], 3))
         count = device.buffer(np.array([2], np.uint32))
         groups = device.buffer(np.array([1, 1, 1], np.uint32))
-        ink, numbers = device.texture((8, 8), Format.R32F).image(), device.storage(float, 8)
+        ink, numbers = device.texture((8, 8), rhi.Format.R32F).image(), device.storage(float, 8)
         device.dispatch(device.program(Inked), 2, ink=ink, numbers=numbers)
         device.dispatch_indirect(device.program(Inked), groups, ink=ink, numbers=numbers)
-        with device.render_pass(target, clear=(0, 0, 0, 1)), device.states(CullMode.NONE):
+        with device.render_pass(target, clear=(0, 0, 0, 1)), device.states(rhi.CullMode.NONE):
             device.draw(device.program(Instanced), mesh, 5)
             device.draw(device.program(Tinted), plain, tint=tint)
-            device.draw_indirect(device.program(Instanced), mesh, IndirectDraws(arguments, 2, count=count))
+            device.draw_indirect(device.program(Instanced), mesh, rhi.IndirectDraws(arguments, 2, count=count))
         device.present(target)
         save(device, path)
     return path

@@ -14,39 +14,7 @@ from dataclasses import dataclass
 from random import Random
 from typing import Final
 
-from rhi import (
-    AlphaFunction,
-    AlphaReference,
-    AlphaTest,
-    AlphaToCoverage,
-    BlendColor,
-    BlendFactor,
-    BlendFunction,
-    BlendOperation,
-    Capabilities,
-    ColorWrite,
-    Comparison,
-    CullMode,
-    DepthBias,
-    DepthFunction,
-    DepthTest,
-    DepthWrite,
-    Format,
-    FrontFace,
-    PolygonOffset,
-    Primitive,
-    Scissor,
-    State,
-    StencilBack,
-    StencilFront,
-    StencilOperation,
-    StencilReadMask,
-    StencilReference,
-    StencilTest,
-    StencilWriteMask,
-    TextureKind,
-    Viewport,
-)
+import rhi
 from rhi.conformance.programs.steps import (
     ClearCells,
     Color,
@@ -88,7 +56,7 @@ class Pipeline:
 
     ink: Ink
     blends: tuple[bool, ...]
-    depth: tuple[State, ...]
+    depth: tuple[rhi.State, ...]
     alpha_test: bool = False
     alpha_to_coverage: bool = False
     stencil: bool = False
@@ -98,8 +66,8 @@ class Pipeline:
 class PassKind:
     """The formats of a pass, and the pipelines of its draws."""
 
-    colors: tuple[Format, ...]
-    depth: Format | None
+    colors: tuple[rhi.Format, ...]
+    depth: rhi.Format | None
     samples: int
     pipelines: tuple[Pipeline, ...]
 
@@ -109,10 +77,10 @@ class Theme:
     """The kinds of passes in some programs, and what they may ask for."""
 
     kinds: tuple[PassKind, ...]
-    capabilities: Capabilities
+    capabilities: rhi.Capabilities
 
 
-def make_theme(seed: int, capabilities: Capabilities) -> Theme:
+def make_theme(seed: int, capabilities: rhi.Capabilities) -> Theme:
     """Return a random theme of what a device offers."""
     random = Random(f"theme {seed}")
     colors = [f for f in FORMATS if f not in capabilities.unrenderable_formats]
@@ -142,7 +110,11 @@ def make_theme(seed: int, capabilities: Capabilities) -> Theme:
 
 
 def _make_pipeline(
-    random: Random, formats: tuple[Format, ...], depth: Format | None, samples: int, capabilities: Capabilities
+    random: Random,
+    formats: tuple[rhi.Format, ...],
+    depth: rhi.Format | None,
+    samples: int,
+    capabilities: rhi.Capabilities,
 ) -> Pipeline:
     kind = formats[0].kind if formats else ChannelKind.UNORM
     if kind in (ChannelKind.UINT, ChannelKind.INT):
@@ -151,12 +123,12 @@ def _make_pipeline(
     else:
         ink = Ink.TWO if len(formats) == 2 and random.random() < 0.7 else random.choice(_FLOAT_INKS)
         blends = tuple(random.random() < 0.6 and f not in capabilities.unblendable_formats for f in formats)
-    states: tuple[State, ...] = ()
+    states: tuple[rhi.State, ...] = ()
     if depth is not None:
         states = (
-            random.choice([*DepthFunction]),
-            random.choice([DepthWrite.ON, DepthWrite.ON, DepthWrite.OFF]),
-            random.choice([DepthTest.ON] * 5 + [DepthTest.OFF]),
+            random.choice([*rhi.DepthFunction]),
+            random.choice([rhi.DepthWrite.ON, rhi.DepthWrite.ON, rhi.DepthWrite.OFF]),
+            random.choice([rhi.DepthTest.ON] * 5 + [rhi.DepthTest.OFF]),
         )
     floats = ink not in (Ink.UINT, Ink.INT)
     return Pipeline(
@@ -222,7 +194,7 @@ class _Maker:
         depths = [] if kind.depth is None else [self._add_image(kind.depth, kind.samples) for _ in range(2)]
         self._targets.append((slots, depths))
 
-    def _add_image(self, format: Format, samples: int) -> int:
+    def _add_image(self, format: rhi.Format, samples: int) -> int:
         random, (width, height) = self._random, self._size
         number = len(self._images)
         if samples > 1:
@@ -232,18 +204,18 @@ class _Maker:
                 self._images.append(Image(self._size, format))
                 self._sources.append(number + 1)
             return number
-        kinds = [TextureKind.D2] * 3 + [TextureKind.D2_ARRAY]
+        kinds = [rhi.TextureKind.D2] * 3 + [rhi.TextureKind.D2_ARRAY]
         if width == height:
-            kinds += [TextureKind.CUBE] * 2
+            kinds += [rhi.TextureKind.CUBE] * 2
         if not format.is_depth:
-            kinds.append(TextureKind.D3)
+            kinds.append(rhi.TextureKind.D3)
         kind = random.choice(kinds)
-        layers = {TextureKind.D2: 1, TextureKind.CUBE: 6}.get(kind, random.choice([2, 4]))
+        layers = {rhi.TextureKind.D2: 1, rhi.TextureKind.CUBE: 6}.get(kind, random.choice([2, 4]))
         levels = random.choice([1, 3]) if width % 16 == 0 == height % 16 else 1
-        if kind is TextureKind.D3 and levels > 1:
+        if kind is rhi.TextureKind.D3 and levels > 1:
             layers = 4
         self._images.append(Image(self._size, format, kind, layers, levels))
-        if not format.is_integer and kind in (TextureKind.D2, TextureKind.D2_ARRAY):
+        if not format.is_integer and kind in (rhi.TextureKind.D2, rhi.TextureKind.D2_ARRAY):
             self._sources.append(number)
         return number
 
@@ -251,8 +223,8 @@ class _Maker:
         """Add a shape; `integers` are the kind and the largest number of its colors."""
         random, (width, height) = self._random, self._size
         primitive = random.choice(
-            [Primitive.TRIANGLES] * 4
-            + [Primitive.QUADS, Primitive.TRIANGLE_STRIP, Primitive.TRIANGLE_FAN, Primitive.POINTS]
+            [rhi.Primitive.TRIANGLES] * 4
+            + [rhi.Primitive.QUADS, rhi.Primitive.TRIANGLE_STRIP, rhi.Primitive.TRIANGLE_FAN, rhi.Primitive.POINTS]
         )
         corners: list[tuple[float, ...]] = []
 
@@ -269,11 +241,11 @@ class _Maker:
         for _ in range(random.choice([1, 3, 6])):
             slope = random.choice([0.0, 0.0, 0.0, 0.25, -0.5])
             perspective = random.random() < 0.1
-            if primitive is Primitive.POINTS:
+            if primitive is rhi.Primitive.POINTS:
                 add([(random.randrange(width) + 0.5, random.randrange(height) + 0.5)])
-            elif primitive is Primitive.QUADS:
+            elif primitive is rhi.Primitive.QUADS:
                 add(self._rectangle(), slope)
-            elif primitive is Primitive.TRIANGLES and random.random() < 0.5:
+            elif primitive is rhi.Primitive.TRIANGLES and random.random() < 0.5:
                 a, b, c, d = self._rectangle()
                 add([a, b, c, a, c, d], slope)
             else:
@@ -281,10 +253,10 @@ class _Maker:
         indices = None
         if random.random() < 0.4:
             count = len(corners) + random.choice([0, 3])
-            per = {Primitive.TRIANGLES: 3, Primitive.QUADS: 4}.get(primitive, 1)
+            per = {rhi.Primitive.TRIANGLES: 3, rhi.Primitive.QUADS: 4}.get(primitive, 1)
             starts = [per * random.randrange(len(corners) // per) for _ in range(max(1, count // per))]
             listed = [start + i for start in starts for i in range(per)]
-            if primitive in (Primitive.TRIANGLE_STRIP, Primitive.TRIANGLE_FAN):
+            if primitive in (rhi.Primitive.TRIANGLE_STRIP, rhi.Primitive.TRIANGLE_FAN):
                 listed = [random.randrange(len(corners)) for _ in range(count)]
             indices = tuple(listed)
         self._shapes.append(Shape(primitive, tuple(corners), indices))
@@ -391,7 +363,7 @@ class _Maker:
             resolve,
         )  # fmt: skip
 
-    def _clear_color(self, format: Format) -> Color:
+    def _clear_color(self, format: rhi.Format) -> Color:
         if format.is_integer:
             return self._color((format.kind, min(largest(format), 1 << 24)))
         return self._color(None)
@@ -404,7 +376,7 @@ class _Maker:
         shape = self._shapes[number]
         source = None
         if pipeline.ink in (Ink.LOAD, Ink.LOAD_LAYER):
-            wanted = TextureKind.D2 if pipeline.ink is Ink.LOAD else TextureKind.D2_ARRAY
+            wanted = rhi.TextureKind.D2 if pipeline.ink is Ink.LOAD else rhi.TextureKind.D2_ARRAY
             possible = [
                 place
                 for i in self._sources
@@ -425,7 +397,7 @@ class _Maker:
                     query = None
                 else:
                     self._ended.add(query)
-        if shape.primitive is Primitive.QUADS and way in (Way.MANY, Way.INDIRECT):
+        if shape.primitive is rhi.Primitive.QUADS and way in (Way.MANY, Way.INDIRECT):
             way = Way.DIRECT
         if way is Way.COUNTED and recorded:
             way = Way.DIRECT
@@ -442,7 +414,7 @@ class _Maker:
 
     def _make_parts(self, shape: Shape, way: Way) -> tuple[Part, ...]:
         random = self._random
-        per = {Primitive.TRIANGLES: 3, Primitive.QUADS: 4}.get(shape.primitive, 1)
+        per = {rhi.Primitive.TRIANGLES: 3, rhi.Primitive.QUADS: 4}.get(shape.primitive, 1)
         parts = []
         for _ in range(1 if way is Way.DIRECT and random.random() < 0.8 else random.choice([1, 2, 3])):
             first, end = 0, shape.elements
@@ -455,72 +427,77 @@ class _Maker:
 
     def _make_states(
         self, kind: PassKind, pipeline: Pipeline, size: tuple[int, int]
-    ) -> tuple[tuple[State, ...], tuple[int, int] | None]:
+    ) -> tuple[tuple[rhi.State, ...], tuple[int, int] | None]:
         random = self._random
-        states: list[State] = list(pipeline.depth)
-        states.append(random.choice([CullMode.NONE] * 4 + [CullMode.BACK, CullMode.FRONT]))
+        states: list[rhi.State] = list(pipeline.depth)
+        states.append(random.choice([rhi.CullMode.NONE] * 4 + [rhi.CullMode.BACK, rhi.CullMode.FRONT]))
         if random.random() < 0.3:
-            states.append(FrontFace.CLOCKWISE)
+            states.append(rhi.FrontFace.CLOCKWISE)
         blended = False
         for target, blends in enumerate(pipeline.blends):
             if blends:
                 states.append(self._make_blending().at(target))
                 blended = True
             if target >= (2 if pipeline.ink is Ink.TWO else 1):
-                states.append(ColorWrite.OFF.at(target))
+                states.append(rhi.ColorWrite.OFF.at(target))
             elif random.random() < 0.2:
                 flags = [random.random() < 0.6 for _ in range(4)]
                 flags[0] |= kind.colors[target].channels == 1 or not any(flags)
-                states.append(ColorWrite(*flags).at(target))
+                states.append(rhi.ColorWrite(*flags).at(target))
         if blended:
-            states.append(BlendColor(*self._color(None)))
+            states.append(rhi.BlendColor(*self._color(None)))
         if pipeline.alpha_test:
-            states += [AlphaTest.ON, random.choice([*AlphaFunction])]
-            states.append(AlphaReference(random.choice([0.0, 0.25, 0.5, 1.0, 0.3])))
+            states += [rhi.AlphaTest.ON, random.choice([*rhi.AlphaFunction])]
+            states.append(rhi.AlphaReference(random.choice([0.0, 0.25, 0.5, 1.0, 0.3])))
         if pipeline.alpha_to_coverage:
-            states.append(AlphaToCoverage.ON)
+            states.append(rhi.AlphaToCoverage.ON)
         if pipeline.stencil:
-            states.append(StencilTest.ON)
+            states.append(rhi.StencilTest.ON)
             states += self._make_stencil()
         if kind.depth is not None and random.random() < 0.1:
-            states.append(DepthBias(random.choice([1.0, -2.0, 16.0])))
+            states.append(rhi.DepthBias(random.choice([1.0, -2.0, 16.0])))
         if kind.depth is not None and random.random() < 0.1:
-            states.append(PolygonOffset(random.choice([0.5, -1.0, 2.0]), random.choice([0.0, 0.0, 0.01])))
+            states.append(rhi.PolygonOffset(random.choice([0.5, -1.0, 2.0]), random.choice([0.0, 0.0, 0.01])))
         if random.random() < 0.25:
             x, y = (random.randint(-4, extent) for extent in size)
-            states.append(Scissor(x, y, random.randint(0, size[0]), random.randint(0, size[1])))
+            states.append(rhi.Scissor(x, y, random.randint(0, size[0]), random.randint(0, size[1])))
         view = None
         if random.random() < 0.2:
             view = random.randint(1, size[0]), random.randint(1, size[1])
             part = random.choice([0.0, 0.0, 0.5, 0.25]) if kind.samples == 1 else 0.0
             near, far = random.choice([(0.0, 1.0), (0.0, 1.0), (1.0, 0.0), (0.25, 0.75)])
             left, top = (random.randint(-2, extent // 2) + part for extent in size)
-            states.append(Viewport(left, top, view[0], view[1], near, far))
+            states.append(rhi.Viewport(left, top, view[0], view[1], near, far))
         return tuple(states), view
 
-    def _make_blending(self) -> BlendFunction:
+    def _make_blending(self) -> rhi.BlendFunction:
         random = self._random
         if random.random() < 0.2:
-            named = [BlendFunction.ALPHA, BlendFunction.ADDITIVE, BlendFunction.PREMULTIPLIED, BlendFunction.MULTIPLY]
+            named = [
+                rhi.BlendFunction.ALPHA,
+                rhi.BlendFunction.ADDITIVE,
+                rhi.BlendFunction.PREMULTIPLIED,
+                rhi.BlendFunction.MULTIPLY,
+            ]
             return random.choice(named)
         while True:
-            function = BlendFunction(
-                random.choice([*BlendFactor]), random.choice([*BlendFactor]), random.choice([*BlendOperation]),
-                random.choice([None, *BlendFactor]), random.choice([None, *BlendFactor]),
-                random.choice([None, *BlendOperation]),
+            function = rhi.BlendFunction(
+                random.choice([*rhi.BlendFactor]), random.choice([*rhi.BlendFactor]),
+                random.choice([*rhi.BlendOperation]), random.choice([None, *rhi.BlendFactor]),
+                random.choice([None, *rhi.BlendFactor]), random.choice([None, *rhi.BlendOperation]),
             )  # fmt: skip
             if not function.is_off:
                 return function
 
-    def _make_stencil(self) -> list[State]:
+    def _make_stencil(self) -> list[rhi.State]:
         random = self._random
-        operations = [*StencilOperation]
-        states: list[State] = []
-        for side in (StencilFront, StencilBack):
+        operations = [*rhi.StencilOperation]
+        states: list[rhi.State] = []
+        for side in (rhi.StencilFront, rhi.StencilBack):
             if random.random() < 0.8:
-                function = random.choice([*Comparison, Comparison.ALWAYS, Comparison.ALWAYS])
+                function = random.choice([*rhi.Comparison, rhi.Comparison.ALWAYS, rhi.Comparison.ALWAYS])
                 states.append(side(function, *(random.choice(operations) for _ in range(3))))
-        for kind, usual in ((StencilReference, 1), (StencilReadMask, 255), (StencilWriteMask, 255)):
+        for kind, usual in ((rhi.StencilReference, 1), (rhi.StencilReadMask, 255), (rhi.StencilWriteMask, 255)):
             if random.random() < 0.6:
                 front, back = (random.choice([usual, random.randrange(256)]) for _ in range(2))
                 states.append(kind(front, back if self._theme.capabilities.stencil_per_face else front))
@@ -592,6 +569,8 @@ class _Maker:
 
     def _make_dispatch(self) -> Step | None:
         flat = [
-            i for i in self._sources if self._images[i].kind is TextureKind.D2 and not self._images[i].format.is_depth
+            i
+            for i in self._sources
+            if self._images[i].kind is rhi.TextureKind.D2 and not self._images[i].format.is_depth
         ]
         return Dispatch(Place(self._random.choice(flat))) if flat else None

@@ -23,34 +23,16 @@ from numpy.typing import NDArray
 
 import rhi
 from rhi.conformance import reference
+from rhi.conformance.programs import steps
 from rhi.conformance.programs.coverage import Covered, clip_corners, find_coverage, list_primitives
 from rhi.conformance.programs.intervals import Float, Interval, Tested, compare
 from rhi.conformance.programs.merging import blend, decode, encode, quantise_depth, read_depth
 from rhi.conformance.programs.rules import EXACT, Effect, Rules
-from rhi.conformance.programs.steps import (
-    CELLS,
-    ClearCells,
-    Copy,
-    Dispatch,
-    Draw,
-    Ink,
-    Mipmaps,
-    Pass,
-    Place,
-    Program,
-    Read,
-    Recorded,
-    Reshape,
-    Resolve,
-    Shape,
-    Step,
-    Write,
-)
 from rhi.contract.formats import ChannelKind
 from rhi.contract.states import DEFAULTS, MAX_TARGETS, PER_TARGET
 
-_INTEGER_INKS: Final = (Ink.UINT, Ink.INT)
-_EARLY: Final = (Ink.HOLES_EARLY, Ink.COUNT_EARLY)
+_INTEGER_INKS: Final = (steps.Ink.UINT, steps.Ink.INT)
+_EARLY: Final = (steps.Ink.HOLES_EARLY, steps.Ink.COUNT_EARLY)
 
 
 @dataclass(slots=True)
@@ -72,7 +54,7 @@ class Result:
     high: Float
 
 
-def interpret(program: Program, rules: Rules = EXACT) -> list[Result]:
+def interpret(program: steps.Program, rules: Rules = EXACT) -> list[Result]:
     """Return what each result of `runner.run` may be, in its order."""
     machine = _Machine(program, rules)
     for step in program.steps:
@@ -84,9 +66,9 @@ def interpret(program: Program, rules: Rules = EXACT) -> list[Result]:
 class _Context:
     """A draw's states, and the pass it is in."""
 
-    program: Program
-    whole: Pass
-    draw: Draw
+    program: steps.Program
+    whole: steps.Pass
+    draw: steps.Draw
     states: Mapping[type, Any]
     size: tuple[int, int]
     samples: int
@@ -95,7 +77,7 @@ class _Context:
 
 
 class _Machine:
-    def __init__(self, program: Program, rules: Rules) -> None:
+    def __init__(self, program: steps.Program, rules: Rules) -> None:
         self._program, self._rules = program, rules
         self._levels: dict[tuple[int, int], _Level] = {}
         for number, image in enumerate(program.images):
@@ -109,35 +91,35 @@ class _Machine:
         self._shapes = list(program.shapes)
         self._counts = np.zeros((program.queries, 2))
         self._sets: list[Result] = []
-        self._cells = {name: np.zeros((2, CELLS)) for name in ("counts", "reds")}
+        self._cells = {name: np.zeros((2, steps.CELLS)) for name in ("counts", "reds")}
         self._results: list[Result] = []
 
     # -- steps -----------------------------------------------------------------------------------------------
 
-    def execute(self, step: Step) -> None:
+    def execute(self, step: steps.Step) -> None:
         match step:
-            case Pass():
+            case steps.Pass():
                 self._pass(step)
-            case Recorded():
+            case steps.Recorded():
                 for _ in range(step.times):
                     for part in step.passes:
                         self._pass(part)
-            case Copy():
+            case steps.Copy():
                 self._copy(step)
-            case Write():
+            case steps.Write():
                 self._write(step)
-            case Mipmaps():
+            case steps.Mipmaps():
                 self._mipmaps(step.image)
-            case Resolve():
+            case steps.Resolve():
                 self._resolve(step.source, step.target)
-            case Read():
+            case steps.Read():
                 self._results.append(self._view(f"read of {step.place}", step.place))
-            case Reshape():
+            case steps.Reshape():
                 self._reshape(step)
-            case ClearCells():
+            case steps.ClearCells():
                 for cells in self._cells.values():
                     cells[:] = step.value
-            case Dispatch():
+            case steps.Dispatch():
                 self._dispatch(step)
 
     def finish(self) -> list[Result]:
@@ -153,7 +135,7 @@ class _Machine:
                 continue
             for level in range(image.levels):
                 for layer in range(image.level_layers(level)):
-                    place = Place(number, level, layer)
+                    place = steps.Place(number, level, layer)
                     results.append(self._view(f"image {number}, level {level}, layer {layer}", place))
                     if image.format.has_stencil:
                         stored = self._levels[number, level]
@@ -166,7 +148,7 @@ class _Machine:
                         )
         return results
 
-    def _view(self, name: str, place: Place) -> Result:
+    def _view(self, name: str, place: steps.Place) -> Result:
         stored = self._levels[place.image, place.level]
         part = Interval(stored.low[place.layer, :, :, 0].copy(), stored.high[place.layer, :, :, 0].copy())
         format = self._program.images[place.image].format
@@ -175,7 +157,7 @@ class _Machine:
             part = Interval(part.low.astype(np.float32), part.high.astype(np.float32)).widen(6e-8)
         return Result(name, part.low, part.high)
 
-    def _copy(self, step: Copy) -> None:
+    def _copy(self, step: steps.Copy) -> None:
         source = self._levels[step.source.image, step.source.level]
         target = self._levels[step.target.image, step.target.level]
         x, y, width, height, layer, layers = step.box
@@ -185,7 +167,7 @@ class _Machine:
         for name in ("low", "high", "stencil_low", "stencil_high"):
             getattr(target, name)[there] = getattr(source, name)[here].copy()
 
-    def _write(self, step: Write) -> None:
+    def _write(self, step: steps.Write) -> None:
         stored = self._levels[step.target.image, step.target.level]
         texels = random_texels(self._program.images[step.target.image].format, step)
         rows, columns = slice(step.y, step.y + step.height), slice(step.x, step.x + step.width)
@@ -222,23 +204,23 @@ class _Machine:
                 stored = stored.widen(self._rules.mip_steps).clip(least, most)
             below.low[:], below.high[:] = stored.low, stored.high
 
-    def _reshape(self, step: Reshape) -> None:
+    def _reshape(self, step: steps.Reshape) -> None:
         shape, source = self._shapes[step.shape], self._shapes[step.source]
         kept = min(len(shape.corners), len(source.corners))
         corners = source.corners[:kept] + shape.corners[kept:]
-        self._shapes[step.shape] = Shape(shape.primitive, corners, shape.indices)
+        self._shapes[step.shape] = steps.Shape(shape.primitive, corners, shape.indices)
 
-    def _dispatch(self, step: Dispatch) -> None:
+    def _dispatch(self, step: steps.Dispatch) -> None:
         image, stored = self._program.images[step.source.image], self._levels[step.source.image, 0]
         value = decode(image.format, Interval(stored.low[0, :, :, 0], stored.high[0, :, :, 0]), self._rules)
         value = value[..., 0].clip(0.0, 4.0)
         for column in range(value.low.shape[1]):
-            self._cells["counts"][0, column % CELLS] += np.floor(value.low[:, column] * 8.0).sum()
-            self._cells["counts"][1, column % CELLS] += np.floor(value.high[:, column] * 8.0).sum()
+            self._cells["counts"][0, column % steps.CELLS] += np.floor(value.low[:, column] * 8.0).sum()
+            self._cells["counts"][1, column % steps.CELLS] += np.floor(value.high[:, column] * 8.0).sum()
 
     # -- passes ----------------------------------------------------------------------------------------------
 
-    def _pass(self, step: Pass) -> None:
+    def _pass(self, step: steps.Pass) -> None:
         images = self._program.images
         first = step.colors[0] if step.colors else step.depth
         assert first is not None
@@ -263,7 +245,7 @@ class _Machine:
             if target is not None:
                 self._resolve(place.image, target)
 
-    def _draw(self, step: Pass, draw: Draw, size: tuple[int, int], samples: int) -> None:
+    def _draw(self, step: steps.Pass, draw: steps.Draw, size: tuple[int, int], samples: int) -> None:
         faults = [fault for fault in self._rules.faults if not fault.effect & Effect.COLOR]
         effects = Effect(0)
         for fault in faults:
@@ -310,7 +292,7 @@ class _Machine:
         own = colors[list(corners)].astype(np.float64)
         covered = find_coverage(
             context.states, context.size, context.samples, moved, own, self._rules,
-            smooth=context.draw.ink is Ink.SMOOTH, spills=bool(context.effects & Effect.SPILL),
+            smooth=context.draw.ink is steps.Ink.SMOOTH, spills=bool(context.effects & Effect.SPILL),
         )  # fmt: skip
         if covered is None:
             return np.zeros(2)
@@ -324,14 +306,14 @@ class _Machine:
         rows, columns = covered.rows, covered.columns
         # -- the fragment stage
         color = covered.color
-        if draw.source is not None and ink in (Ink.LOAD, Ink.LOAD_LAYER):
+        if draw.source is not None and ink in (steps.Ink.LOAD, steps.Ink.LOAD_LAYER):
             color = self._load(color, draw.source, rows, columns)
         outputs = [color]
-        if ink is Ink.TWO:
+        if ink is steps.Ink.TWO:
             outputs.append(Interval(color.low[..., ::-1], color.high[..., ::-1]))
         full = covered.tested
         kept = Tested(np.ones(full.must.shape[:2], bool), np.ones(full.must.shape[:2], bool))
-        if ink in (Ink.HOLES, Ink.HOLES_EARLY):
+        if ink in (steps.Ink.HOLES, steps.Ink.HOLES_EARLY):
             y, x = np.mgrid[rows, columns]
             holes = (x + y) % 2 == 0
             kept = kept & Tested(~holes, ~holes)
@@ -349,12 +331,12 @@ class _Machine:
         written = passed
         if early:
             written = passed & shown
-        if ink in (Ink.COUNT, Ink.COUNT_EARLY):
+        if ink in (steps.Ink.COUNT, steps.Ink.COUNT_EARLY):
             ran = passed if early else full
             texels = Tested(np.asarray(ran.must.any(axis=2)), np.asarray(ran.may.any(axis=2)))
             self._count(color, texels, columns)
             if context.effects & Effect.RERUN and covered.is_polygon:
-                self._cells["counts"][1, np.arange(columns.start, columns.stop) % CELLS] = np.inf
+                self._cells["counts"][1, np.arange(columns.start, columns.stop) % steps.CELLS] = np.inf
             if context.effects & Effect.SPILL:  # beside the target, whose fragments have effects
                 self._cells["counts"][1] += 1
                 self._cells["counts"][1, 0] += rows.stop - rows.start
@@ -371,7 +353,7 @@ class _Machine:
             may = np.inf
         return np.array([must, may])
 
-    def _load(self, color: Interval, source: Place, rows: slice, columns: slice) -> Interval:
+    def _load(self, color: Interval, source: steps.Place, rows: slice, columns: slice) -> Interval:
         stored = self._levels[source.image, source.level]
         part = Interval(stored.low[source.layer, rows, columns, 0], stored.high[source.layer, rows, columns, 0])
         format = self._program.images[source.image].format
@@ -389,7 +371,7 @@ class _Machine:
         reds = [np.floor(np.maximum(end[..., 0], 0.0) * 16.0) for end in (color.low, color.high)]
         counts, most = self._cells["counts"], self._cells["reds"]
         for place, column in enumerate(range(columns.start, columns.stop)):
-            cell = column % CELLS
+            cell = column % steps.CELLS
             counts[0, cell] += ran.must[:, place].sum()
             counts[1, cell] += ran.may[:, place].sum()
             for end, mask in enumerate((ran.must, ran.may)):
@@ -407,7 +389,7 @@ class _Machine:
         old = Interval(stored.low[here][..., 0], stored.high[here][..., 0])
         always = Tested(np.ones(old.low.shape, bool), np.ones(old.low.shape, bool))
         z = covered.depth
-        if context.draw.ink is Ink.DEEP:
+        if context.draw.ink is steps.Ink.DEEP:
             alpha = covered.color[..., 3:]
             z = Interval(*(np.broadcast_to(end, old.low.shape) for end in (alpha.low, alpha.high)))
         else:
@@ -478,8 +460,8 @@ class _Machine:
         return Interval(z.low + low, z.high + high).widen(2e-7)
 
     def _merge_color(
-        self, context: _Context, covered: Covered, number: int, place: Place, format: rhi.Format, output: Interval,
-        written: Tested,
+        self, context: _Context, covered: Covered, number: int, place: steps.Place, format: rhi.Format,
+        output: Interval, written: Tested,
     ) -> None:  # fmt: skip
         states = context.states
         stored = self._levels[place.image, place.level]
@@ -504,7 +486,7 @@ class _Machine:
         stored.low[here], stored.high[here] = after.low, after.high
 
 
-def merge_states(draw: Draw) -> dict[type, Any]:
+def merge_states(draw: steps.Draw) -> dict[type, Any]:
     """Return the value of each state of a draw; of those that exist once per target, a list."""
     values: dict[type, Any] = {
         kind: [value] * MAX_TARGETS if kind in PER_TARGET else value for kind, value in DEFAULTS.items()
@@ -532,7 +514,7 @@ def _box(values: Float, shape: tuple[int, ...]) -> Float:
     return values
 
 
-def random_texels(format: rhi.Format, step: Write) -> NDArray[Any]:
+def random_texels(format: rhi.Format, step: steps.Write) -> NDArray[Any]:
     """Return the texels of a write, (rows, columns, channels) of the format's dtype."""
     rng = np.random.default_rng(step.seed)
     shape = (step.height, step.width, format.channels)

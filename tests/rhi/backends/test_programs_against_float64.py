@@ -14,26 +14,6 @@ import pytest
 from known_faults import CL, FAULTS, LLVMPIPE, SMALLEST
 
 import rhi
-from rhi import (
-    BlendFactor,
-    BlendFunction,
-    BlendOperation,
-    Capabilities,
-    ColorWrite,
-    Comparison,
-    CullMode,
-    DepthFunction,
-    Device,
-    Format,
-    Primitive,
-    Scissor,
-    State,
-    StencilFront,
-    StencilOperation,
-    StencilReference,
-    StencilTest,
-    TextureKind,
-)
 from rhi.conformance import reference
 from rhi.conformance.programs import EXACT, Program, Rules, check, interpret
 from rhi.conformance.programs import steps as step_types
@@ -56,10 +36,10 @@ THEMES = [
         for backend, end in (("gl", 400), ("cl", 400), ("wgpu", 174))
     ),
 ]
-ALL_FORMATS = Capabilities("", "", "")
+ALL_FORMATS = rhi.Capabilities("", "", "")
 
 
-def rules_of(device: Device) -> Rules:
+def rules_of(device: rhi.Device) -> Rules:
     if device.backend_name == "cl":
         return CL
     return LLVMPIPE if "llvmpipe" in device.capabilities.device else EXACT
@@ -83,7 +63,7 @@ def test_random_programs_leave_what_float64_allows(backend: str, themes: range) 
 
 
 @pytest.fixture(scope="module")
-def llvmpipe() -> Iterator[Device]:
+def llvmpipe() -> Iterator[rhi.Device]:
     with rhi.create_device("gl") as device:
         if "llvmpipe" not in device.capabilities.device:
             pytest.skip(f"{device.capabilities.device} isn't llvmpipe")
@@ -91,7 +71,7 @@ def llvmpipe() -> Iterator[Device]:
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
-def test_a_fault_of_llvmpipe_is_still_there(llvmpipe: Device, fault: object) -> None:
+def test_a_fault_of_llvmpipe_is_still_there(llvmpipe: rhi.Device, fault: object) -> None:
     """Its smallest program differs if it isn't excepted, passes if it is, and passes on cl."""
     program = SMALLEST[fault]
     others = replace(LLVMPIPE, faults=tuple(other for other in FAULTS if other is not fault))
@@ -108,21 +88,22 @@ def colors(seed: int, count: int) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 9, (count, 4)) / 8
 
 
-@pytest.mark.parametrize("operation", list(BlendOperation), ids=lambda value: value.name)
-@pytest.mark.parametrize("factor", list(BlendFactor), ids=lambda value: value.name)
-def test_blending_of_intervals_contains_that_of_their_ends(factor: BlendFactor, operation: BlendOperation) -> None:
+@pytest.mark.parametrize("operation", list(rhi.BlendOperation), ids=lambda value: value.name)
+@pytest.mark.parametrize("factor", list(rhi.BlendFactor), ids=lambda value: value.name)
+def test_blending_of_intervals_contains_that_of_their_ends(
+    factor: rhi.BlendFactor, operation: rhi.BlendOperation
+) -> None:
     """Of exact numbers it is that of the reference; of intervals it contains all that lies between."""
-    function = BlendFunction(factor, factor, operation)
+    function = rhi.BlendFunction(factor, factor, operation)
     constant = rhi.BlendColor(0.25, 0.5, 0.75, 1.0)
     numbers = (0.25, 0.5, 0.75, 1.0)
     source, stored = colors(1, 40), colors(2, 40)
-    exact = blend(Format.RGBA32F, function, constant, Interval.of(source), Interval.of(stored), EXACT)
+    exact = blend(rhi.Format.RGBA32F, function, constant, Interval.of(source), Interval.of(stored), EXACT)
     wanted = reference.blend(function, source, stored, numbers)
     assert np.abs(exact.low - wanted).max() < 1e-6
     assert np.abs(exact.high - wanted).max() < 1e-6
-    wide = blend(
-        Format.RGBA32F, function, constant, Interval.of(source).widen(0.125), Interval.of(stored).widen(0.125), EXACT
-    )  # fmt: skip
+    around = Interval.of(source).widen(0.125), Interval.of(stored).widen(0.125)
+    wide = blend(rhi.Format.RGBA32F, function, constant, *around, EXACT)
     for seed in range(3):
         moves = np.random.default_rng(seed).uniform(-0.125, 0.125, (2, 40, 4))
         inside = reference.blend(function, source + moves[0], stored + moves[1], numbers)
@@ -131,33 +112,35 @@ def test_blending_of_intervals_contains_that_of_their_ends(factor: BlendFactor, 
 
 
 SQUARE = Shape(
-    Primitive.QUADS,
+    rhi.Primitive.QUADS,
     tuple((x, y, 0.25, 1.0, 0.5, 0.25, 1.0, 0.5) for x, y in ((1.0, 1.0), (1.0, 6.0), (7.0, 6.0), (7.0, 1.0))),
 )
-DRAW = Draw(Ink.FLAT, 0, (Part(0, 4),), (8, 8), (DepthFunction.LESS, StencilTest.ON, CullMode.NONE), query=0)
+DRAW = Draw(
+    Ink.FLAT, 0, (Part(0, 4),), (8, 8), (rhi.DepthFunction.LESS, rhi.StencilTest.ON, rhi.CullMode.NONE), query=0
+)
 PASS = Pass((Place(0),), Place(1), (DRAW, DRAW), ((0.25, 0.5, 0.0, 1.0),), 0.5, 7)
-IMAGES = (Image((8, 8), Format.RGBA8), Image((8, 8), Format.D24S8))
-STATES: list[State] = [
-    CullMode.FRONT,
-    CullMode.BACK,
-    DepthFunction.LESS_EQUAL,
-    DepthFunction.NEVER,
-    Scissor(1, 1, 6, 4),
-    ColorWrite(green=False),
-    BlendFunction.ADDITIVE,
-    BlendFunction.MULTIPLY,
-    StencilFront(Comparison.GREATER),
-    StencilFront(both_pass=StencilOperation.INCREMENT),
-    StencilFront(depth_fail=StencilOperation.INVERT),
-    StencilReference(9, 9),
+IMAGES = (Image((8, 8), rhi.Format.RGBA8), Image((8, 8), rhi.Format.D24S8))
+STATES: list[rhi.State] = [
+    rhi.CullMode.FRONT,
+    rhi.CullMode.BACK,
+    rhi.DepthFunction.LESS_EQUAL,
+    rhi.DepthFunction.NEVER,
+    rhi.Scissor(1, 1, 6, 4),
+    rhi.ColorWrite(green=False),
+    rhi.BlendFunction.ADDITIVE,
+    rhi.BlendFunction.MULTIPLY,
+    rhi.StencilFront(rhi.Comparison.GREATER),
+    rhi.StencilFront(both_pass=rhi.StencilOperation.INCREMENT),
+    rhi.StencilFront(depth_fail=rhi.StencilOperation.INVERT),
+    rhi.StencilReference(9, 9),
 ]
 
 
 @pytest.mark.parametrize("state", STATES, ids=str)
-def test_a_state_that_a_device_ignores_is_seen(llvmpipe: Device, state: State) -> None:
+def test_a_state_that_a_device_ignores_is_seen(llvmpipe: rhi.Device, state: rhi.State) -> None:
     """The results of a program without a state lie outside of what the program with it allows, and the reverse."""
-    around = () if not isinstance(state, StencilReference) else (StencilFront(Comparison.LESS_EQUAL),)
-    facing = () if state is not CullMode.BACK else (rhi.FrontFace.CLOCKWISE,)
+    around = () if not isinstance(state, rhi.StencilReference) else (rhi.StencilFront(rhi.Comparison.LESS_EQUAL),)
+    facing = () if state is not rhi.CullMode.BACK else (rhi.FrontFace.CLOCKWISE,)
     before = replace(DRAW, states=(*DRAW.states, *around, *facing))
     after = replace(before, states=(*(s for s in before.states if type(s) is not type(state)), state))
     programs = [Program(IMAGES, (SQUARE,), (replace(PASS, draws=(d, d)),), 1) for d in (before, after)]
@@ -211,9 +194,9 @@ def test_programs_have_all_steps_states_and_kinds_of_textures() -> None:
     draws = [draw for step in steps if isinstance(step, Pass) for draw in step.draws]
     # Where lines end differs from platform to platform, and what a platform has alone is its own.
     left_out = {rhi.LineWidth, rhi.PolygonMode, rhi.PlatformState}
-    assert {type(state) for draw in draws for state in draw.states} == set(State.__args__) - left_out
+    assert {type(state) for draw in draws for state in draw.states} == set(rhi.State.__args__) - left_out
     assert {draw.way for draw in draws} == set(step_types.Way)
-    assert {image.kind for program in programs for image in program.images} == set(TextureKind)
+    assert {image.kind for program in programs for image in program.images} == set(rhi.TextureKind)
     assert {
         level
         for p in programs
@@ -240,19 +223,19 @@ def test_a_program_is_printed_as_python_that_makes_it() -> None:
 
 def test_a_failing_program_is_reduced_to_what_fails() -> None:
     """Of a program that fails because of one state, one step with one draw of one primitive with that state is left."""
-    guilty = replace(DRAW, states=(CullMode.NONE, ColorWrite(red=False)), parts=(Part(0, 4, 3), Part(0, 4)))
+    guilty = replace(DRAW, states=(rhi.CullMode.NONE, rhi.ColorWrite(red=False)), parts=(Part(0, 4, 3), Part(0, 4)))
     more = Write(Place(0), 0, 0, 2, 2, 1)
     program = Program(IMAGES, (SQUARE,), (more, PASS, replace(PASS, draws=(DRAW, guilty)), more), 1)
 
     def fails(proposal: Program) -> bool:
         passes = [step for step in proposal.steps if isinstance(step, Pass)]
-        return any(ColorWrite(red=False) in draw.states for step in passes for draw in step.draws)
+        return any(rhi.ColorWrite(red=False) in draw.states for step in passes for draw in step.draws)
 
     small = reduce(program, fails)
     assert len(small.steps) == 1
     assert isinstance(small.steps[0], Pass)
     (draw,) = small.steps[0].draws
-    assert draw == Draw(Ink.FLAT, 0, draw.parts, (8, 8), (ColorWrite(red=False),))
+    assert draw == Draw(Ink.FLAT, 0, draw.parts, (8, 8), (rhi.ColorWrite(red=False),))
     assert [(part.count, part.instances) for part in draw.parts] == [(1, 1)]
     assert small.steps[0].depth is None
     assert small.steps[0].clear == (None,)

@@ -21,31 +21,10 @@ from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
 
 from rhi.backends.cl.raster.kernel_text import declare_struct
+from rhi.contract import states
 from rhi.contract.backend import SAMPLE_COUNTS
 from rhi.contract.descriptors import ProgramDescriptor
 from rhi.contract.formats import ChannelKind, Format
-from rhi.contract.states import (
-    MAX_TARGETS,
-    AlphaFunction,
-    AlphaReference,
-    AlphaTest,
-    AlphaToCoverage,
-    BlendColor,
-    BlendFactor,
-    BlendFunction,
-    BlendOperation,
-    ColorWrite,
-    DepthFunction,
-    DepthTest,
-    DepthWrite,
-    StencilBack,
-    StencilFront,
-    StencilOperation,
-    StencilReadMask,
-    StencilReference,
-    StencilTest,
-    StencilWriteMask,
-)
 
 _PASSES: Final = {
     "never": 0, "less": 1, "equal": 2, "less_equal": 3, "greater": 4, "not_equal": 5, "greater_equal": 6, "always": 7,
@@ -55,14 +34,15 @@ _ALWAYS: Final = _PASSES["always"]
 _ORDERED: Final = [_PASSES[name] for name in ("less", "less_equal", "greater", "greater_equal")]
 _FLOAT_BITS: Final = 32
 _KINDS: Final = {kind: number for number, kind in enumerate(ChannelKind)}
-_STENCIL_OPERATIONS: Final = {operation: number for number, operation in enumerate(StencilOperation)}
-_BLEND_OPERATIONS: Final = {operation: number for number, operation in enumerate(BlendOperation)}
+_STENCIL_OPERATIONS: Final = {operation: number for number, operation in enumerate(states.StencilOperation)}
+_BLEND_OPERATIONS: Final = {operation: number for number, operation in enumerate(states.BlendOperation)}
 _FACTORS: Final = {
-    BlendFactor.ZERO: 0, BlendFactor.SOURCE_COLOR: 1, BlendFactor.SOURCE_ALPHA: 2, BlendFactor.DESTINATION_COLOR: 3,
-    BlendFactor.DESTINATION_ALPHA: 4, BlendFactor.CONSTANT: 5, BlendFactor.SOURCE_ALPHA_SATURATE: 6,
-    BlendFactor.ONE: 8, BlendFactor.ONE_MINUS_SOURCE_COLOR: 9, BlendFactor.ONE_MINUS_SOURCE_ALPHA: 10,
-    BlendFactor.ONE_MINUS_DESTINATION_COLOR: 11, BlendFactor.ONE_MINUS_DESTINATION_ALPHA: 12,
-    BlendFactor.ONE_MINUS_CONSTANT: 13,
+    states.BlendFactor.ZERO: 0, states.BlendFactor.SOURCE_COLOR: 1, states.BlendFactor.SOURCE_ALPHA: 2,
+    states.BlendFactor.DESTINATION_COLOR: 3, states.BlendFactor.DESTINATION_ALPHA: 4, states.BlendFactor.CONSTANT: 5,
+    states.BlendFactor.SOURCE_ALPHA_SATURATE: 6, states.BlendFactor.ONE: 8,
+    states.BlendFactor.ONE_MINUS_SOURCE_COLOR: 9, states.BlendFactor.ONE_MINUS_SOURCE_ALPHA: 10,
+    states.BlendFactor.ONE_MINUS_DESTINATION_COLOR: 11, states.BlendFactor.ONE_MINUS_DESTINATION_ALPHA: 12,
+    states.BlendFactor.ONE_MINUS_CONSTANT: 13,
 }  # fmt: skip
 """Blend factors as numbers. Adding 8 means one minus the factor."""
 
@@ -71,13 +51,13 @@ _BLEND_STATE: Final = 2  # the constant color
 _STENCIL_STATE: Final = 6  # two words for the front, two for the back
 _COLOR_STATE: Final = 10  # for each target: blend function, write mask of a texel's 4 words
 _COLOR_WORDS: Final = 5
-STATE_WORDS: Final = _COLOR_STATE + _COLOR_WORDS * MAX_TARGETS
+STATE_WORDS: Final = _COLOR_STATE + _COLOR_WORDS * states.MAX_TARGETS
 MAX_SAMPLES: Final = max(SAMPLE_COUNTS)
 _MERGER_FIELDS: Final = (
     "samples", "color_count", "has_depth", "depth_bits", "depth_passes", "depth_writes", "has_stencil", "alpha_test",
     "alpha_to_coverage", "test_order", "shades", "unused",
 )  # fmt: skip
-MERGER_STRUCT: Final = np.dtype([(name, "i4") for name in _MERGER_FIELDS] + [("colors", "i4", (MAX_TARGETS, 6))])
+MERGER_STRUCT: Final = np.dtype([(name, "i4") for name in _MERGER_FIELDS] + [("colors", "i4", (states.MAX_TARGETS, 6))])
 """The states of a batch that kernels are compiled for, as data. A color: location, components, channels, bits, kind,
 blends."""
 
@@ -201,7 +181,7 @@ def general_defines(output_words: int) -> str:
     each = ", ".join(f"targets->merger->colors[place][{field}]" for field in range(6))
     fields = {name.upper(): f"(targets->merger->{name})" for name in _MERGER_FIELDS}
     rows = f"for (int place = 0; place < COLOR_COUNT; ++place) {{ X(place, {each}) }}"
-    return _define(fields, MAX_SAMPLES, MAX_TARGETS, output_words, rows)
+    return _define(fields, MAX_SAMPLES, states.MAX_TARGETS, output_words, rows)
 
 
 def _define(fields: Mapping[str, object], samples: int, colors: int, output_words: int, rows: str) -> str:
@@ -225,24 +205,24 @@ def make_key(
     outputs = {output.location: output for output in program.outputs}
     first = outputs.get(0)
     has_alpha = first is not None and first.kind == "float" and first.components == 4
-    alpha_test = has_alpha and values[AlphaTest] is AlphaTest.ON
-    alpha_to_coverage = has_alpha and samples > 1 and values[AlphaToCoverage] is AlphaToCoverage.ON
+    alpha_test = has_alpha and values[states.AlphaTest] is states.AlphaTest.ON
+    alpha_to_coverage = has_alpha and samples > 1 and values[states.AlphaToCoverage] is states.AlphaToCoverage.ON
     keys = tuple(
         ColorKey(
             location, outputs[location].components, format.channels, format.channel_bits[0], format.kind,
-            not format.is_integer and not values[BlendFunction][location].is_off,
+            not format.is_integer and not values[states.BlendFunction][location].is_off,
         )
         for location, format in enumerate(colors)
-        if location in outputs and any(_written_channels(values[ColorWrite][location])[: format.channels])
+        if location in outputs and any(_written_channels(values[states.ColorWrite][location])[: format.channels])
     )  # fmt: skip
-    tests = values[DepthTest] is DepthTest.ON
-    passes = _PASSES[values[DepthFunction].value] if tests else _ALWAYS
-    writes = depth is not None and values[DepthWrite] is DepthWrite.ON
+    tests = values[states.DepthTest] is states.DepthTest.ON
+    passes = _PASSES[values[states.DepthFunction].value] if tests else _ALWAYS
+    writes = depth is not None and values[states.DepthWrite] is states.DepthWrite.ON
     if depth is None or (passes == _ALWAYS and not writes):
         depth_bits, passes, writes = 0, _ALWAYS, False
     else:
         depth_bits = depth.depth_steps.bit_length() or _FLOAT_BITS
-    stencil = depth is not None and depth.has_stencil and values[StencilTest] is StencilTest.ON
+    stencil = depth is not None and depth.has_stencil and values[states.StencilTest] is states.StencilTest.ON
     drops = program.discards or alpha_test or alpha_to_coverage
     gives_depth = program.writes_depth and not program.early_depth
     order = TestOrder.EARLY
@@ -270,34 +250,36 @@ def make_state(values: Mapping[type, Any], colors: Sequence[Format]) -> NDArray[
     """Return a draw's state block, (STATE_WORDS,). Arguments as for `make_key`."""
     state = np.zeros(STATE_WORDS, np.uint32)
     numbers = state.view(np.float32)
-    state[_ALPHA_STATE] = _PASSES[values[AlphaFunction].value]
-    numbers[_ALPHA_STATE + 1] = values[AlphaReference].value
-    constant = values[BlendColor]
+    state[_ALPHA_STATE] = _PASSES[values[states.AlphaFunction].value]
+    numbers[_ALPHA_STATE + 1] = values[states.AlphaReference].value
+    constant = values[states.BlendColor]
     numbers[_BLEND_STATE : _BLEND_STATE + 4] = constant.red, constant.green, constant.blue, constant.alpha
-    for place, side in enumerate((values[StencilFront], values[StencilBack])):
+    for place, side in enumerate((values[states.StencilFront], values[states.StencilBack])):
         codes = [_STENCIL_OPERATIONS[operation] for operation in (side.stencil_fail, side.depth_fail, side.both_pass)]
         state[_STENCIL_STATE + 2 * place] = (
             _PASSES[side.function.value] | codes[0] << 4 | codes[1] << 8 | codes[2] << 12
         )
-        masks = values[StencilReference], values[StencilReadMask], values[StencilWriteMask]
+        masks = values[states.StencilReference], values[states.StencilReadMask], values[states.StencilWriteMask]
         reference, read, write = ((mask.front, mask.back)[place] for mask in masks)
         state[_STENCIL_STATE + 2 * place + 1] = reference | read << 8 | write << 16
     for location, format in enumerate(colors):
         place = _COLOR_STATE + _COLOR_WORDS * location
-        state[place] = _pack_function(values[BlendFunction][location])
+        state[place] = _pack_function(values[states.BlendFunction][location])
         mask, start = 0, 0
-        for bits, written in zip(format.channel_bits, _written_channels(values[ColorWrite][location]), strict=False):
+        for bits, written in zip(
+            format.channel_bits, _written_channels(values[states.ColorWrite][location]), strict=False
+        ):
             mask |= ((1 << bits) - 1) << start if written else 0
             start += bits
         state[place + 1 : place + 5] = np.frombuffer(mask.to_bytes(16, "little"), np.uint32)
     return state
 
 
-def _written_channels(write: ColorWrite) -> tuple[bool, bool, bool, bool]:
+def _written_channels(write: states.ColorWrite) -> tuple[bool, bool, bool, bool]:
     return write.red, write.green, write.blue, write.alpha
 
 
-def _pack_function(function: BlendFunction) -> int:
+def _pack_function(function: states.BlendFunction) -> int:
     """Pack source factor, destination factor and operation of color, then of alpha, in 4 bits each."""
     parts = (
         _FACTORS[function.source],
