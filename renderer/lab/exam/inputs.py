@@ -9,25 +9,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from renderer import scene as scenes
 from renderer.content.shapes import box
 from renderer.lab.exam.case import Found, Measures
 from renderer.lights.culling.projections import make_grid
 from renderer.renderer import Renderer
-from renderer.scene import (
-    Camera,
-    CameraPath,
-    Lights,
-    Orthographic,
-    Perspective,
-    Scene,
-    SceneBuilder,
-    StereoRig,
-    TextureMap,
-    make_geometry,
-    make_height_field,
-    make_material,
-    translation,
-)
 from renderer.scene.cloth import Fabric, Gust, Wind, make_sheet
 from renderer.scene.materials import RANGES
 from renderer.shadows import ShadowSettings
@@ -37,12 +23,12 @@ from rhi import Device, RhiError, create_device
 
 ENDLESS: Final = {"Perspective.far", "StereoRig.convergence", "StereoRig.comfortable.farthest", "make_grid.reach"}
 """Values that may be infinite."""
-CAMERA: Final = Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 0.0))
+CAMERA: Final = scenes.Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 0.0))
 
 
-def make_box() -> SceneBuilder:
+def make_box() -> scenes.SceneBuilder:
     """Begin a scene of one box with lights of all kinds."""
-    builder = SceneBuilder("box")
+    builder = scenes.SceneBuilder("box")
     node = builder.add_node(dynamic=True)
     builder.add_objects(node, builder.add_mesh(box()), builder.add_material())
     builder.lights.add_directional((0, -1, 0))
@@ -53,55 +39,57 @@ def make_box() -> SceneBuilder:
 
 def list_values() -> Iterator[tuple[str, Callable[..., object]]]:
     """Yield values that are given once, each with a function that gives a number for it."""
-    for name, lens in (("Perspective", Perspective()), ("Orthographic", Orthographic(2.0))):
+    for name, lens in (("Perspective", scenes.Perspective()), ("Orthographic", scenes.Orthographic(2.0))):
         for field in ("fov", "aspect", "near", "far") if name == "Perspective" else ("height", "aspect", "near", "far"):
             yield f"{name}.{field}", lambda x, lens=lens, field=field: replace(lens, **{field: x})
-    yield "look_at.position", lambda x: Camera.look_at((0, x, 5), (0, 0, 0))
-    yield "look_at.target", lambda x: Camera.look_at((0, 0, 5), (0, x, 0))
-    yield "look_at.up", lambda x: Camera.look_at((0, 0, 5), (0, 0, 0), (x, 1, 0))
-    yield "CameraPath.record", lambda x: CameraPath.record([replace(CAMERA, position=np.array((x, 0, 0)))])
-    yield "StereoRig.eye_distance", lambda x: StereoRig(eye_distance=x)
-    yield "StereoRig.convergence", lambda x: StereoRig(convergence=x)
-    yield "StereoRig.comfortable.nearest", lambda x: StereoRig.comfortable(Perspective(), x, 10.0)
-    yield "StereoRig.comfortable.farthest", lambda x: StereoRig.comfortable(Perspective(), 1.0, x)
+    yield "look_at.position", lambda x: scenes.Camera.look_at((0, x, 5), (0, 0, 0))
+    yield "look_at.target", lambda x: scenes.Camera.look_at((0, 0, 5), (0, x, 0))
+    yield "look_at.up", lambda x: scenes.Camera.look_at((0, 0, 5), (0, 0, 0), (x, 1, 0))
+    yield "CameraPath.record", lambda x: scenes.CameraPath.record([replace(CAMERA, position=np.array((x, 0, 0)))])
+    yield "StereoRig.eye_distance", lambda x: scenes.StereoRig(eye_distance=x)
+    yield "StereoRig.convergence", lambda x: scenes.StereoRig(convergence=x)
+    yield "StereoRig.comfortable.nearest", lambda x: scenes.StereoRig.comfortable(scenes.Perspective(), x, 10.0)
+    yield "StereoRig.comfortable.farthest", lambda x: scenes.StereoRig.comfortable(scenes.Perspective(), 1.0, x)
     for field in ("distance", "split", "bias"):
         yield f"ShadowSettings.{field}", lambda x, field=field: ShadowSettings(**{field: x})
     for field in ("batch", "persistence", "threshold", "leaf_size"):
         yield f"VisibilitySettings.{field}", lambda x, field=field: VisibilitySettings(**{field: x})
-    yield "make_grid.first_slice", lambda x: make_grid(Perspective(far=9.0), (8, 8), 8, slices=4, first_slice=x)
+    yield "make_grid.first_slice", lambda x: make_grid(scenes.Perspective(far=9.0), (8, 8), 8, slices=4, first_slice=x)
     for field in RANGES:
         count = 4 if field == "base_color" else 3 if field in ("specular_color", "emissive") else 1
         is_metal = field in ("metallic", "roughness")
         model = {"metallic": 1.0} if is_metal and field != "metallic" else {}
         yield (
             f"material.{field}",
-            lambda x, field=field, n=count, model=model: make_material(**{**model, field: x if n == 1 else (x,) * n}),
+            lambda x, field=field, n=count, model=model: scenes.make_material(
+                **{**model, field: x if n == 1 else (x,) * n}
+            ),
         )
-    yield "TextureMap.offset", lambda x: TextureMap(0, offset=(x, 1.0))
-    yield "TextureMap.scale", lambda x: TextureMap(0, scale=(x, 1.0))
-    yield "TextureMap.rotation", lambda x: TextureMap(0, rotation=x)
+    yield "TextureMap.offset", lambda x: scenes.TextureMap(0, offset=(x, 1.0))
+    yield "TextureMap.scale", lambda x: scenes.TextureMap(0, scale=(x, 1.0))
+    yield "TextureMap.rotation", lambda x: scenes.TextureMap(0, rotation=x)
     corners = np.eye(3)
-    yield "make_geometry.positions", lambda x: make_geometry(corners * x, np.arange(3))
-    yield "make_geometry.normals", lambda x: make_geometry(corners, np.arange(3), normals=corners * x)
-    yield "make_geometry.uvs", lambda x: make_geometry(corners, np.arange(3), corners, corners[:, :2] + x)
-    yield "add_node", lambda x: make_box().add_node(translation((0.0, x, 0.0)))
+    yield "make_geometry.positions", lambda x: scenes.make_geometry(corners * x, np.arange(3))
+    yield "make_geometry.normals", lambda x: scenes.make_geometry(corners, np.arange(3), normals=corners * x)
+    yield "make_geometry.uvs", lambda x: scenes.make_geometry(corners, np.arange(3), corners, corners[:, :2] + x)
+    yield "add_node", lambda x: make_box().add_node(scenes.translation((0.0, x, 0.0)))
     yield "add_mesh.bounds", lambda x: make_box().add_mesh(box(), bounds=(np.full(3, -x), np.full(3, x)))
     yield "animate.bounds", lambda x: make_box().animate([0], lambda _: np.eye(4)[None], ((0, 0, x), (1, 1, x)))
-    yield "add_directional.direction", lambda x: Lights().add_directional((x, 1, 0))
-    yield "add_directional.color", lambda x: Lights().add_directional((0, 1, 0), color=(x, 1, 1))
-    yield "add_directional.intensity", lambda x: Lights().add_directional((0, 1, 0), intensity=x)
-    yield "add_point.position", lambda x: Lights().add_point((x, 0, 0), 1.0)
-    yield "add_point.range", lambda x: Lights().add_point((0, 0, 0), x)
-    yield "add_point.color", lambda x: Lights().add_point((0, 0, 0), 1.0, color=(1, x, 1))
-    yield "add_point.intensity", lambda x: Lights().add_point((0, 0, 0), 1.0, intensity=x)
-    yield "add_point.source_radius", lambda x: Lights().add_point((0, 0, 0), 1.0, source_radius=x)
-    yield "add_spot.direction", lambda x: Lights().add_spot((0, 0, 0), (0, x, 0), 1.0, 0.1, 0.2)
-    yield "add_spot.inner", lambda x: Lights().add_spot((0, 0, 0), (0, 1, 0), 1.0, x, 0.2)
-    yield "add_spot.outer", lambda x: Lights().add_spot((0, 0, 0), (0, 1, 0), 1.0, 0.1, x)
+    yield "add_directional.direction", lambda x: scenes.Lights().add_directional((x, 1, 0))
+    yield "add_directional.color", lambda x: scenes.Lights().add_directional((0, 1, 0), color=(x, 1, 1))
+    yield "add_directional.intensity", lambda x: scenes.Lights().add_directional((0, 1, 0), intensity=x)
+    yield "add_point.position", lambda x: scenes.Lights().add_point((x, 0, 0), 1.0)
+    yield "add_point.range", lambda x: scenes.Lights().add_point((0, 0, 0), x)
+    yield "add_point.color", lambda x: scenes.Lights().add_point((0, 0, 0), 1.0, color=(1, x, 1))
+    yield "add_point.intensity", lambda x: scenes.Lights().add_point((0, 0, 0), 1.0, intensity=x)
+    yield "add_point.source_radius", lambda x: scenes.Lights().add_point((0, 0, 0), 1.0, source_radius=x)
+    yield "add_spot.direction", lambda x: scenes.Lights().add_spot((0, 0, 0), (0, x, 0), 1.0, 0.1, 0.2)
+    yield "add_spot.inner", lambda x: scenes.Lights().add_spot((0, 0, 0), (0, 1, 0), 1.0, x, 0.2)
+    yield "add_spot.outer", lambda x: scenes.Lights().add_spot((0, 0, 0), (0, 1, 0), 1.0, 0.1, x)
     yield "Scene.update", lambda x: make_box().build().update(x)
     yield "TessellationSettings.edge_pixels", lambda x: TessellationSettings(edge_pixels=x)
-    yield "make_height_field.heights", lambda x: make_height_field(np.full((3, 3), x), 1.0)
-    yield "make_height_field.size", lambda x: make_height_field(np.zeros((3, 3)), x)
+    yield "make_height_field.heights", lambda x: scenes.make_height_field(np.full((3, 3), x), 1.0)
+    yield "make_height_field.size", lambda x: scenes.make_height_field(np.zeros((3, 3)), x)
     for name in Fabric.__dataclass_fields__:
         yield f"Fabric.{name}", lambda x, name=name: Fabric(**{name: x})
     yield "Wind.velocity", lambda x: Wind((0.0, x, 0.0))
@@ -115,7 +103,7 @@ def list_values() -> Iterator[tuple[str, Callable[..., object]]]:
     yield "make_sheet.room", lambda x: make_sheet(grid, pins, room=((-1.0, -1.0, x), (2.0, 2.0, 2.0)))
 
 
-def list_assignments(scene: Scene) -> Iterator[tuple[str, Callable[..., None]]]:
+def list_assignments(scene: scenes.Scene) -> Iterator[tuple[str, Callable[..., None]]]:
     """Yield what may be written to between two frames, each with a function that writes a number to it."""
     lights = scene.lights
     for kind in ("directional", "point", "spot"):
@@ -131,7 +119,7 @@ def list_assignments(scene: Scene) -> Iterator[tuple[str, Callable[..., None]]]:
     yield "background", lambda x: setattr(scene, "background", (x, 0.0, 0.0))
     yield "lights.sky", lambda x: setattr(lights, "sky", (0.0, x, 0.0))
     yield "lights.ground", lambda x: setattr(lights, "ground", (0.0, 0.0, x))
-    yield "nodes.set_local", lambda x: scene.nodes.set_local(0, translation((x, 0.0, 0.0)))
+    yield "nodes.set_local", lambda x: scene.nodes.set_local(0, scenes.translation((x, 0.0, 0.0)))
 
 
 def _write(array: Any, field: str, value: float) -> None:
@@ -172,11 +160,11 @@ def give_no_numbers(_: Device) -> Found:
     return Found(len(accepted), {"values tried": count, "accepted": ", ".join(accepted) or "none"})
 
 
-def _open(device: Device, scene: Scene) -> Renderer:
+def _open(device: Device, scene: scenes.Scene) -> Renderer:
     return Renderer(device, scene, visibility="none", size=(16, 16))
 
 
-def _give(scene: Scene, renderer: Renderer, name: str, number: float) -> None:
+def _give(scene: scenes.Scene, renderer: Renderer, name: str, number: float) -> None:
     renderer.render(CAMERA)
     dict(list_assignments(scene))[name](number)
     renderer.render(CAMERA)

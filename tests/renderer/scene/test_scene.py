@@ -4,21 +4,8 @@ import numpy as np
 import pytest
 from refusals import find_rule
 
+from renderer import scene as scenes
 from renderer.content import BUILT_IN
-from renderer.scene import (
-    MATERIAL,
-    RELATIVE_POINT,
-    RELATIVE_SPOT,
-    VERTEX,
-    Lights,
-    MeshGeometry,
-    SceneBuilder,
-    make_geometry,
-    make_material,
-    rotation,
-    scaling,
-    translation,
-)
 from renderer.scene.meshes import compute_normals
 from rhi.errors import ValidationError
 from rhi.math import multiply
@@ -27,12 +14,12 @@ TRIANGLE = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
 
 
 def build_two(dynamic=False):
-    builder = SceneBuilder("two")
+    builder = scenes.SceneBuilder("two")
     box = builder.add_mesh(BUILT_IN["box"](), "box")
     ball = builder.add_mesh(BUILT_IN["sphere"](), "ball")
     red = builder.add_material(base_color=(1, 0, 0))
-    arm = builder.add_node(translation((5, 0, 0)), dynamic=dynamic, name="arm")
-    hand = builder.add_node(translation((0, 2, 0)), arm, name="hand")
+    arm = builder.add_node(scenes.translation((5, 0, 0)), dynamic=dynamic, name="arm")
+    hand = builder.add_node(scenes.translation((0, 2, 0)), arm, name="hand")
     still = builder.add_node(name="still")
     builder.add_objects([hand, still], [box, ball], red)
     return builder, arm
@@ -46,9 +33,9 @@ def test_objects_have_the_bounds_of_their_mesh_in_the_world():
 
 
 def test_triangles_are_counted_by_mesh_and_by_object():
-    builder = SceneBuilder("counted")
-    plane = make_geometry([*TRIANGLE, [1.0, 1.0, 0.0]], [0, 1, 2, 2, 1, 3])
-    meshes = [builder.add_mesh(each) for each in (make_geometry(TRIANGLE, [0, 1, 2]), plane, BUILT_IN["box"]())]
+    builder = scenes.SceneBuilder("counted")
+    plane = scenes.make_geometry([*TRIANGLE, [1.0, 1.0, 0.0]], [0, 1, 2, 2, 1, 3])
+    meshes = [builder.add_mesh(each) for each in (scenes.make_geometry(TRIANGLE, [0, 1, 2]), plane, BUILT_IN["box"]())]
     nodes, material = [builder.add_node() for _ in range(3)], builder.add_material()
     builder.add_objects(nodes, [meshes[1], meshes[1], meshes[2]], material)
     scene = builder.build()
@@ -62,7 +49,9 @@ def test_moving_a_node_moves_the_bounds_of_what_hangs_on_it_only():
     scene = builder.build()
     assert scene.objects.dynamic.tolist() == [True, False]
     still = scene.objects.lower[1].copy()
-    scene.nodes.set_local(scene.nodes.find("arm"), multiply(translation((9, 0, 0)), rotation((0, 0, 1), np.pi / 2)))
+    scene.nodes.set_local(
+        scene.nodes.find("arm"), multiply(scenes.translation((9, 0, 0)), scenes.rotation((0, 0, 1), np.pi / 2))
+    )
     assert scene.update().tolist() == [0]
     assert np.allclose(scene.objects.lower[0], (6.5, -0.5, -0.5))
     assert (scene.objects.lower[1] == still).all()
@@ -71,7 +60,7 @@ def test_moving_a_node_moves_the_bounds_of_what_hangs_on_it_only():
 
 def test_an_animation_depends_on_the_time_alone():
     builder, arm = build_two(dynamic=True)
-    builder.animate(arm, lambda seconds: translation([(seconds, 0.0, 0.0)]))
+    builder.animate(arm, lambda seconds: scenes.translation([(seconds, 0.0, 0.0)]))
     scene = builder.build()
     scene.update(3.0)
     first = scene.objects.lower.copy()
@@ -83,14 +72,14 @@ def test_an_animation_depends_on_the_time_alone():
 
 def test_animating_a_static_node_is_refused():
     builder, arm = build_two()
-    builder.animate(arm, lambda seconds: translation([(seconds, 0.0, 0.0)]))
+    builder.animate(arm, lambda seconds: scenes.translation([(seconds, 0.0, 0.0)]))
     assert find_rule(builder.build) == "scene-static-node"
 
 
 def test_meshes_share_arrays_that_draws_can_index():
     scene = build_two()[0].build()
     meshes = scene.meshes
-    assert meshes.vertices.dtype == VERTEX
+    assert meshes.vertices.dtype == scenes.VERTEX
     for mesh, name in enumerate(("box", "sphere")):
         draw = meshes.ranges[mesh]
         geometry = BUILT_IN[name]()
@@ -99,9 +88,9 @@ def test_meshes_share_arrays_that_draws_can_index():
 
 
 def test_transforms_relative_to_a_far_eye_are_exact():
-    builder = SceneBuilder("far")
-    mesh = builder.add_mesh(make_geometry(TRIANGLE, [0, 1, 2]))
-    node = builder.add_node(translation((1e6, 0.0, 1e6 + 0.25)))
+    builder = scenes.SceneBuilder("far")
+    mesh = builder.add_mesh(scenes.make_geometry(TRIANGLE, [0, 1, 2]))
+    node = builder.add_node(scenes.translation((1e6, 0.0, 1e6 + 0.25)))
     builder.add_objects(node, mesh, builder.add_material())
     relative = builder.build().relative_transforms((1e6, 0.0, 1e6))
     assert relative.dtype == np.float32
@@ -109,7 +98,7 @@ def test_transforms_relative_to_a_far_eye_are_exact():
 
 
 SOLIDS = {name: make() for name, make in BUILT_IN.items()}
-SOLIDS["mirrored"] = BUILT_IN["sphere"]().transformed(scaling((-1, 2, 1)))
+SOLIDS["mirrored"] = BUILT_IN["sphere"]().transformed(scenes.scaling((-1, 2, 1)))
 
 
 @pytest.mark.parametrize("name", SOLIDS)
@@ -157,33 +146,33 @@ def test_normals_of_tiny_and_huge_triangles_are_unit(scale):
 )
 def test_bad_meshes_are_refused(positions, indices, rule):
     normals = np.tile((0.0, 0.0, 1.0), (3, 1))
-    assert find_rule(lambda: make_geometry(positions, np.array(indices, np.int64), normals)) == rule
+    assert find_rule(lambda: scenes.make_geometry(positions, np.array(indices, np.int64), normals)) == rule
 
 
 def test_a_geometry_of_another_dtype_is_refused():
-    assert find_rule(lambda: MeshGeometry(np.zeros(3), np.zeros(3, np.uint32))) == "scene-bad-mesh"
+    assert find_rule(lambda: scenes.MeshGeometry(np.zeros(3), np.zeros(3, np.uint32))) == "scene-bad-mesh"
 
 
 def test_a_geometry_whose_indices_name_no_vertex_is_refused():
-    vertices = np.zeros(3, VERTEX)
-    assert find_rule(lambda: MeshGeometry(vertices, np.array([0, 1, 3], np.uint32))) == "scene-bad-mesh"
-    assert MeshGeometry(vertices, np.array([0, 1, 2], np.uint32)).triangle_count == 1
+    vertices = np.zeros(3, scenes.VERTEX)
+    assert find_rule(lambda: scenes.MeshGeometry(vertices, np.array([0, 1, 3], np.uint32))) == "scene-bad-mesh"
+    assert scenes.MeshGeometry(vertices, np.array([0, 1, 2], np.uint32)).triangle_count == 1
 
 
 def test_materials_are_a_storage_buffer_without_padding():
-    assert MATERIAL.itemsize == 112
-    material = make_material(base_color=(0.1, 0.2, 0.3), texture=-1)
+    assert scenes.MATERIAL.itemsize == 112
+    material = scenes.make_material(base_color=(0.1, 0.2, 0.3), texture=-1)
     assert material["base_color"].tolist() == pytest.approx([0.1, 0.2, 0.3, 1.0])
 
 
 def test_lights_are_packed_relative_to_the_eye():
-    lights = Lights()
+    lights = scenes.Lights()
     lights.add_directional((0, -2, 0), intensity=3.0)
     lights.add_point((1e6, 2.0, 0.0), 5.0, (1, 0.5, 0.25), 7.0)
     lights.add_spot((1e6, 3.0, 0.0), (0, -1, 0), 9.0, 0.0, np.pi)
     packed = lights.relative_to((1e6, 0.0, 0.0))
-    assert packed.point.dtype == RELATIVE_POINT
-    assert (RELATIVE_POINT.itemsize, RELATIVE_SPOT.itemsize) == (32, 64)
+    assert packed.point.dtype == scenes.RELATIVE_POINT
+    assert (scenes.RELATIVE_POINT.itemsize, scenes.RELATIVE_SPOT.itemsize) == (32, 64)
     assert packed.point["position"].tolist() == [[0.0, 2.0, 0.0]]
     assert packed.directional["direction"].tolist() == [[0.0, -1.0, 0.0]]
     assert packed.spot["cos_inner"][0] == 1.0
@@ -215,21 +204,21 @@ def test_lights_are_packed_relative_to_the_eye():
     ],
 )
 def test_bad_lights_are_refused_and_nothing_is_added(add):
-    lights = Lights()
+    lights = scenes.Lights()
     assert find_rule(lambda: add(lights)) == "scene-bad-light"
     assert len(lights) == 0
 
 
 def test_the_refusal_of_many_lights_names_the_first_bad_row():
     with pytest.raises(ValidationError, match=r"-2\.0 in row 1"):
-        Lights().add_points(np.zeros((3, 3)), [1.0, -2.0, -3.0])
+        scenes.Lights().add_points(np.zeros((3, 3)), [1.0, -2.0, -3.0])
 
 
 def test_lights_added_as_arrays_are_those_added_one_by_one():
     rng = np.random.default_rng(0)
     places, aims, colors = rng.normal(size=(3, 5, 3))
     ranges, colors = rng.random(5), np.abs(colors)
-    single, bulk = Lights(), Lights()
+    single, bulk = scenes.Lights(), scenes.Lights()
     for lights in (single, bulk):
         lights.add_point((1, 2, 3), 4.0)
     points = [single.add_point(*row, 2.0) for row in zip(places, ranges, colors, strict=True)]
@@ -246,7 +235,7 @@ def test_lights_added_as_arrays_are_those_added_one_by_one():
 
 
 def test_lights_at_the_edge_of_their_range_are_taken():
-    lights = Lights()
+    lights = scenes.Lights()
     lights.add_point((0, 0, 0), 0.0, (0, 0, 0), 0.0)
     lights.add_spot((0, 0, 0), (1e-300, 0, 0), 1e6, 0.0, 0.0)
     assert lights.spot["direction"].tolist() == [[1.0, 0.0, 0.0]]
@@ -270,8 +259,8 @@ def test_ids_of_nothing_are_refused(call):
 
 @pytest.mark.parametrize("image", [np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2, 4)), np.zeros((0, 2, 4), np.uint8)])
 def test_bad_images_are_refused(image):
-    assert find_rule(lambda: SceneBuilder("x").add_image(image)) == "scene-bad-image"
+    assert find_rule(lambda: scenes.SceneBuilder("x").add_image(image)) == "scene-bad-image"
 
 
 def test_a_scene_without_objects_is_refused():
-    assert find_rule(SceneBuilder("nothing").build) == "scene-empty-model"
+    assert find_rule(scenes.SceneBuilder("nothing").build) == "scene-empty-model"

@@ -14,51 +14,37 @@ from lighting_reference import encode, find_rays, tone_map
 from numpy.typing import NDArray
 
 import rhi
+from renderer import scene as scenes
 from renderer.content import BUILT_IN
 from renderer.frame import Blending, GlowSettings
 from renderer.frame.tones import find_light
 from renderer.layers.overlay import Overlay
-from renderer.scene import (
-    AlphaMode,
-    Camera,
-    Depth,
-    Fog,
-    Glow,
-    Orthographic,
-    Perspective,
-    Scene,
-    SceneBuilder,
-    StereoRig,
-    make_geometry,
-    scaling,
-    translation,
-)
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES, Forward, Smoothed, Technique
 from rhi import Format, Op
 
-EYE = Camera.look_at((0, 3, 9), (0, 2, 0), projection=Perspective(aspect=SIZE[0] / SIZE[1]))
-FOG = Fog(0.08, (0.3, 0.5, 0.4), 0.15, base=1.0)
-GROUND = make_geometry([(-1, 0, -1), (-1, 0, 1), (1, 0, 1), (1, 0, -1)], [(0, 1, 2), (0, 2, 3)])
-PANE = make_geometry([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2), (0, 2, 3)])
+EYE = scenes.Camera.look_at((0, 3, 9), (0, 2, 0), projection=scenes.Perspective(aspect=SIZE[0] / SIZE[1]))
+FOG = scenes.Fog(0.08, (0.3, 0.5, 0.4), 0.15, base=1.0)
+GROUND = scenes.make_geometry([(-1, 0, -1), (-1, 0, 1), (1, 0, 1), (1, 0, -1)], [(0, 1, 2), (0, 2, 3)])
+PANE = scenes.make_geometry([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2), (0, 2, 3)])
 
 
-def stage(*, panes: bool = False, lamps: bool = False, emission: float = 1.0) -> SceneBuilder:
+def stage(*, panes: bool = False, lamps: bool = False, emission: float = 1.0) -> scenes.SceneBuilder:
     """Make a ground and a box that shine, before a sky."""
-    builder = SceneBuilder("stage")
+    builder = scenes.SceneBuilder("stage")
     builder.background = (0.1, 0.2, 0.6)
     builder.lights.sky = builder.lights.ground = (0.0, 0.0, 0.0)
     plain = builder.add_material(base_color=(0.5, 0.4, 0.3), specular_color=(0, 0, 0), emission=1.0)
     bright = builder.add_material(base_color=(1.0, 0.6, 0.2), specular_color=(0, 0, 0), emission=emission)
-    builder.add_objects(builder.add_node(scaling((40, 1, 40))), builder.add_mesh(GROUND), plain)
-    place = translation((-2.0, 2.2, 0.0))
+    builder.add_objects(builder.add_node(scenes.scaling((40, 1, 40))), builder.add_mesh(GROUND), plain)
+    place = scenes.translation((-2.0, 2.2, 0.0))
     builder.add_objects(builder.add_node(place), builder.add_mesh(BUILT_IN["box"]()), bright)
     if panes:
         for z, color in ((2.0, (0.9, 0.1, 0.1, 0.5)), (4.0, (0.1, 0.2, 0.9, 0.4))):
             glass = builder.add_material(
-                base_color=color, specular_color=(0, 0, 0), emission=1.0, alpha_mode=AlphaMode.BLEND
+                base_color=color, specular_color=(0, 0, 0), emission=1.0, alpha_mode=scenes.AlphaMode.BLEND
             )
-            builder.add_objects(builder.add_node(translation((1.5, 2.5, z))), builder.add_mesh(PANE), glass)
+            builder.add_objects(builder.add_node(scenes.translation((1.5, 2.5, z))), builder.add_mesh(PANE), glass)
     if lamps:
         builder.lights.add_point((1.0, 1.5, 1.0), 8.0, (1.0, 0.7, 0.3), 6.0)
         builder.lights.add_spot((-2.0, 5.0, 2.0), (0.0, -1.0, 0.0), 9.0, 0.4, 0.7, (0.4, 0.6, 1.0), 20.0)
@@ -66,13 +52,15 @@ def stage(*, panes: bool = False, lamps: bool = False, emission: float = 1.0) ->
     return builder
 
 
-def find_directions(camera: Camera) -> NDArray[np.float64]:
+def find_directions(camera: scenes.Camera) -> NDArray[np.float64]:
     """Return the unit direction (h, w, 3) of each pixel."""
     rays = find_rays(camera, SIZE)
     return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 
 
-def look_at_ground(fog: Fog, background: tuple[float, float, float], camera: Camera) -> NDArray[np.float64]:
+def look_at_ground(
+    fog: scenes.Fog, background: tuple[float, float, float], camera: scenes.Camera
+) -> NDArray[np.float64]:
     """Return the light (h, w, 3) of an endless ground of the light (0.5, 0.4, 0.3) at a height of 0, in fog that is
     added up along each ray."""
     rays, eye, thinnest = find_directions(camera), camera.position[1], 1e-4
@@ -87,22 +75,24 @@ def look_at_ground(fog: Fog, background: tuple[float, float, float], camera: Cam
     return light
 
 
-def plain(height: float, pitch: float, fog: Fog) -> tuple[Scene, Camera]:
+def plain(height: float, pitch: float, fog: scenes.Fog) -> tuple[scenes.Scene, scenes.Camera]:
     """Make a ground that reaches the horizon, and an eye above it."""
-    builder = SceneBuilder("plain")
+    builder = scenes.SceneBuilder("plain")
     builder.background, builder.fog = (0.1, 0.2, 0.6), fog
     builder.lights.sky = builder.lights.ground = (0.0, 0.0, 0.0)
     material = builder.add_material(base_color=(0.5, 0.4, 0.3), specular_color=(0, 0, 0), emission=1.0)
-    builder.add_objects(builder.add_node(scaling((2e4, 1, 2e4))), builder.add_mesh(GROUND), material)
+    builder.add_objects(builder.add_node(scenes.scaling((2e4, 1, 2e4))), builder.add_mesh(GROUND), material)
     eye = np.array((0.0, height, 0.0))
-    return builder.build(), Camera.look_at(eye, eye + np.array((0.0, np.tan(pitch), -1.0)), projection=EYE.projection)
+    return builder.build(), scenes.Camera.look_at(
+        eye, eye + np.array((0.0, np.tan(pitch), -1.0)), projection=EYE.projection
+    )
 
 
 PLAINS = {
     "inside": (3.0, 0.01, FOG),
     "above": (90.0, -0.5, FOG),
-    "below the base": (3.0, 0.2, Fog(0.01, (0.3, 0.5, 0.4), 0.2, base=8.0)),
-    "even": (3.0, -0.3, Fog(0.02, (0.3, 0.5, 0.4))),
+    "below the base": (3.0, 0.2, scenes.Fog(0.01, (0.3, 0.5, 0.4), 0.2, base=8.0)),
+    "even": (3.0, -0.3, scenes.Fog(0.02, (0.3, 0.5, 0.4))),
 }
 
 
@@ -117,7 +107,7 @@ def test_ground_and_sky_in_fog_are_within_a_level_of_float64(gl: rhi.Device, nam
 
 def test_gl_and_cl_show_the_same_fog_and_glow(gl: rhi.Device) -> None:
     builder = stage(emission=12.0)
-    builder.fog, builder.glow = FOG, Glow(0.2)
+    builder.fog, builder.glow = FOG, scenes.Glow(0.2)
     scene = builder.build()
     with rhi.create_device("cl") as cl:
         assert np.abs(draw(gl, scene) - draw(cl, scene)).max() <= 1.0
@@ -130,13 +120,13 @@ SOME = ("forward_multipass", "deferred", "deferred_plus")
 @pytest.mark.parametrize(
     ("glow", "techniques"),
     [
-        pytest.param(Glow(0.2), SOME, id="fog and glow"),
-        pytest.param(Glow(0.2), tuple(TECHNIQUES), id="fog and glow, all techniques", marks=pytest.mark.nightly),
+        pytest.param(scenes.Glow(0.2), SOME, id="fog and glow"),
+        pytest.param(scenes.Glow(0.2), tuple(TECHNIQUES), id="fog and glow, all techniques", marks=pytest.mark.nightly),
         pytest.param(None, tuple(TECHNIQUES), id="fog, all techniques", marks=pytest.mark.nightly),
     ],
 )
 def test_each_technique_shows_the_fog_and_glow_of_forward_shading(
-    gl: rhi.Device, glow: Glow | None, techniques: tuple[str, ...]
+    gl: rhi.Device, glow: scenes.Glow | None, techniques: tuple[str, ...]
 ) -> None:
     builder = stage(panes=True, lamps=True, emission=12.0)
     builder.fog, builder.glow, builder.haze = FOG, glow, 0.01
@@ -150,8 +140,8 @@ def test_each_technique_shows_the_fog_and_glow_of_forward_shading(
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("glow", [None, Glow(0.2)], ids=["fog", "fog and glow"])
-def test_each_technique_shows_the_same_on_cl(gl: rhi.Device, glow: Glow | None) -> None:
+@pytest.mark.parametrize("glow", [None, scenes.Glow(0.2)], ids=["fog", "fog and glow"])
+def test_each_technique_shows_the_same_on_cl(gl: rhi.Device, glow: scenes.Glow | None) -> None:
     builder = stage(panes=True, lamps=True, emission=12.0)
     builder.fog, builder.glow, builder.haze = FOG, glow, 0.01
     scene = builder.build()
@@ -162,7 +152,7 @@ def test_each_technique_shows_the_same_on_cl(gl: rhi.Device, glow: Glow | None) 
 
 def test_glow_of_a_scene_is_that_of_its_light_in_float64(gl: rhi.Device) -> None:
     builder = stage(emission=12.0)
-    builder.glow = Glow(0.3)
+    builder.glow = scenes.Glow(0.3)
     scene = builder.build()
     with open_renderer(gl, scene) as renderer:
         result = renderer.render(EYE)
@@ -175,7 +165,7 @@ def test_glow_of_a_scene_is_that_of_its_light_in_float64(gl: rhi.Device) -> None
 
 def test_light_with_fewer_bits_is_off_by_what_they_round(gl: rhi.Device) -> None:
     builder = stage(emission=12.0)
-    builder.glow = Glow(0.3)
+    builder.glow = scenes.Glow(0.3)
     with open_renderer(gl, builder.build()) as renderer:
         pictures = {}
         for bits, format in ((11, Format.R11G11B10F), (16, Format.RGBA16F), (32, Format.RGBA32F)):
@@ -193,10 +183,10 @@ def test_without_a_share_light_is_shown_as_it_is_without_glow(gl: rhi.Device) ->
     builder.haze = 0.02
     plain_image = draw(gl, builder.build())
     builder = stage(lamps=True, emission=12.0)
-    builder.glow = Glow(1e-9)
+    builder.glow = scenes.Glow(1e-9)
     assert np.abs(draw(gl, builder.build()) - draw(gl, stage(lamps=True, emission=12.0).build())).max() <= 1.0
     builder = stage(lamps=True, emission=12.0)
-    builder.haze, builder.glow = 0.02, Glow(1e-9)
+    builder.haze, builder.glow = 0.02, scenes.Glow(1e-9)
     # Haze fades light instead of colours there.
     assert np.abs(draw(gl, builder.build()) - plain_image).max() <= 40.0
 
@@ -204,17 +194,17 @@ def test_without_a_share_light_is_shown_as_it_is_without_glow(gl: rhi.Device) ->
 @pytest.mark.parametrize("blending", Blending)
 def test_transparent_surfaces_have_the_fog_before_them(gl: rhi.Device, blending: Blending) -> None:
     """In even fog, all at one distance: fog before what is blended is what fog before each part makes of it."""
-    builder = SceneBuilder("pane")
+    builder = scenes.SceneBuilder("pane")
     builder.lights.sky = builder.lights.ground = (0.0, 0.0, 0.0)
     glass = builder.add_material(
-        base_color=(0.9, 0.5, 0.1, 0.6), specular_color=(0, 0, 0), emission=1.0, alpha_mode=AlphaMode.BLEND
+        base_color=(0.9, 0.5, 0.1, 0.6), specular_color=(0, 0, 0), emission=1.0, alpha_mode=scenes.AlphaMode.BLEND
     )
     wall = builder.add_material(base_color=(0.1, 0.3, 0.9), specular_color=(0, 0, 0), emission=1.0)
     for z, material in ((0.0, wall), (1.0, glass)):
-        node = builder.add_node(translation((0, 2, z)) @ scaling((40, 40, 1)))
+        node = builder.add_node(scenes.translation((0, 2, z)) @ scenes.scaling((40, 40, 1)))
         builder.add_objects(node, builder.add_mesh(PANE), material)
-    builder.fog = Fog(0.05, (0.3, 0.5, 0.4))
-    camera = Camera.look_at((0, 2, 9), (0, 2, 0), projection=EYE.projection)
+    builder.fog = scenes.Fog(0.05, (0.3, 0.5, 0.4))
+    camera = scenes.Camera.look_at((0, 2, 9), (0, 2, 0), projection=EYE.projection)
     rays, through = find_directions(camera), []
     for away, color in ((9.0, (0.1, 0.3, 0.9)), (8.0, (0.9, 0.5, 0.1))):
         passing = np.exp(-0.05 * away / -rays[..., 2:])
@@ -224,9 +214,9 @@ def test_transparent_surfaces_have_the_fog_before_them(gl: rhi.Device, blending:
 
 
 CAMERAS = {
-    "standard depth": EYE.with_projection(Perspective(depth=Depth.STANDARD)),
-    "a far plane": EYE.with_projection(Perspective(far=30.0)),
-    "parallel": EYE.with_projection(Orthographic(9.0, near=0.0, far=40.0)),
+    "standard depth": EYE.with_projection(scenes.Perspective(depth=scenes.Depth.STANDARD)),
+    "a far plane": EYE.with_projection(scenes.Perspective(far=30.0)),
+    "parallel": EYE.with_projection(scenes.Orthographic(9.0, near=0.0, far=40.0)),
 }
 
 
@@ -275,7 +265,7 @@ ORDERS: dict[str, tuple[Callable[[], Technique], Blending, list[str]]] = {
 def test_sky_is_before_transparency_and_glow_before_what_smooths_the_image(null: rhi.Device, name: str) -> None:
     make, blending, expected = ORDERS[name]
     builder = stage(panes=True, emission=12.0)
-    builder.fog, builder.glow = FOG, Glow()
+    builder.fog, builder.glow = FOG, scenes.Glow()
     draw(null, builder.build(), make(), blending=blending)
     events = list_events(null)
     # Weighted surfaces may be drawn before the sky, over which they are blended.
@@ -286,11 +276,11 @@ def test_sky_is_before_transparency_and_glow_before_what_smooths_the_image(null:
 
 def test_both_eyes_have_their_own_fog_and_glow_and_layers_come_last(null: rhi.Device) -> None:
     builder = stage(emission=12.0)
-    builder.fog, builder.glow = FOG, Glow()
+    builder.fog, builder.glow = FOG, scenes.Glow()
     scene = builder.build()
     rolled = replace(EYE, rotation=np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]]) @ EYE.rotation)
     with open_renderer(null, scene) as renderer:
-        renderer.stereo = Stereo(StereoRig(0.06, 10.0), "side_by_side")
+        renderer.stereo = Stereo(scenes.StereoRig(0.06, 10.0), "side_by_side")
         renderer.layers.append(Overlay(null))
         heights = [frame.camera.position[1] for frame in renderer.render(rolled).frames]
         events = list_events(null)
@@ -299,7 +289,7 @@ def test_both_eyes_have_their_own_fog_and_glow_and_layers_come_last(null: rhi.De
         assert "overlay" in events[9:11]
         fogs = [command for command in null.stream.draws() if "fog" in command.bindings]
         assert len({command.bindings["fog"] for command in fogs}) == 2
-        renderer.stereo = Stereo(StereoRig(0.06, 10.0), "side_by_side", is_reprojected=True)
+        renderer.stereo = Stereo(scenes.StereoRig(0.06, 10.0), "side_by_side", is_reprojected=True)
         null.stream.clear()
         renderer.render(EYE)
         assert list_events(null)[:6] == [*one, "right eye", "reprojection"]
@@ -308,7 +298,7 @@ def test_both_eyes_have_their_own_fog_and_glow_and_layers_come_last(null: rhi.De
 
 def test_samples_at_edges_of_the_sky_are_fogged(gl: rhi.Device) -> None:
     builder = stage()
-    builder.fog = Fog(0.3, (1.0, 1.0, 1.0), 0.0)
+    builder.fog = scenes.Fog(0.3, (1.0, 1.0, 1.0), 0.0)
     builder.background = (0.0, 0.0, 0.0)
     image = draw(gl, builder.build(), Forward(4))
     # The sky is white, and all else nearly so: a sample of the black background would show.
@@ -323,14 +313,14 @@ def test_settings_of_air_are_exchanged_between_frames(null: rhi.Device) -> None:
         renderer.render(EYE)
         null.stream.clear()
         for renderer.glow in (GlowSettings(levels=2), GlowSettings(levels=4)):
-            scene.fog, scene.glow = FOG, Glow(0.1)
+            scene.fog, scene.glow = FOG, scenes.Glow(0.1)
             renderer.render(EYE)
             assert len(null.stream.draws()) == 2 + 2 * renderer.glow.levels
             null.stream.clear()
         renderer.render(EYE)
         uploads = null.stream.filter(Op.WRITE_BUFFER)
         assert len(uploads) == 0  # nothing has moved
-        scene.glow = Glow(0.2)
+        scene.glow = scenes.Glow(0.2)
         renderer.render(EYE)
         assert len(null.stream.filter(Op.WRITE_BUFFER)) == 1
 
@@ -347,5 +337,5 @@ BAD = {
 def test_fog_of_what_is_no_number_is_refused(name: str) -> None:
     for value in BAD[name]:
         with pytest.raises(rhi.ValidationError) as error:
-            Fog(**({"density": 0.1} | {name: value}))  # type: ignore[arg-type]
+            scenes.Fog(**({"density": 0.1} | {name: value}))  # type: ignore[arg-type]
         assert (error.value.rule.id, error.value.call) == ("scene-bad-air", f"Fog({name}=...)")
