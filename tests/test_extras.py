@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser_kit import browser as browser
 from browser_kit import PATIENCE, wait_for
+from browser_kit import browser as browser
 from PIL import Image
 
 ROOT = Path(__file__).parents[1]
