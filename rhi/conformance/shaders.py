@@ -117,23 +117,17 @@ class Weighted(Flat):
         return FlatShade(clip=v.position, color=self.weights[0])
 
 
-class UintColored(sl.Shader):
+class UintColored(FlatColored):
     """Colors as unsigned integers, for integer targets."""
 
-    def vertex(self, v: Corner) -> FlatShade:
-        return FlatShade(clip=v.position, color=v.color)
-
-    def fragment(self, v: FlatShade) -> sl.uvec4:
+    def fragment(self, v: FlatShade) -> sl.uvec4:  # type: ignore[override]
         return sl.uvec4(v.color)
 
 
-class IntColored(sl.Shader):
+class IntColored(FlatColored):
     """Colors as signed integers, for integer targets."""
 
-    def vertex(self, v: Corner) -> FlatShade:
-        return FlatShade(clip=v.position, color=v.color)
-
-    def fragment(self, v: FlatShade) -> sl.ivec4:
+    def fragment(self, v: FlatShade) -> sl.ivec4:  # type: ignore[override]
         return sl.ivec4(v.color)
 
 
@@ -163,6 +157,34 @@ class TexturedVertex(sl.Struct):
 
     position: sl.vec4
     uv: sl.vec2
+
+
+class Painted(sl.Struct):
+    """A vertex as interface renderers pack it: a place, and a color in four bytes."""
+
+    position: sl.vec2
+    color: sl.vec4
+
+
+class PaintedShader(Smooth):
+    """Draws vertices in their own colors."""
+
+    def vertex(self, v: Painted) -> Shade:
+        return Shade(clip=sl.vec4(v.position, 0.5, 1.0), color=v.color)
+
+
+class PaintedTwo(sl.Struct):
+    """A place, and a color of two components."""
+
+    position: sl.vec2
+    color: sl.vec2
+
+
+class PaintedTwice(Smooth):
+    """Draws vertices in their own two components."""
+
+    def vertex(self, v: PaintedTwo) -> Shade:
+        return Shade(clip=sl.vec4(v.position, 0.5, 1.0), color=sl.vec4(v.color, 0.0, 1.0))
 
 
 class Dot(sl.Struct):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 import rhi
 from rhi.contract import descriptors
 from rhi.contract.layout import FLOAT, VectorType
@@ -48,6 +50,24 @@ class Kit:
     camera: Any
     objects: Any
 
+    @property
+    def bindings(self) -> dict[str, Any]:
+        """What the program binds."""
+        return {"camera": self.camera, "object": self.objects[0]}
+
     def ops(self, *ops: rhi.Op) -> list[rhi.Command]:
         """The recorded commands of these kinds."""
         return [command for command in self.device.stream if command.op in ops]
+
+
+def make_kit(device: rhi.Device, indices: Any = None) -> Kit:
+    """Make a program, a triangle, a target, and what the program binds."""
+    positions = np.array([[-1, -1], [1, -1], [0, 1]], np.float32)
+    return Kit(
+        device,
+        device.program(hand_made_program()),
+        device.mesh({"position": positions}, indices),
+        device.texture((8, 8), rhi.Format.RGBA8),
+        device.uniform(Camera(tint=(1, 1, 1, 1))),
+        device.uniform_array(Object, 4),
+    )

@@ -14,7 +14,7 @@ import rhi.shading as sl
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_targets, require_vertex_alignment
 from rhi.conformance.pictures import draw_once
-from rhi.conformance.shaders import Colored, Corner, Flat, FlatShade
+from rhi.conformance.shaders import Colored, Corner, Flat, FlatShade, PaintedShader, PaintedTwice
 from rhi.conformance.shapes import centers, corners, rectangle
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
@@ -36,11 +36,11 @@ def mesh(device: rhi.Device) -> Iterator[rhi.Mesh]:
         yield mesh
 
 
-def drawn_points(device: rhi.Device, mesh: Any, instances: int = 1) -> NDArray[Any]:
+def drawn_points(device: rhi.Device, mesh: Any, instances: int = 1, shader: type[sl.Shader] = Colored) -> NDArray[Any]:
     """Return how often each of 8 texels in a row was drawn."""
     with device.texture(ROW, rhi.Format.R16F) as image:
         with device.render_pass(image), device.states(rhi.BlendFunction.ADDITIVE):
-            device.draw(device.program(Colored), mesh, instances)
+            device.draw(device.program(shader), mesh, instances)
         return np.asarray(image.read()[0])
 
 
@@ -153,71 +153,41 @@ def test_arrays_by_name_make_a_mesh(device: rhi.Device) -> None:
 # -- vertex formats ----------------------------------------------------------------------------------------
 
 
-class Probe(sl.Struct):
-    """A vertex with one attribute to be tested."""
+def expected_floats(values: NDArray[Any]) -> NDArray[Any]:
+    """Return what a shader reads of floats, and of integers, which are normalised."""
+    if values.dtype.kind == "f":
+        return values.astype(np.float64)
+    return np.maximum(values.astype(np.float64) / np.iinfo(values.dtype).max, -1.0)
 
-    position: sl.vec2
-    value: sl.vec4
 
-
-class ShowFloat(Flat):
-    """Draws the attribute as a color."""
-
-    def vertex(self, v: Probe) -> FlatShade:
-        return FlatShade(clip=sl.vec4(v.position, 0.5, 1.0), color=v.value)
+def painted(device: rhi.Device, shader: type[sl.Shader], values: NDArray[Any]) -> NDArray[Any]:
+    """Return the texels (8, 4) of 8 points in these colors."""
+    rows = {"position": CENTERS, "color": values}
+    drawn = draw_once(device, ROW, rhi.Format.RGBA32F, rows, shader=shader, primitive=rhi.Primitive.POINTS)
+    return np.asarray(drawn[0])
 
 
 @pytest.mark.parametrize("code", ["f4", "f2", "u1", "i1"])
-def test_a_float_attribute_takes_floats_and_normalised_integers(
-    device: rhi.Device, code: str, image: rhi.Texture
-) -> None:
+def test_a_float_attribute_takes_floats_and_normalised_integers(device: rhi.Device, code: str) -> None:
     rng = np.random.default_rng(7)
     values = rng.normal(size=(8, 4)).astype(code) if code[0] == "f" else np.zeros((8, 4), code)
     if code[0] != "f":
         limits = np.iinfo(code)
         values[:] = rng.integers(limits.min, limits.max, (8, 4), endpoint=True)
         values[0], values[1], values[2] = limits.max, limits.min, 0
-    expected = values.astype(np.float64)
-    if code[0] != "f":
-        expected = np.maximum(expected / np.iinfo(code).max, -1.0)
-    with device.mesh({"position": CENTERS, "value": values}, primitive=rhi.Primitive.POINTS) as mesh:
-        with device.render_pass(image):
-            device.draw(device.program(ShowFloat), mesh)
-        assert_near(image.read()[0], expected, 1e-6, "conversion in float32")
-
-
-class Pair(sl.Struct):
-    """A vertex with two components to be tested."""
-
-    position: sl.vec2
-    pair: sl.vec2
-
-
-class ShowPair(Flat):
-    """Draws two components as a color."""
-
-    def vertex(self, v: Pair) -> FlatShade:
-        return FlatShade(clip=sl.vec4(v.position, 0.5, 1.0), color=sl.vec4(v.pair, 0.0, 1.0))
+    assert_near(painted(device, PaintedShader, values), expected_floats(values), 1e-6, "conversion in float32")
 
 
 @pytest.mark.parametrize("code", ["f4", "f2", "u2", "i2"])
-def test_two_components_take_two(device: rhi.Device, code: str, image: rhi.Texture) -> None:
+def test_two_components_take_two(device: rhi.Device, code: str) -> None:
     values = (np.linspace(-1, 1, 16) * (1 if code[0] == "f" else 32767)).reshape(8, 2).astype(code)
-    expected = values.astype(np.float64)
-    if code[0] != "f":
-        expected = np.maximum(expected / np.iinfo(code).max, -1.0)
-    with device.mesh({"position": CENTERS, "pair": values}, primitive=rhi.Primitive.POINTS) as mesh:
-        with device.render_pass(image):
-            device.draw(device.program(ShowPair), mesh)
-        assert_near(image.read()[0, :, :2], expected, 1e-6, "conversion in float32")
+    drawn = painted(device, PaintedTwice, values)[:, :2]
+    assert_near(drawn, expected_floats(values), 1e-6, "conversion in float32")
 
 
-def test_a_vector_may_be_fed_more_components_than_it_reads(device: rhi.Device, image: rhi.Texture) -> None:
+def test_a_vector_may_be_fed_more_components_than_it_reads(device: rhi.Device) -> None:
     values = np.arange(32, dtype="f4").reshape(8, 4)
-    with device.mesh({"position": CENTERS, "pair": values}, primitive=rhi.Primitive.POINTS) as mesh:
-        with device.render_pass(image):
-            device.draw(device.program(ShowPair), mesh)
-        assert_same(image.read()[0, :, :2], values[:, :2])
+    assert_same(painted(device, PaintedTwice, values)[:, :2], values[:, :2])
 
 
 class IntegerProbe(sl.Struct):
@@ -327,35 +297,27 @@ def instanced(device: rhi.Device) -> Any:
 
 @pytest.mark.parametrize("count", [0, 1, 5, 8])
 def test_each_instance_reads_its_element(device: rhi.Device, count: int) -> None:
-    with device.texture(ROW, rhi.Format.R32F) as image, instanced(device) as mesh:
-        with device.render_pass(image):
-            device.draw(device.program(ShowInstances), mesh, count)
-        assert_same(image.read()[0], np.where(np.arange(8) < count, np.arange(1, 9), 0))
+    with instanced(device) as mesh:
+        drawn = drawn_points(device, mesh, count, ShowInstances)
+        assert_same(drawn, np.where(np.arange(8) < count, np.arange(1, 9), 0))
 
 
 @pytest.mark.parametrize("base", [0, 1, 6])
 def test_a_base_instance_says_where_to_begin(device: rhi.Device, base: int) -> None:
-    with device.texture(ROW, rhi.Format.R32F) as image, instanced(device) as mesh:
-        with device.render_pass(image):
-            device.draw(device.program(ShowInstances), mesh.view(base_instance=base), 2)
-        numbers = np.arange(8)
-        assert_same(image.read()[0], np.where((numbers >= base) & (numbers < base + 2), numbers + 1, 0))
+    with instanced(device) as mesh:
+        drawn, numbers = drawn_points(device, mesh.view(base_instance=base), 2, ShowInstances), np.arange(8)
+        assert_same(drawn, np.where((numbers >= base) & (numbers < base + 2), numbers + 1, 0))
 
 
 def test_instances_of_indexed_meshes_read_their_elements(device: rhi.Device) -> None:
     vertices = {"position": CENTERS[[3, 0]]}
     instances = {"offset": CENTERS[:4] - CENTERS[0], "shade": np.arange(1.0, 5.0)}
     indices = np.array([0, 1], "u2")
-    with (
-        device.texture(ROW, rhi.Format.R16F) as image,
-        device.mesh(vertices, indices, instances=instances, primitive=rhi.Primitive.POINTS) as mesh,
-    ):
-        with device.render_pass(image), device.states(rhi.BlendFunction.ADDITIVE):
-            device.draw(device.program(ShowInstances), mesh.view(base_instance=1, count=1), 3)
-        assert_same(image.read()[0], [0, 0, 0, 0, 2, 3, 4, 0])
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.BlendFunction.ADDITIVE):
-            device.draw(device.program(ShowInstances), mesh.view(1, 1, base_vertex=-1, base_instance=1), 2)
-        assert_same(image.read()[0], [0, 0, 0, 0, 2, 3, 0, 0])
+    with device.mesh(vertices, indices, instances=instances, primitive=rhi.Primitive.POINTS) as mesh:
+        drawn = drawn_points(device, mesh.view(base_instance=1, count=1), 3, ShowInstances)
+        assert_same(drawn, [0, 0, 0, 0, 2, 3, 4, 0])
+        drawn = drawn_points(device, mesh.view(1, 1, base_vertex=-1, base_instance=1), 2, ShowInstances)
+        assert_same(drawn, [0, 0, 0, 0, 2, 3, 0, 0])
 
 
 class Numbered(Flat):

@@ -14,7 +14,17 @@ from rhi import BlendFunction, CullMode, Device, Format, Primitive, ValidationEr
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import SUBTEXELS, rasterise
-from rhi.conformance.shaders import Colored, Corner, Flat, FlatShade, Shade, Smooth, Tint, Tinted, Weighted
+from rhi.conformance.shaders import (
+    Colored,
+    Corner,
+    Flat,
+    FlatShade,
+    PaintedShader,
+    PaintedTwice,
+    Tint,
+    Tinted,
+    Weighted,
+)
 from rhi.conformance.shapes import centers, corners, rectangle, window_to_clip
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
@@ -188,25 +198,11 @@ def test_frames_of_transient_vertices_around_the_wrap_are_intact(fresh_device: D
         assert_same(image.read().reshape(-1), np.arange(512) + 1000 * frame)
 
 
-class Painted(sl.Struct):
-    """A vertex as interface renderers pack it: a place, and a color in four bytes."""
-
-    position: sl.vec2
-    color: sl.vec4
-
-
 class Flagged(sl.Struct):
     """A color of the whole primitive, and a number that integers feed."""
 
     position: sl.vec2
     number: int
-
-
-class PaintedShader(Smooth):
-    """Draws vertices in their own colors."""
-
-    def vertex(self, v: Painted) -> Shade:
-        return Shade(clip=sl.vec4(v.position, 0.5, 1.0), color=v.color)
 
 
 class FlaggedShader(Flat):
@@ -229,7 +225,7 @@ def packed_points(count: int) -> NDArray[Any]:
 
 
 @pytest.mark.parametrize("code", ["u1", "i1", "u2", "i2"])
-@pytest.mark.parametrize("way", ["mesh", "transient", "immediate"])
+@pytest.mark.parametrize("way", ["transient", "immediate"])
 def test_integers_that_feed_floats_are_normalised(device: Device, way: str, code: str) -> None:
     """A transient vertex array with a vec4 of bytes draws what a mesh of it draws, not 255 times as much."""
     components = 4 if code[1] == "1" else 2
@@ -238,31 +234,16 @@ def test_integers_that_feed_floats_are_normalised(device: Device, way: str, code
     rows["position"] = centers(np.stack([np.arange(5), np.zeros(5)], axis=1), (5, 1))
     rows["color"][:, 0] = values
     program = device.program(PaintedShader if components == 4 else PaintedTwice)
-    with device.texture((5, 1), Format.R32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+    with device.texture((5, 1), Format.R32F) as image:
         with device.render_pass(image, clear=(9, 0, 0, 0)):
             if way == "immediate":
                 with device.immediate(program, Primitive.POINTS) as points_block:
                     points_block.vertices(rows)
             else:
-                own = device.transient.mesh(program, rows, primitive=Primitive.POINTS)
-                device.draw(program, own if way == "transient" else mesh)
+                device.draw(program, device.transient.mesh(program, rows, primitive=Primitive.POINTS))
         device.present()
         expected = np.maximum(values / np.iinfo(code).max, -1)
         assert_near(image.read()[0], expected, 1e-6, "a division in float32")
-
-
-class PaintedTwo(sl.Struct):
-    """A color of two components."""
-
-    position: sl.vec2
-    color: sl.vec2
-
-
-class PaintedTwice(Smooth):
-    """Draws vertices in their own two components."""
-
-    def vertex(self, v: PaintedTwo) -> Shade:
-        return Shade(clip=sl.vec4(v.position, 0.5, 1.0), color=sl.vec4(v.color, 0.0, 1.0))
 
 
 @pytest.mark.parametrize("way", ["transient", "immediate"])

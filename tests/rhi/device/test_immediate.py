@@ -12,14 +12,10 @@ from rhi.backends.null import NullBackend
 from rhi.errors.rules import DEVICE_MEMORY
 
 
-def bindings(kit: Kit) -> dict[str, object]:
-    return {"camera": kit.camera, "object": kit.objects[0]}
-
-
 def test_vertices_one_by_one_become_one_upload_and_one_draw(kit: Kit) -> None:
     with kit.device.render_pass(kit.image):
         before = len(kit.device.stream)
-        with kit.device.immediate(kit.program, Primitive.TRIANGLES, **bindings(kit)) as triangles:
+        with kit.device.immediate(kit.program, Primitive.TRIANGLES, **kit.bindings) as triangles:
             for x, y in ((0, 0), (1, 0), (0, 1)):
                 triangles.vertex(position=(x, y))
         sent = list(kit.device.stream)[before:]
@@ -31,7 +27,7 @@ def test_vertices_one_by_one_become_one_upload_and_one_draw(kit: Kit) -> None:
 def test_arrays_and_single_vertices_keep_their_order(kit: Kit) -> None:
     rows = np.array([((1, 1),), ((2, 2),)], [("position", "<f4", (2,))])
     with kit.device.render_pass(kit.image):
-        with kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)) as points:
+        with kit.device.immediate(kit.program, Primitive.POINTS, **kit.bindings) as points:
             points.vertex(position=(0, 0))
             points.vertices(rows)
             points.vertex(position=(3, 3))
@@ -42,7 +38,7 @@ def test_arrays_and_single_vertices_keep_their_order(kit: Kit) -> None:
 def test_an_array_is_drawn_as_it_was_when_it_was_given(kit: Kit) -> None:
     rows = np.array([((1, 1),)], [("position", "<f4", (2,))])
     with kit.device.render_pass(kit.image):
-        with kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)) as points:
+        with kit.device.immediate(kit.program, Primitive.POINTS, **kit.bindings) as points:
             points.vertices(rows)
             rows["position"] = 7
             points.vertices(rows)
@@ -55,7 +51,7 @@ def test_a_vertex_that_was_refused_with_an_array_is_refused_at_the_end_too(kit: 
     """The array after it is refused and the vertex is kept, so that nothing is drawn without it."""
     rows = np.zeros(1, [("position", "<f4", (2,))])
     with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError, match=r"^\[immediate-vertex\]"):
-        with kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)) as points:
+        with kit.device.immediate(kit.program, Primitive.POINTS, **kit.bindings) as points:
             points.vertex(position=(bad, 0))
             with pytest.raises(rhi.ValidationError):
                 points.vertices(rows)
@@ -65,7 +61,7 @@ def test_a_vertex_that_was_refused_with_an_array_is_refused_at_the_end_too(kit: 
 def test_an_array_that_is_refused_leaves_the_vertices_before_it(kit: Kit) -> None:
     rows = np.full(1, np.nan, [("position", "<f4", (2,))])
     with kit.device.render_pass(kit.image):
-        with kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)) as points:
+        with kit.device.immediate(kit.program, Primitive.POINTS, **kit.bindings) as points:
             points.vertex(position=(5, 0))
             with pytest.raises(rhi.ValidationError):
                 points.vertices(rows)
@@ -87,14 +83,14 @@ def test_a_vertex_array_that_could_not_be_made_is_made_at_the_next_try(
             kit.device.transient.mesh(kit.program, rows)
     mesh = kit.device.transient.mesh(kit.program, rows)
     with kit.device.render_pass(kit.image):
-        kit.device.draw(kit.program, mesh, camera=kit.camera, object=kit.objects[0])
+        kit.device.draw(kit.program, mesh, **kit.bindings)
     (draw,) = kit.ops(Op.DRAW)
     assert draw.resource(draw["vertex_array"]) is not None
 
 
 def test_blocks_share_one_vertex_array_until_the_ring_grows(kit: Kit) -> None:
     def draw(count: int) -> None:
-        with kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)) as points:
+        with kit.device.immediate(kit.program, Primitive.POINTS, **kit.bindings) as points:
             points.vertices(np.zeros(count, [("position", "<f4", (2,))]))
 
     with kit.device.render_pass(kit.image):
@@ -148,7 +144,7 @@ def test_transient_constants_are_bound_anew_when_their_ring_has_grown(kit: Kit) 
 
 def test_draw_many_sends_its_array_as_one_indirect_draw(kit: Kit) -> None:
     with kit.device.render_pass(kit.image):
-        kit.device.draw_many(kit.program, kit.mesh, kit.mesh.draws(np.zeros(5, int), 3), **bindings(kit))
+        kit.device.draw_many(kit.program, kit.mesh, kit.mesh.draws(np.zeros(5, int), 3), **kit.bindings)
     (draw,) = kit.ops(Op.DRAW_INDIRECT)
     assert (draw["draws"], draw["stride"]) == (5, 20)
 
@@ -157,14 +153,14 @@ def test_draw_many_again_sends_its_arguments_alone(kit: Kit) -> None:
     with kit.device.render_pass(kit.image):
         for _ in range(2):
             before = len(kit.device.stream)
-            kit.device.draw_many(kit.program, kit.mesh, kit.mesh.draws([0], 3), **bindings(kit))
+            kit.device.draw_many(kit.program, kit.mesh, kit.mesh.draws([0], 3), **kit.bindings)
     sent = list(kit.device.stream)[before:]
     assert [c.op for c in sent if c.op is not rhi.Op.WRITE_BUFFER] == [rhi.Op.DRAW_INDIRECT, rhi.Op.END_PASS]
 
 
 @pytest.mark.parametrize("name", ["objects", "camera", "mesh", "program"])
 def test_draw_many_again_refuses_what_was_destroyed_since(kit: Kit, name: str) -> None:
-    draws, arguments = kit.mesh.draws([0], 3), bindings(kit)
+    draws, arguments = kit.mesh.draws([0], 3), kit.bindings
     with kit.device.render_pass(kit.image):
         kit.device.draw_many(kit.program, kit.mesh, draws, **arguments)
         getattr(kit, name).destroy()
@@ -178,5 +174,5 @@ def test_a_transient_mesh_serves_the_program_it_was_made_for(kit: Kit) -> None:
     mesh = kit.device.transient.mesh(kit.program, rows)
     with kit.device.render_pass(kit.image):
         with pytest.raises(rhi.ValidationError, match=r"^\[mesh-attribute\]"):
-            kit.device.draw(other, mesh, camera=kit.camera, object=kit.objects[0])
-        kit.device.draw(kit.program, mesh, camera=kit.camera, object=kit.objects[0])
+            kit.device.draw(other, mesh, **kit.bindings)
+        kit.device.draw(kit.program, mesh, **kit.bindings)

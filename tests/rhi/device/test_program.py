@@ -14,7 +14,7 @@ BINDS = (Op.BIND_PROGRAM, Op.BIND_UNIFORM)
 
 def test_a_second_draw_sends_only_the_binding_that_changed(kit: Kit) -> None:
     with kit.device.render_pass(kit.image):
-        kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[0])
+        kit.device.draw(kit.program, kit.mesh, **kit.bindings)
         before = len(kit.device.stream)
         kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[1])
     sent = list(kit.device.stream)[before:]
@@ -36,7 +36,7 @@ def test_another_program_in_between_makes_everything_be_sent_again(kit: Kit) -> 
 def test_a_new_pass_makes_everything_be_sent_again(kit: Kit) -> None:
     for _ in range(2):
         with kit.device.render_pass(kit.image):
-            kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[0])
+            kit.device.draw(kit.program, kit.mesh, **kit.bindings)
     assert len(kit.ops(Op.BIND_UNIFORM)) == 4
 
 
@@ -63,11 +63,11 @@ def test_the_fields_of_a_value_are_checked_by_name(kit: Kit) -> None:
 def test_a_value_is_one_upload_and_one_binding_of_its_bytes(kit: Kit) -> None:
     tint = Camera(tint=(1, 2, 3, 4))
     with kit.device.render_pass(kit.image):
-        kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[0])
+        kit.device.draw(kit.program, kit.mesh, **kit.bindings)
         before = len(kit.device.stream)
         kit.device.draw(kit.program, kit.mesh, camera=tint, object=kit.objects[0])
         kit.device.draw(kit.program, kit.mesh, camera=tint, object=kit.objects[0])
-        kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[0])
+        kit.device.draw(kit.program, kit.mesh, **kit.bindings)
     sent = [command for command in list(kit.device.stream)[before:] if command.op is not Op.CREATE_BUFFER]
     one = [Op.WRITE_BUFFER, Op.BIND_UNIFORM, Op.DRAW]
     assert [command.op for command in sent] == [*one, *one, Op.BIND_UNIFORM, Op.DRAW, Op.END_PASS]
@@ -88,14 +88,14 @@ def test_a_missing_binding_is_refused_by_both_draws(kit: Kit) -> None:
 def test_drawing_while_something_else_is_locked_works(kit: Kit) -> None:
     other = kit.device.buffer(16)
     with kit.device.render_pass(kit.image), other.lock(rhi.Access.WRITE):
-        kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[0])
+        kit.device.draw(kit.program, kit.mesh, **kit.bindings)
     assert len(kit.ops(Op.DRAW)) == 1
 
 
 @pytest.mark.parametrize("instances", [0, 2, np.int64(3), (1 << 31) - 1])
 def test_a_number_of_instances_reaches_the_backend(kit: Kit, instances: int) -> None:
     with kit.device.render_pass(kit.image):
-        kit.device.draw(kit.program, kit.mesh, instances, camera=kit.camera, object=kit.objects[0])
+        kit.device.draw(kit.program, kit.mesh, instances, **kit.bindings)
     given = kit.ops(Op.DRAW)[0]["instances"]
     assert given == instances
     assert type(given) is int

@@ -19,7 +19,7 @@ def ask(kit: Kit, queries: rhi.QuerySet, encoder: rhi.Encoder | None = None) -> 
     draws = kit.mesh.draws(np.zeros(4, int), 3)
     encoder = kit.device if encoder is None else encoder  # an empty command buffer is false
     with encoder.render_pass(kit.image):
-        encoder.draw_counted(kit.program, kit.mesh, draws, queries, ROWS, camera=kit.camera, object=kit.objects[0])
+        encoder.draw_counted(kit.program, kit.mesh, draws, queries, ROWS, **kit.bindings)
 
 
 def test_rows_are_begun_and_ended_one_after_the_other(kit: Kit) -> None:
@@ -49,7 +49,7 @@ def test_an_empty_array_of_draws_sends_no_commands(kit: Kit) -> None:
         with kit.device.render_pass(kit.image):
             draws = kit.mesh.draws([], [])
             before = len(kit.device.stream)
-            kit.device.draw_counted(kit.program, kit.mesh, draws, queries, camera=kit.camera, object=kit.objects[0])
+            kit.device.draw_counted(kit.program, kit.mesh, draws, queries, **kit.bindings)
             done = kit.device.stream[before:].filter(frozenset({Op.DRAW, Op.BEGIN_QUERY, Op.WRITE_QUERY, Op.SIGNAL}))
             assert not len(done)
         assert queries.wait().tolist() == [-1, -1]
@@ -155,9 +155,7 @@ def test_conditional_draws_are_one_condition_for_each_run_of_rows(kit: Kit) -> N
     before, counted = len(kit.device.stream), kit.device.statistics
     draws = kit.mesh.draws(np.zeros(5, int), 3)
     with kit.device.render_pass(kit.image):
-        kit.device.draw_conditional(
-            kit.program, kit.mesh, draws, queries, [3, 3, 0, 2, 2], camera=kit.camera, object=kit.objects[0]
-        )
+        kit.device.draw_conditional(kit.program, kit.mesh, draws, queries, [3, 3, 0, 2, 2], **kit.bindings)
     begin, draw, end = Op.BEGIN_CONDITIONAL, Op.DRAW_INDIRECT, Op.END_CONDITIONAL
     commands = kit.device.stream[before:].filter(frozenset({begin, draw, end}))
     assert [c.op for c in commands] == [begin, draw, end] * 3
@@ -176,7 +174,7 @@ def test_arguments_of_conditional_draws_lie_at_multiples_of_a_word(kit: Kit) -> 
         for count in (1, 2, 1, 3):
             kit.device.draw_conditional(
                 kit.program, kit.mesh, kit.mesh.draws(np.zeros(count, int), 3), queries, [0] * count,
-                camera=kit.camera, object=kit.objects[0],
+                **kit.bindings,
             )  # fmt: skip
     offsets = [command["offset"] for command in kit.ops(Op.DRAW_INDIRECT)]
     assert len(offsets) == 4

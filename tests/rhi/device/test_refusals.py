@@ -36,7 +36,7 @@ def draw_transient_mesh_indirectly(kit: Kit) -> None:
         mesh = kit.device.transient.mesh(kit.program, vertices)
         with kit.device.buffer(kit.mesh.draws()) as draws:
             arguments = rhi.IndirectDraws(draws, 1)
-            kit.device.draw_indirect(kit.program, mesh, arguments, camera=kit.camera, object=kit.objects[0])  # type: ignore[arg-type]
+            kit.device.draw_indirect(kit.program, mesh, arguments, **kit.bindings)  # type: ignore[arg-type]
 
 
 def overflow_transient_memory(kit: Kit) -> None:

@@ -1,8 +1,7 @@
 """Answers of queries: scripts, and answers recorded on another backend."""
 
-import numpy as np
 import pytest
-from null_kit import Camera, Object, hand_made_program
+from null_kit import make_kit
 from simulated_kit import make_backend
 
 import rhi
@@ -103,17 +102,14 @@ def test_answers_are_saved_and_loaded(tmp_path):
 
 def frame(device):
     """Render three frames with three queries each, and return their answers by frame."""
-    program = device.program(hand_made_program())
-    mesh = device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32)})
-    image = device.texture((8, 8), rhi.Format.RGBA8)
-    camera, objects = device.uniform(Camera(tint=(1, 1, 1, 1))), device.uniform_array(Object, 1)
+    kit = make_kit(device)
     queries = [device.occlusion_query(emulated=emulated) for emulated in (False, False, True)]
     drawn = []
     for _ in range(3):
-        with device.render_pass(image):
+        with device.render_pass(kit.image):
             for query in queries:
                 with query:
-                    device.draw(program, mesh, camera=camera, object=objects[0])
+                    device.draw(kit.program, kit.mesh, **kit.bindings)
         drawn.append([query.wait() for query in queries])
     return drawn
 

@@ -3,11 +3,10 @@
 import inspect
 import itertools
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from null_kit import Camera, Object, hand_made_program
+from null_kit import make_kit
 from simulated_kit import PLAIN, STATIC, draw, make_backend
 
 import rhi
@@ -143,16 +142,13 @@ def test_emulated_queries_of_a_device_are_right_whatever_the_latencies(frames, i
     with rhi.create_device("null", simulation=simulation) as device:
         simulated = device.backend_as(SimulatedBackend)
         simulated.count_samples(lambda draw: draw.instances * 100)
-        program = device.program(hand_made_program())
-        mesh = device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32)})
-        image = device.texture((8, 8), rhi.Format.RGBA8)
-        camera, objects = device.uniform(Camera(tint=(1, 1, 1, 1))), device.uniform_array(Object, 1)
+        kit = make_kit(device)
         queries = [device.occlusion_query(emulated=True) for _ in frames]
-        with device.render_pass(image):
+        with device.render_pass(kit.image):
             for query, (inside, outside) in zip(queries, frames, strict=True):
                 with query:
-                    device.draw(program, mesh, inside, camera=camera, object=objects[0])
-                device.draw(program, mesh, outside, camera=camera, object=objects[0])
+                    device.draw(kit.program, kit.mesh, inside, **kit.bindings)
+                device.draw(kit.program, kit.mesh, outside, **kit.bindings)
                 if waits:
                     query.wait()
         assert [query.wait() for query in queries] == [inside * 100 for inside, _ in frames]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from null_kit import Camera, Object, hand_made_program
+from null_kit import Camera, Object, hand_made_program, make_kit
 from simulated_kit import PLAIN, STATIC, STREAM, draw, make_backend, words
 
 import rhi
@@ -647,13 +647,9 @@ def test_a_device_has_no_hazards_whatever_is_done_with_it(frames, latency, in_fl
     with rhi.create_device("null", simulation=simulation, frames_in_flight=in_flight) as device:
         simulated = device.backend_as(SimulatedBackend)
         simulated.count_samples(lambda draw: 100)
-        program = device.program(hand_made_program())
-        mesh = device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32)}, np.array([0, 1, 2]))
-        image = device.texture((8, 8), Format.RGBA8)
-        camera = device.uniform(Camera(tint=(1, 1, 1, 1)))
-        objects = device.uniform_array(Object, 4)
+        kit = make_kit(device, np.array([0, 1, 2]))
+        program, mesh, image, camera, objects = kit.program, kit.mesh, kit.image, kit.camera, kit.objects
         queries = {emulated: device.occlusion_query(emulated=emulated) for emulated in (False, True)}
-        bindings = {"camera": camera, "object": objects[0]}
         for frame in frames:
             with device.render_pass(image, clear=(0, 0, 0, 1)):
                 for what, number in frame:
@@ -663,7 +659,7 @@ def test_a_device_has_no_hazards_whatever_is_done_with_it(frames, latency, in_fl
                         moved = device.transient.uniform(Object(offset=(number, 0, 0, 0)))
                         device.draw(program, mesh, camera=camera, object=moved)
                     elif what == "immediate":
-                        with device.immediate(program, rhi.Primitive.QUADS, **bindings) as quads:
+                        with device.immediate(program, rhi.Primitive.QUADS, **kit.bindings) as quads:
                             for _ in range(4 * 200 * number):
                                 quads.vertex(position=(0, 0))
                     elif what == "lock":
@@ -674,11 +670,11 @@ def test_a_device_has_no_hazards_whatever_is_done_with_it(frames, latency, in_fl
                             device.draw(program, mesh, camera=own, object=objects[0])
                     elif what == "many":
                         draws = mesh.draws(np.zeros(number, int), 3)
-                        device.draw_many(program, mesh, draws, **bindings)
+                        device.draw_many(program, mesh, draws, **kit.bindings)
                     else:
                         query = queries[what == "emulated"]
                         with query:
-                            device.draw(program, mesh, **bindings)
+                            device.draw(program, mesh, **kit.bindings)
                         if number == 1:
                             query.wait()
             device.present(image)

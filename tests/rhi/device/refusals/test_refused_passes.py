@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import rhi
-from rhi.conformance.shaders import Colored, TexturedVarying, TexturedVertex
+from rhi.conformance.shaders import Colored, Loads, Positions
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
 from rhi.errors import rules
-from rhi.shading import Image2D, Shader, Texture2D, image, ivec2, vec4
+from rhi.shading import Image2D, image, ivec2, vec4
 
 SIZE = (4, 4)
 
@@ -169,46 +169,22 @@ def test_a_resolve_destroyed_before_its_pass_opens_is_refused(recording: rhi.Dev
 # -- feedback ----------------------------------------------------------------------------------------------
 
 
-class Textured(Shader):
-    """A texture where uv says."""
-
-    source: Texture2D
-
-    def vertex(self, v: TexturedVertex) -> TexturedVarying:
-        return TexturedVarying(clip=v.position, uv=v.uv)
-
-    def fragment(self, v: TexturedVarying) -> vec4:
-        return self.source.sample(v.uv)
-
-
-class Stored(Shader):
+class Stored(Positions):
     """An image written by fragments."""
 
     target: Image2D = image(rhi.Format.RGBA8)
 
-    def vertex(self, v: TexturedVertex) -> TexturedVarying:
-        return TexturedVarying(clip=v.position, uv=v.uv)
-
-    def fragment(self, v: TexturedVarying) -> vec4:
+    def fragment(self) -> vec4:
         self.target.store(ivec2(0, 0), vec4(1.0))
         return vec4(1.0)
 
 
-def places() -> Any:
-    import numpy as np
-
-    rows = np.zeros(6, TexturedVertex.dtype)
-    rows["position"] = rectangle()["position"]
-    return rows
-
-
-def test_a_pass_does_not_sample_its_target(recording: rhi.Device) -> None:
+def test_a_pass_does_not_sample_its_target(recording: rhi.Device, mesh: rhi.Mesh) -> None:
     with (
         recording.texture(SIZE, rhi.Format.RGBA8, levels=2) as image,
         recording.texture(SIZE, rhi.Format.RGBA8) as other,
-        recording.mesh(places()) as mesh,
     ):
-        program = recording.program(Textured)
+        program = recording.program(Loads)
         with recording.render_pass(other):
             recording.draw(program, mesh, source=image)  # the same binding, not yet a target
         with recording.render_pass(image):
@@ -220,11 +196,10 @@ def test_a_pass_does_not_sample_its_target(recording: rhi.Device) -> None:
                 recording.draw(program, mesh, source=image)
 
 
-def test_a_pass_does_not_store_to_its_target(recording: rhi.Device) -> None:
+def test_a_pass_does_not_store_to_its_target(recording: rhi.Device, mesh: rhi.Mesh) -> None:
     with (
         recording.texture(SIZE, rhi.Format.RGBA8) as image,
         recording.texture(SIZE, rhi.Format.RGBA8) as other,
-        recording.mesh(places()) as mesh,
     ):
         program = recording.program(Stored)
         with recording.render_pass(image):
