@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
-import sys
+from pathlib import Path
 
 import partial_backends
 import pytest
+from conformance_kit import take_the_kit
 
 import rhi
 from rhi.conformance.steps import STEPS
@@ -19,17 +18,8 @@ def run_step(number: int, written: int) -> tuple[int, str]:
     modules = [
         "rhi.conformance." + group.replace(" · ", ".test_").replace(" ", "_") for group in STEPS[number - 1].groups
     ]
-    run = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", "--color=no",
-         "--rhi-backend", "partial_backends:create_backend", "--pyargs", *modules],
-        capture_output=True, text=True, check=False, cwd=os.path.dirname(partial_backends.__file__),
-        env=os.environ | {
-            partial_backends.STEP: str(written),
-            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-        },
-    )  # fmt: skip
-    assert run.returncode in (0, 1), run.stdout + run.stderr
-    return run.returncode, run.stdout
+    folder = Path(partial_backends.__file__).parent
+    return take_the_kit("partial_backends:create_backend", folder, *modules, **{partial_backends.STEP: str(written)})
 
 
 @pytest.fixture(autouse=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
@@ -11,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from conformance_kit import take_the_kit
 
 import rhi.conformance
 from rhi.__main__ import main
@@ -57,24 +57,9 @@ def test_the_guide_goes_through_the_steps_with_their_methods_and_groups() -> Non
 # -- the template ------------------------------------------------------------------------------------------
 
 
-def take_the_kit(package: Path, name: str, *groups: str) -> str:
-    """What a run of groups of the kit prints for a backend in a folder."""
-    command = [
-        sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "--color=no",
-        "--rhi-backend", name, "--pyargs", *groups,
-    ]  # fmt: skip
-    paths = [str(package), *filter(None, [os.environ.get("PYTHONPATH")])]
-    run = subprocess.run(
-        command, capture_output=True, text=True, check=False, cwd=package,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths), "PYTEST_ADDOPTS": ""},
-    )  # fmt: skip
-    assert run.returncode in (0, 1), run.stdout + run.stderr
-    return run.stdout
-
-
 def test_a_new_backend_fails_every_test_by_the_name_of_what_it_misses(tmp_path: Path) -> None:
     root = write_package("half_done", tmp_path)
-    output = take_the_kit(root, "rhi_half_done:create_backend", "rhi.conformance.operation.test_buffers")
+    _, output = take_the_kit("rhi_half_done:create_backend", root, "rhi.conformance.operation.test_buffers")
     assert re.search(r"^ 1 operation · buffers +0 passed +77 failed$", output, re.MULTILINE), output
     assert "NotImplementedError" not in output  # the scoreboard says it once
     assert len(output) < 2000
@@ -88,7 +73,7 @@ def test_a_method_that_was_written_is_not_asked_for_any_more(tmp_path: Path) -> 
     root = write_package("begun", tmp_path)
     file = root / "rhi_begun" / "backend.py"
     file.write_text(file.read_text().replace('        raise NotImplementedError("create_buffer")\n', ""))
-    output = take_the_kit(root, "rhi_begun:create_backend", "rhi.conformance.operation.test_buffers")
+    _, output = take_the_kit("rhi_begun:create_backend", root, "rhi.conformance.operation.test_buffers")
     assert "write create_buffer" not in output
     assert re.search(r"^  write write_buffer: \d+ tests stop there$", output, re.MULTILINE)
 
@@ -98,7 +83,7 @@ def test_a_new_backend_registers_itself_when_it_is_installed(tmp_path: Path) -> 
     setup = [sys.executable, "-c", "import setuptools; setuptools.setup()", "--quiet", "egg_info"]
     run = subprocess.run(setup, capture_output=True, text=True, check=False, cwd=root)
     assert run.returncode == 0, run.stderr  # what an editable installation writes
-    output = take_the_kit(root, "fresh", "rhi.conformance.operation.test_buffers")
+    _, output = take_the_kit("fresh", root, "rhi.conformance.operation.test_buffers")
     assert "rhi conformance: fresh" in output
     assert "  write create_buffer: 77 tests stop there" in output
 
@@ -208,7 +193,7 @@ def test_a_test_counts_once_also_if_its_teardown_fails_too() -> None:
 
 def test_the_kit_runs_in_the_order_of_the_steps(tmp_path: Path) -> None:
     root = write_package("sorted", tmp_path)
-    output = take_the_kit(root, "rhi_sorted:create_backend", "rhi.conformance.operation", "--collect-only")
+    _, output = take_the_kit("rhi_sorted:create_backend", root, "rhi.conformance.operation", "--collect-only")
     found = re.findall(r"^(?:operation/)?test_(\w+)\.py::", output, re.MULTILINE)
     numbers = [step_of(f"operation · {name.replace('_', ' ')}") for name in dict.fromkeys(found)]
     assert len(numbers) > 20
@@ -219,7 +204,7 @@ def test_after_a_failed_test_the_next_one_gets_a_new_device(tmp_path: Path) -> N
     """`end_pass` fails, so a pass stays open on the device."""
     root = write_package("broken", tmp_path)
     (root / "rhi_broken" / "__init__.py").write_text(BROKEN)
-    output = take_the_kit(root, "rhi_broken:create_backend", "rhi.conformance.operation.test_time")
+    _, output = take_the_kit("rhi_broken:create_backend", root, "rhi.conformance.operation.test_time")
     assert "pass-open" not in output
     assert "  write end_pass: 2 tests stop there" in output
     assert re.search(r"3 operation · time +2\d passed +2 failed", output), output

@@ -22,7 +22,7 @@ Run = Callable[..., dict[str, Any]]
 
 @pytest.fixture
 def run(context: moderngl.Context) -> Run:
-    """`run(shader, groups=1, name=array_or_count_or_struct…)` returns each storage buffer's contents afterwards."""
+    """`run(shader, groups=1, name=array_or_count_or_struct…)` returns each writable buffer's contents afterwards."""
 
     return partial(run_glsl, context)
 

@@ -8,10 +8,10 @@ from typing import Any
 import moderngl
 import numpy as np
 import pytest
+from opencl_runner import binding_words
 
 from rhi.contract.descriptors import BindingKind, Stage
-from rhi.contract.layout import Layout, element_dtype
-from rhi.shading import Shader, Struct, compile_shader, value_type_of
+from rhi.shading import Shader, compile_shader
 
 
 @pytest.fixture(scope="module")
@@ -25,34 +25,41 @@ def context() -> Iterator[moderngl.Context]:
     context.release()
 
 
+class GlslBuffers:
+    """The resources that a shader binds, on OpenGL."""
+
+    def __init__(self, context: moderngl.Context, shader: type[Shader], bindings: dict[str, Any]) -> None:
+        descriptor, words = compile_shader(shader), binding_words(shader, bindings)
+        self.all: list[moderngl.Buffer] = []
+        self.written: dict[str, tuple[moderngl.Buffer, Any]] = {}
+        for binding in descriptor.bindings:
+            value = words[binding.name]
+            uniform = binding.kind is BindingKind.UNIFORM
+            memory = context.buffer((value if uniform else value[1]).tobytes() or bytes(4))
+            self.all.append(memory)
+            if uniform:
+                memory.bind_to_uniform_block(binding.slot)
+            else:
+                memory.bind_to_storage_buffer(binding.slot)
+                if binding.writes:
+                    self.written[binding.name] = (memory, value[0])
+
+    def finish(self) -> dict[str, Any]:
+        """Return the contents of the writable buffers and release all resources."""
+        results = {
+            name: np.frombuffer(memory.read(), whole.dtype).reshape(whole.shape)
+            for name, (memory, whole) in self.written.items()
+        }
+        for memory in self.all:
+            memory.release()
+        return results
+
+
 def run_glsl(context: moderngl.Context, shader: type[Shader], groups: Any = 1, **values: Any) -> dict[str, Any]:
-    """Run a compute shader on OpenGL and return the contents of each storage buffer afterwards."""
-    program = compile_shader(shader)
-    compute = context.compute_shader(program.emit("glsl", Stage.COMPUTE).text)
-    buffers = {}
-    for binding in program.bindings:
-        value = values[binding.name]
-        if binding.kind is BindingKind.UNIFORM:
-            data = value.to_bytes() if isinstance(value, Struct) else value.tobytes()
-            buffer = context.buffer(data)
-            buffer.bind_to_uniform_block(binding.slot)
-            buffers[binding.name] = (buffer, None)
-        elif binding.kind is BindingKind.STORAGE:
-            dtype = element_dtype(value_type_of(binding.type), Layout.STD430)
-            array = np.zeros(value, dtype) if isinstance(value, int) else np.asarray(value)
-            buffer = context.buffer(array.tobytes())
-            buffer.bind_to_storage_buffer(binding.slot)
-            buffers[binding.name] = (buffer, array)
-        elif binding.kind is BindingKind.TEXTURE:
-            value.use(binding.slot)
-        else:
-            value.bind_to_image(binding.slot)
+    """Run a compute shader on OpenGL and return the contents of each writable buffer afterwards."""
+    compute = context.compute_shader(compile_shader(shader).emit("glsl", Stage.COMPUTE).text)
+    buffers = GlslBuffers(context, shader, values)
     compute.run(*(groups if isinstance(groups, tuple) else (groups,)))
     context.finish()
-    results = {}
-    for name, (buffer, array) in buffers.items():
-        if array is not None:
-            results[name] = np.frombuffer(buffer.read(), array.dtype).reshape(array.shape)
-        buffer.release()
     compute.release()
-    return results
+    return buffers.finish()

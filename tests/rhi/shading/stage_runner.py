@@ -12,6 +12,7 @@ from typing import Any
 import moderngl
 import numpy as np
 import pyopencl as cl
+from glsl_runner import GlslBuffers
 from opencl_runner import BoundMemory, binding_words, buffer, build_text, queue
 
 from rhi.contract.descriptors import BindingKind, Interpolation, ProgramDescriptor, Stage
@@ -260,36 +261,6 @@ def run_fragment_numpy(
 # -- GLSL --------------------------------------------------------------------------------------------------
 
 SENTINEL = 0x4B3C2D1E
-
-
-class GlslBuffers:
-    """The resources that a shader binds, on OpenGL."""
-
-    def __init__(self, context: moderngl.Context, shader: type[Shader], bindings: dict[str, Any]) -> None:
-        descriptor, words = compile_shader(shader), binding_words(shader, bindings)
-        self.all: list[moderngl.Buffer] = []
-        self.written: dict[str, tuple[moderngl.Buffer, Any]] = {}
-        for binding in descriptor.bindings:
-            value = words[binding.name]
-            uniform = binding.kind is BindingKind.UNIFORM
-            memory = context.buffer((value if uniform else value[1]).tobytes() or bytes(4))
-            self.all.append(memory)
-            if uniform:
-                memory.bind_to_uniform_block(binding.slot)
-            else:
-                memory.bind_to_storage_buffer(binding.slot)
-                if binding.writes:
-                    self.written[binding.name] = (memory, value[0])
-
-    def finish(self) -> dict[str, Any]:
-        """Return the contents of the writable buffers and release all resources."""
-        results = {
-            name: np.frombuffer(memory.read(), whole.dtype).reshape(whole.shape)
-            for name, (memory, whole) in self.written.items()
-        }
-        for memory in self.all:
-            memory.release()
-        return results
 
 
 def run_vertex_glsl(

@@ -1,53 +1,21 @@
 """Checked shaders report an index out of range with its line; the text of other shaders is unchanged."""
 
 import inspect
-import math
 import os
 import subprocess
 import sys
 
 import numpy as np
-import pyopencl as cl
 import pytest
-from opencl_runner import build_text, queue
+from opencl_runner import queue, run_opencl
 
 import rhi
 import rhi.shading as sl
 from rhi.errors import ShaderError
-from rhi.shading.evaluation.compute import storage_words
-from rhi.shading.ir.faults import FAULT_WORDS, find_fault
-
-
-def run_checked(shader, width, groups=1, **bindings):
-    """Run a kernel on OpenCL and raise the fault that it reports."""
-    kernel_text = sl.opencl_kernel(shader, width)
-    kernel = cl.Kernel(build_text(kernel_text.text), "compute")
-    arguments, results = [], {}
-    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-    for binding in sl.compile_shader(shader).bindings:
-        whole, words = storage_words(shader._declared[binding.name].type.element, bindings[binding.name], binding.name)
-        padded = np.zeros(max(64, words.size), np.uint32)
-        padded[: words.size] = words
-        arguments += [cl.Buffer(queue().context, flags, hostbuf=padded), np.int32(len(whole))]
-        results[binding.name] = whole, arguments[-2]
-    faults = np.zeros(FAULT_WORDS, np.int32)
-    arguments.append(cl.Buffer(queue().context, flags, hostbuf=faults))
-    kernel.set_args(*arguments)
-    items = -(-math.prod(shader.work_group) // width)
-    cl.enqueue_nd_range_kernel(queue(), kernel, (groups * items,), (items,)).wait()
-    cl.enqueue_copy(queue(), faults, arguments[-1])
-    error = find_fault(faults.tolist(), kernel_text.origins)
-    if error is not None:
-        raise error
-    for whole, buffer in results.values():
-        if whole.size:
-            cl.enqueue_copy(queue(), whole, buffer)
-    return {name: whole for name, (whole, _) in results.items()}
-
 
 WAYS = {
-    "one lane": lambda shader, **values: run_checked(shader, 1, **values),
-    "16 lanes": lambda shader, **values: run_checked(shader, 16, **values),
+    "one lane": lambda shader, **values: run_opencl(shader, 1, **values),
+    "16 lanes": lambda shader, **values: run_opencl(shader, 16, **values),
     "numpy": sl.run_compute,
 }
 
@@ -159,10 +127,10 @@ class Same(Checked):
 @pytest.mark.parametrize("width", [4, 16])
 def test_uniform_of_values_that_differ_is_an_error(width):
     same = {**values(), "which": np.repeat([3, 4], 16).astype("i4")}
-    run_checked(Same, width, **same)
+    run_opencl(Same, width, **same)
     same["which"][20] = 5
     with pytest.raises(ShaderError, match=r"^\[shading-different\]") as caught:
-        run_checked(Same, width, **same)
+        run_opencl(Same, width, **same)
     assert caught.value.site.line == line_of(Same, "uniform(")
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from opencl_runner import run_opencl
-from test_shading_checked import line_of, run_checked
+from test_shading_checked import line_of
 
 from rhi.errors import ShaderError
 from rhi.shading import Shader, Storage, StorageRW, global_id
@@ -73,5 +73,5 @@ def test_a_range_has_all_its_turns(width):
 @pytest.mark.parametrize("width", [1, 16])
 def test_a_checked_shader_says_which_loop_does_not_end(width):
     with pytest.raises(ShaderError, match=r"^\[shading-endless\]") as caught:
-        run_checked(Endless, width, most=lengths(0), out=N)
+        run_opencl(Endless, width, most=lengths(0), out=N)
     assert f":{line_of(Endless, 'while')}" in str(caught.value)

@@ -358,13 +358,13 @@ def test_the_same_position_in_two_programs_is_the_same_bits():
     np.testing.assert_array_equal(first, exact)  # nothing is fused
 
 
-def test_lines_of_a_stage_lead_back_to_python():
-    descriptor = sl.compile_shader(Slopes)
-    emitted = descriptor.emit("opencl16", Stage.FRAGMENT)
-    lines, origins = emitted.text.splitlines(), emitted.origins
-    assert len(lines) == len(origins)
-    at = next(i for i, line in enumerate(lines) if "rhi_ddy(" in line and "inline" not in line)
-    file, number = origins[at]
+@pytest.mark.parametrize(("language", "called"), [("opencl16", "rhi_ddy("), ("glsl", "dFdy(")])
+def test_lines_of_a_stage_lead_back_to_python(language, called):
+    emitted = sl.compile_shader(Slopes).emit(language, Stage.FRAGMENT)
+    lines = emitted.text.splitlines()
+    assert len(lines) == len(emitted.origins)
+    at = next(i for i, line in enumerate(lines) if called in line and "inline" not in line)
+    file, number = emitted.origins[at]
     assert file == __file__
     with open(file) as text:
         assert "ddy(squared)" in text.read().splitlines()[number - 1]
