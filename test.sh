@@ -40,7 +40,7 @@ echo "[test] mypy --strict"
 echo "[test] import order"
 .venv/bin/lint-imports --no-cache
 # Workers that had run thousands of tests have ended there without a word; a process of its own never has.
-apart=tests/rhi/backends/cl/raster/test_cl_builds.py
+apart=tests/rhi/backends/cl/test_cl_builds.py
 echo "[test] pytest: kernels that other processes optimise"
 .venv/bin/python -m pytest --capture=sys "${options[@]}" "$apart"
 echo "[test] pytest: tests, and the conformance kit on gl, cl and null, on all cores"

@@ -171,6 +171,7 @@ class ComputeProgram:
         if any(required):
             self._group = tuple(required)
         self._kernel = Kernel(program, name, optimisation)
+        self._source = StageText("")  # nothing is going to be said of it
         return self._kernel
 
     def prepare(self) -> list[Future[None]]:
@@ -191,6 +192,8 @@ class ComputeProgram:
         if self._given_to != build:  # the kernel has no arguments yet
             self._given_to = build
             self._bound.clear()
+            if not holder.is_quick:
+                self._optimisation = None  # with its source code
             if self._faults is not None:
                 kernel.set_arg(self._fault_place, self._faults.memory)
         for place, binding in self._bindings:
