@@ -181,7 +181,7 @@ def test_what_a_file_has_and_the_scene_has_not_is_listed_once(
 
 @pytest.mark.usefixtures("gl")
 def test_accuracy_lists_it_and_charts_are_drawings(capsys: pytest.CaptureFixture[str], here: Path) -> None:
-    command = "accuracy dusty.gltf --backend gl --size 32x18 --knob precision --views 1 --rounds 1 --plot errors.svg"
+    command = "accuracy dusty.gltf --backend gl --size 32x18 --knob normal_bits --views 1 --rounds 1 --plot errors.svg"
     test_what_a_file_has_and_the_scene_has_not_is_listed_once(capsys, here, command)
     assert (here / "errors.svg").read_text().startswith("<?xml")
 
@@ -341,7 +341,7 @@ def test_overlay_and_particles_are_drawn_over_the_image_and_change_no_counter(
     plain, sprays, overlaid = pictures
     assert (plain != sprays).any()
     assert (plain != sprays).mean() < 0.1
-    assert (sprays != overlaid)[8:300, 8:300].mean() > 0.9
+    assert (sprays != overlaid)[8:300, 8:300].mean() > 0.5
     assert (sprays == overlaid)[:, 320:330].all()
 
 
