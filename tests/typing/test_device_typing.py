@@ -10,6 +10,7 @@ from typing_kit import check_mistakes
 DRAW = "device.draw(flat, mesh, tint=tint, many=many, albedo=image)"
 MANY = "device.draw_many(flat, mesh, mesh.draws(), tint=tint, many=many, albedo=image)"
 
+RIGHT = Path(__file__).with_name("device_right.py")
 MISTAKES = [
     # a wrong state value
     ("CullMode.NONE, DepthWrite.OFF,", "CullMode.OFF, DepthWrite.OFF,", 'has no attribute "OFF"'),
@@ -60,4 +61,4 @@ MISTAKES = [
 def test_right_use_passes_and_each_mistake_is_refused_on_its_line(
     mypy_strict: Callable[..., tuple[str, int]], tmp_path: Path
 ) -> None:
-    check_mistakes(mypy_strict, tmp_path, Path(__file__).with_name("device_right.py"), MISTAKES)
+    check_mistakes(mypy_strict, tmp_path, RIGHT, MISTAKES)

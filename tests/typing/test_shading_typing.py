@@ -8,6 +8,7 @@ from rhi.shading.tools.stubs import stub_texts
 
 DRAW = "device.draw(lit, None, light=light, lights=lights, counts=counts, albedo=texture, target=target)"
 
+RIGHT = Path(__file__).with_name("shading_right.py")
 MISTAKES = [
     (DRAW, DRAW.replace("albedo=texture, ", ""), 'Missing named argument "albedo"'),
     (DRAW, DRAW.replace("target=target", "targte=target"), 'Unexpected keyword argument "targte"'),
@@ -44,7 +45,7 @@ MISTAKES = [
 
 
 def test_right_shaders_pass_and_each_mistake_is_refused_on_its_line(mypy_strict, tmp_path):
-    check_mistakes(mypy_strict, tmp_path, Path(__file__).with_name("shading_right.py"), MISTAKES)
+    check_mistakes(mypy_strict, tmp_path, RIGHT, MISTAKES)
 
 
 def test_the_stubs_are_what_the_tables_say():
