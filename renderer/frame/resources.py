@@ -382,9 +382,10 @@ class SceneResources:
     @property
     def lights(self) -> Lights:
         """The scene's lights; with a `light_cutoff`, they end where their light is fainter."""
-        lights, key = self.scene.lights, (self.scene.lights.contents, self.light_cutoff)
+        lights = self.scene.lights
         if not self.light_cutoff:
             return lights
+        key = lights.contents, self.light_cutoff
         if self._cut[0] != key:
             self._cut = key, lights.cut(self.light_cutoff)
         return self._cut[1]

@@ -6,6 +6,7 @@ are one dispatch there (`Stepping`). To see it elsewhere, it is read back.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from copy import copy
 from typing import Final, Generic, Protocol, Self, TypeVar
 
@@ -32,7 +33,7 @@ H = TypeVar("H")
 D = TypeVar("D", bound=DeviceState)
 
 
-class DeferredSteps(Generic[H, D]):
+class DeferredSteps(ABC, Generic[H, D]):
     """The base of simulations whose state is an `H` on NumPy or a `D` on a device."""
 
     def __init__(self, count: int, rule: Rule) -> None:
@@ -100,22 +101,22 @@ class DeferredSteps(Generic[H, D]):
         first: Rows = self._number[members] - self._due[members] + 1
         return first
 
+    @abstractmethod
     def _begin(self) -> H:
         """Return the state at first."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _read(self) -> H:
         """Return a copy of the state after the steps taken so far. Waits for the device that has it."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _upload(self, device: Device, state: H) -> D:
         """Return a state on a device."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _step(self, members: Rows, numbers: Rows) -> None:
         """Take the steps `numbers` (j,) of `members` (j,) in the arrays."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _run(self, members: Rows, begins: Rows, vertices: StorageBuffer[float] | None, stride: int) -> None:
         """Take the steps that are due on the device, and write `vertices` if they are given."""
-        raise NotImplementedError

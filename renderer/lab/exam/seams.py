@@ -20,7 +20,6 @@ from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, make_height_field
 from renderer.scene.arrays import Floats
 from renderer.tessellation import TessellationSettings
-from renderer.visibility import FrustumCulling
 from rhi import Device
 
 SIZE: Final = (256, 144)
@@ -107,7 +106,7 @@ def split_edges(device: Device) -> Found:
     shown, numbers, error = dict[str, NDArray[Any]](), dict[str, object](), 0.0
     for title, are_split in (("one side", False), ("both sides", True)):
         scene, count = make_strips(are_split=are_split), 0
-        with Renderer(device, scene, size=SIZE, visibility=FrustumCulling(scene)) as renderer:
+        with Renderer(device, scene, size=SIZE, visibility="frustum") as renderer:
             for number, camera in enumerate(_BEFORE):
                 image = shown[f"{title}, {number}"] = renderer.render(camera).image.read()
                 through = find_background(image)
@@ -124,7 +123,7 @@ def cross_levels(device: Device) -> Found:
     field, whose triangles are of many sizes. The last eye looks over the field's edge, and must see the background."""
     scene, shown = make_hills(), dict[str, NDArray[Any]]()
     sizes, fills, counts = list[int](), list[bool](), list[int]()
-    with Renderer(device, scene, size=SIZE, visibility=FrustumCulling(scene)) as renderer:
+    with Renderer(device, scene, size=SIZE, visibility="frustum") as renderer:
         for number, camera in enumerate(_ABOVE):
             fills.append(meets_field(camera.with_aspect(SIZE[0] / SIZE[1])))
             renderer.tessellator.settings = TessellationSettings(edge_pixels=(6.0, 24.0)[number % 2])

@@ -17,10 +17,10 @@ from typing import Any, Final
 
 import rhi.shading as sl
 from renderer.scene import Camera, Depth, Scene
-from renderer.shaders import DRAW_LISTS, ViewConstants
+from renderer.shaders import ViewConstants
 from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility.gpu.device_culling import DeviceCulling
-from renderer.visibility.gpu.draw_lists import CountKeys, WriteDraws, with_parts
+from renderer.visibility.gpu.draw_lists import CountKeys, WriteDraws, count_parts, with_parts
 from renderer.visibility.gpu.farthest_depth import SCALE, DownSample, DownSampleTexture, FarthestDepth, of_direction
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, FindOccludees, Occludee
 from renderer.visibility.scene_pass import ScenePass
@@ -184,7 +184,7 @@ class DepthPyramidCulling(DeviceCulling):
 
 def prepare_depth_pyramid(scene: Scene, device: Device, depth: Depth) -> Preparation:
     """Begin to build all that the algorithm dispatches in a scene whose depth has this direction."""
-    parts = DRAW_LISTS * (1 + len(scene.shaders))
+    parts = count_parts(scene)
     shaders: list[type[Any]] = [FindSeen, with_parts(CountKeys, parts), PrefixSum, with_parts(WriteDraws, parts)]
     shaders += [of_direction(shader, depth) for shader in (DownSampleTexture, DownSample, CompareBoxes)]
     return device.prepare([DrawPlan(device.program(shader)) for shader in shaders])

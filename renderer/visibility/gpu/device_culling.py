@@ -16,9 +16,8 @@ from typing import Final
 
 from renderer import rules
 from renderer.scene import Camera, Depth, Scene
-from renderer.shaders import DRAW_LISTS
 from renderer.visibility.algorithm import VisibilityStatistics
-from renderer.visibility.gpu.draw_lists import IndirectDrawList
+from renderer.visibility.gpu.draw_lists import IndirectDrawList, count_parts
 from renderer.visibility.gpu.occludees import FindOccludees, Occludees
 from renderer.visibility.repeated import RepeatedCommands
 from renderer.visibility.scene_pass import ScenePass
@@ -42,7 +41,7 @@ class DeviceCulling(ABC):
             refuse(rules.NO_COMPUTE, f"{type(self).__name__}(...)", given)
         self._device = device
         self._occludees = Occludees(device, len(scene.objects), find)
-        parts = DRAW_LISTS * (1 + len(scene.shaders))
+        parts = count_parts(scene)
         self.first = IndirectDrawList(device, self._occludees, parts)
         self.second = IndirectDrawList(device, self._occludees, parts)
         self._repeated = RepeatedCommands(device, "culling")

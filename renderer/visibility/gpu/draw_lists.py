@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading as sl
+from renderer.scene import Scene
 from renderer.shaders import DRAW_LISTS, MeshPart, ObjectPosition
 from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, Occludee, Occludees
@@ -147,6 +148,11 @@ class WriteDraws(sl.Shader):
                 )
             elif key == hidden_key:
                 self.hidden[int(place - hidden)] = sl.uint(row)
+
+
+def count_parts(scene: Scene) -> int:
+    """Return the parts of a scene's lists: `DRAW_LISTS` for each of its shaders and for that of all others."""
+    return DRAW_LISTS * (1 + len(scene.shaders))
 
 
 class IndirectDrawList:

@@ -301,7 +301,7 @@ class ClBackend:
         states: Sequence[StateChange],
     ) -> Sequence[Future[None]]:  # fmt: skip
         """See `rhi.contract.backend.PreparesKernels`."""
-        if not vertex_array and program in self._programs:
+        if program in self._programs:
             return self._programs[program].prepare()
         values = dict(states)
         return self._rasteriser.prepare_kernels(program, vertex_array, values, colors, depth, samples)

@@ -23,12 +23,13 @@ import numpy as np
 import pyopencl as cl
 
 from rhi.backends.cl.builds import Builds, Kernel, Launch, Optimisation
-from rhi.backends.cl.context import FLUSHES_DENORMALS, ClContext
+from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.memory.buffers import Buffers
 from rhi.backends.cl.memory.planes import allocate
 from rhi.backends.cl.memory.samplers import Samplers
 from rhi.backends.cl.memory.textures import Textures
+from rhi.backends.cl.pocl.cache import Request
 from rhi.contract.descriptors import (
     Binding,
     BindingKind,
@@ -124,12 +125,13 @@ class ComputeProgram:
         self, context: ClContext, builds: Builds, descriptor: ProgramDescriptor, arguments: KernelArguments
     ) -> None:
         self._context, self._builds, self._descriptor = context, builds, descriptor
-        self._source = source = descriptor.emit(f"opencl{count_lanes(context.device)}", Stage.COMPUTE)
+        source = descriptor.emit(f"opencl{count_lanes(context.device)}", Stage.COMPUTE)
         self._kernel: Kernel | None = None
         self._optimisation: Optimisation | None = None
         self._group: tuple[int, ...] = descriptor.work_group
         request = builds.request(source.text, (), descriptor.flushes_denormals)
         launch = _describe_launch(descriptor)
+        self._unbuilt: tuple[StageText, Request] | None = source, request
         if builds.is_quick and source.generated and not builds.is_cached(request, launch):
             self._optimisation = Optimisation(request, launch, builds)
         else:
@@ -152,18 +154,18 @@ class ComputeProgram:
         self._given_to: object = None  # the build that has them
 
     def _build(self) -> Kernel:
-        descriptor, optimisation = self._descriptor, self._optimisation
+        assert self._unbuilt is not None
+        descriptor, optimisation, (source, request) = self._descriptor, self._optimisation, self._unbuilt
         try:
             if optimisation is None:
-                options = [FLUSHES_DENORMALS] if descriptor.flushes_denormals else []
-                program = self._context.compile(self._source.text, options)
+                program = self._context.compile(request.source, request.options)
             else:
-                program = optimisation.program or self._builds.compile(optimisation.request, quick=True)
+                program = optimisation.program or self._builds.compile(request, quick=True)
             # By name: kernels of `all_kernels` keep a reference to the program that is never released.
             (name,) = program.list_names()
             kernel = program.find(name)
         except cl.Error as error:
-            raise make_shader_error(descriptor, Stage.COMPUTE, self._source, str(error)) from error
+            raise make_shader_error(descriptor, Stage.COMPUTE, source, str(error)) from error
         except ValueError as error:
             call = f"device.program({descriptor.name})"
             raise ShaderError(SHADER_DRIVER, call, "no single kernel", "a source with one kernel") from error
@@ -171,7 +173,7 @@ class ComputeProgram:
         if any(required):
             self._group = tuple(required)
         self._kernel = Kernel(program, name, optimisation)
-        self._source = StageText("")  # nothing is going to be said of it
+        self._unbuilt = None
         return self._kernel
 
     def prepare(self) -> list[Future[None]]:

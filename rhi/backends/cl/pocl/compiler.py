@@ -101,7 +101,6 @@ class Compiler:
 
 
 def _serve(platform_name: str, version: str, index: int, jobs: IO[bytes], answers: IO[bytes]) -> None:
-    import numpy as np
     import pyopencl as cl
 
     platforms = [each for each in cl.get_platforms() if (each.name, each.version) == (platform_name, version)]
@@ -117,21 +116,8 @@ def _serve(platform_name: str, version: str, index: int, jobs: IO[bytes], answer
             program = program.build(["-w", *options]) if names else program.compile(["-w", *options])
             for name in names:
                 kernel = cl.Kernel(program, name)
-                memories: list[Any] = []
-                for place, argument in enumerate(arguments):
-                    if isinstance(argument, int):
-                        kernel.set_arg(place, np.int32(argument))
-                        continue
-                    contents, addresses = (argument, None) if isinstance(argument, bytes) else argument
-                    memory = np.zeros((len(contents) // 64 * 64 + 64 + _ZEROS) // 8, np.uint64)
-                    memory[: len(contents) // 8] = np.frombuffer(contents, np.uint64)
-                    memories.append(memory)
-                    if addresses is None:
-                        memories.append(cl.Buffer(context, cl.mem_flags.USE_HOST_PTR, hostbuf=memory))
-                        kernel.set_arg(place, memories[-1])
-                    else:
-                        memory[np.array(addresses) // 8] = memory.ctypes.data + len(contents) // 64 * 64 + 64
-                        kernel.set_arg(place, np.uint64(memory.ctypes.data))
+                given = [_make_argument(context, argument) for argument in arguments]
+                kernel.set_args(*[value for value, _ in given])
                 items = kernel.get_work_group_info(cl.kernel_work_group_info.COMPILE_WORK_GROUP_SIZE, queue.device)
                 group = tuple(items) if any(items) else (1,)
                 cl.enqueue_nd_range_kernel(queue, kernel, group, group).wait()
@@ -143,6 +129,23 @@ def _serve(platform_name: str, version: str, index: int, jobs: IO[bytes], answer
             if lock is not None:
                 lock.close()
         answers.flush()
+
+
+def _make_argument(context: Any, argument: int | bytes | tuple[bytes, tuple[int, ...]]) -> tuple[Any, object]:
+    """Return an argument of `rhi.backends.cl.builds.Launch` as kernels take it, and the memory that it needs."""
+    import numpy as np
+    import pyopencl as cl
+
+    if isinstance(argument, int):
+        return np.int32(argument), None
+    contents, addresses = (argument, None) if isinstance(argument, bytes) else argument
+    zeros = len(contents) // 64 * 64 + 64  # where they begin
+    memory = np.zeros((zeros + _ZEROS) // 8, np.uint64)
+    memory[: len(contents) // 8] = np.frombuffer(contents, np.uint64)
+    if addresses is None:
+        return cl.Buffer(context, cl.mem_flags.USE_HOST_PTR, hostbuf=memory), memory
+    memory[np.array(addresses) // 8] = memory.ctypes.data + zeros
+    return np.uint64(memory.ctypes.data), memory
 
 
 def _limit_time() -> None:
