@@ -141,6 +141,8 @@ def test_without_a_folder_of_kernels_programs_stay(device: Device) -> None:
 def test_programs_that_are_destroyed_are_forgotten(device: Device) -> None:
     before = len(held(device)._programs)
     program = device.program(AddStep)
+    numbers, step = device.storage(float, np.zeros(16, np.float32)), device.uniform(Step(size=1.0))
+    device.dispatch(program, 1, numbers=numbers, step=step)  # which builds it, unless the cache has it
     assert len(held(device)._programs) == before + 1
     program.destroy()
     wait(device, 1)
