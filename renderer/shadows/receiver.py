@@ -39,6 +39,9 @@ DARK: Final = -2
 """The slots of lamps without maps: those that nothing blocks, and those for whose maps there is no room. The latter
 light nothing, so that no wall is lit through."""
 
+SMALL: Final = 64
+"""The width in texels of a lamp's map up to which shadows err towards dark."""
+
 _STEEPEST: Final = 0.005
 """The cosine of the steepest slope that a plane is followed to: 89.7°."""
 
@@ -304,7 +307,10 @@ class ShadowReceiver(ShadowReader):
         plane = sl.min(sl.dot(normal, moved), -_STEEPEST * distance)
         tilt = turn(rotation, normal)
         slope = sl.vec2(tilt.x, -tilt.y) * (self.lamps.bias.z * near / (plane * tile.w))
-        return light * self.find_lit_share(at, near * nearness, slope, tile.xy, tile.z)
+        share = self.find_lit_share(at, near * nearness, slope, tile.xy, tile.z)
+        if tile.z <= SMALL / 2.0:
+            share = sl.max(3.0 * share - 2.0, 0.0)
+        return light * share
 
 
 FILTERS: Final[dict[ShadowFilter, type[ShadowReader]]] = {

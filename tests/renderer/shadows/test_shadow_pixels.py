@@ -595,6 +595,15 @@ def test_lamps_without_room_for_maps_shine_through_no_wall(
     assert (lit.sum(2) > 30).mean() > 0.1  # the control: without the wall they light the floor
 
 
+@pytest.mark.parametrize("width", [64, 128])
+def test_the_foot_of_a_thin_wall_keeps_the_light_of_coarse_maps_off(drawing_device: rhi.Device, width: int) -> None:
+    with open_renderer(drawing_device, build_wall(250), TECHNIQUES["clustered"](), size=(128, 72)) as renderer:
+        renderer.shadows.settings = ShadowSettings(smallest=width, largest=width)
+        picture = read_colors(renderer.render(BESIDE_THE_WALL))
+    # Of the filter, up to 2/3 may find the floor in front of the wall: its edge is drawn half a texel off.
+    assert (picture.sum(2) > 30).sum() == 0
+
+
 def test_lamps_that_nothing_shades_are_lit_however_many_there_are(drawing_device: rhi.Device) -> None:
     scene = build_wall(12)
     scene.objects.casts_shadow[:] = False
