@@ -12,6 +12,7 @@ from renderer.visibility import (
     VisibilityAlgorithm,
     find_visible,
     find_visible_objects,
+    frustum,
     make_visibility,
 )
 from rhi.errors import ValidationError
@@ -73,11 +74,19 @@ def test_nothing_in_view_draws_nothing(hall):
     assert statistics.visible == statistics.batches == 0
 
 
-def test_the_hierarchy_needs_fewer_tests_than_every_plane_of_every_box():
+def test_many_objects_are_in_a_hierarchy_which_needs_fewer_tests_and_few_are_not(monkeypatch):
     city = load_scene("city:blocks=24,detail=2")
-    statistics = FrustumCulling(city).render(city.paths["ground"].camera(900), CallbackPass(lambda rows: None))
-    assert 0 < statistics.plane_tests < 5 * len(city.objects) / 3
-    assert statistics.objects_tested < len(city.objects) / 3
+    count, camera = len(city.objects.fixed_rows), city.paths["ground"].camera(900)
+    found = []
+    for few in (count, count - 1):
+        monkeypatch.setattr(frustum, "_FEW", few)
+        statistics = FrustumCulling(city).render(camera, CallbackPass(found.append))
+        if few == count:
+            assert (statistics.nodes_tested, statistics.plane_tests) == (0, 5 * count)
+    assert np.array_equal(*found)
+    assert 0 < len(found[0]) < count
+    assert 0 < statistics.plane_tests < 5 * count / 3
+    assert statistics.objects_tested < count / 3
 
 
 @pytest.mark.parametrize("name", ["none", "frustum"])
