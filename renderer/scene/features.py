@@ -89,7 +89,7 @@ class MaterialFeatures:
             self._begin(materials)
             self.version += 1
             return
-        if materials.tobytes() == self._known.tobytes():  # a few materials take a tenth of what an array operation takes
+        if materials.tobytes() == self._known.tobytes():  # takes less than array operations
             return
         rows: Rows = np.flatnonzero((_view_words(materials) != _view_words(self._known)).any(axis=1))
         changed, flags = materials[rows], self._examine(materials[rows])

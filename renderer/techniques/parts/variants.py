@@ -77,11 +77,11 @@ def find_variant(frame: Frame, *bases: type[Any], **fixed: Any) -> type[Any]:
         bases = (FILTERS[frame.resources.workspace(ShadowMaps).settings.filter], *bases)
     sizes = None if images is None else (len(images.colors), len(images.data), images.table is not None)
     facts = (needs.effects, needs.has_sun, needs.has_both_models, needs.has_planes, is_own, sizes)
-    return _choose_variant(bases, *facts, **fixed)
+    return choose_variant(bases, *facts, **fixed)
 
 
 @cache
-def _choose_variant(
+def choose_variant(
     bases: tuple[type[Any], ...],
     effects: frozenset[Effect],
     sun: bool,
