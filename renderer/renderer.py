@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
 from time import perf_counter
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,6 +174,7 @@ class Renderer:
             self._own.append(visibility)
         self._plans: dict[tuple[object, ...], Plan[Frame]] = {}
         self._seen = SeenFeatures(scene)
+        self._needs: Needs | None = None  # of the last frame
         self._planned: Technique | None = None
         self._drawn: Plan[Frame] | None = None  # the plan of the last frame
         self._size, self._scale = size, 1.0
@@ -451,9 +452,13 @@ class Renderer:
         return needs, self._plan(needs)
 
     def _find_needs(self, camera: Camera, seen: frozenset[str] | None = None) -> Needs:
-        reaches = self._resources.reaching
-        return find_needs(self.scene, camera, reaches=reaches, blending=self.blending, glow=self.glow, seen=seen,
-                          lights=self._resources.lights)  # fmt: skip
+        options: dict[str, Any] = {
+            "reaches": self._resources.reaching,
+            "lights": self._resources.lights,
+            "last": self._needs,
+        }
+        self._needs = find_needs(self.scene, camera, blending=self.blending, glow=self.glow, seen=seen, **options)
+        return self._needs
 
     def _plan(self, needs: Needs) -> Plan[Frame]:
         """Return the plan of a frame with these needs; it is made once."""

@@ -29,6 +29,9 @@ EYES: Final = 2
 
 _GROUP: Final = 64
 
+Split = tuple[NDArray[np.float32], NDArray[np.float32]]
+"""Doubles as pairs of floats, see `split_doubles`."""
+
 
 class ExactPlace(Struct):
     """A position in the world: a double as the sum of two floats."""
@@ -90,6 +93,7 @@ class _Kind:
         self.seen = tuple(MirroredArray(device, element, label) for _ in range(EYES))
         self.shader = shader
         self.packed: NDArray[Any] = np.zeros(0)
+        self.split: Split = split_doubles(np.zeros((0, 3)))  # the positions of `packed`
 
     def destroy(self) -> None:
         for array in (self.places, *self.seen):
@@ -152,10 +156,10 @@ class Lamps:
                 self._run(eyes, is_new=is_new)
         else:
             for eye in moved:
-                for kind, some in zip(self._kinds, kinds, strict=True):
-                    if len(some):
-                        kind.packed["position"] = subtract_places(some["position"], eyes[eye])
-                    kind.seen[eye].write(kind.packed)
+                for kind in self._kinds:
+                    if len(kind.packed) or is_new:
+                        kind.packed["position"] = subtract_places(kind.split, eyes[eye])
+                        kind.seen[eye].write(kind.packed)
 
     def _stop_kernels(self) -> None:
         """Destroy what two eyes need and one doesn't."""
@@ -173,11 +177,11 @@ class Lamps:
         """Upload the places of all lights, and pack the rest."""
         packed = lights.relative_to(np.zeros(3))
         for kind, rows, some in zip(self._kinds, (packed.point, packed.spot), kinds, strict=True):
-            kind.packed = rows[: len(some)]
+            kind.packed, kind.split = rows[: len(some)], split_doubles(some["position"])
             if self._runs:
                 kind.packed["position"] = 0.0  # which the kernel writes
                 places = np.zeros(len(some), ExactPlace.dtype)
-                places["high"], places["low"] = split_doubles(some["position"])
+                places["high"], places["low"] = kind.split
                 kind.places.write(places)
 
     def _write_radii(self, kinds: tuple[NDArray[Any], ...]) -> None:
@@ -234,11 +238,11 @@ class Lamps:
         self._made.close()
 
 
-def subtract_places(places: Floats, eye: Floats) -> NDArray[np.float32]:
-    """Return positions (n, 3) relative to an eye (3,), to the bit as `subtract_exactly` on a device.
+def subtract_places(places: Split, eye: Floats) -> NDArray[np.float32]:
+    """Return positions (n, 3), split, relative to an eye (3,), to the bit as `subtract_exactly` on a device.
 
     So a lamp is at the same place for one eye and for the same one of two."""
-    high, low = split_doubles(places)
+    high, low = places
     eye_high, eye_low = split_doubles(eye)
     relative: NDArray[np.float32] = (high - eye_high) + (low - eye_low)
     return relative

@@ -68,6 +68,10 @@ class MirroredArray(Generic[T]):
             changed = (rows != self._rows).any(1).nonzero()[0]
         else:
             changed = chosen[(rows[chosen] != self._rows[chosen]).any(1)]
+        if len(changed) == len(rows):  # such as lights, when the eye has moved
+            self._upload(self.buffer, rows, 0)
+            self._rows[:] = rows
+            return
         for first, end in join_runs(changed, 1, _GAP // rows.shape[1]):
             self._upload(self.buffer, rows[first:end], first)
         self._rows[changed] = rows[changed]

@@ -6,7 +6,7 @@ comes with the reason why it is needed or not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from operator import attrgetter
@@ -21,7 +21,7 @@ from renderer.frame.seen import SeenFeatures
 from renderer.frame.targets import IMAGE_FORMAT
 from renderer.lights.in_view import find_lights_in_view
 from renderer.scene import Camera, Scene
-from renderer.scene.arrays import Rows
+from renderer.scene.arrays import Floats, Rows
 from renderer.scene.lights import Lights
 from renderer.visibility.boxes.volumes import find_in_view
 from rhi import Format, refuse
@@ -120,6 +120,7 @@ class GlowSettings:
 
 
 _MOST_LEVELS: Final = 12
+_NONE: Final[Rows] = np.zeros(0, np.int64)
 EXACT_GLOW: Final = GlowSettings()
 """Glow that has all of the light that is scattered."""
 
@@ -159,6 +160,24 @@ _NOUNS: Final = {
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class SceneCauses:
+    """What may cause effects in a scene, seen from anywhere; it is kept while the scene is in the same `state`.
+
+    Attributes:
+        counts: of each effect, how many causes there are. features: the names of those that materials and meshes have.
+        lamps: the positions (k, 3) and ranges (k,) of the point and of the spot lights.
+        fields: the rows of the height fields. shaders: those that materials have of their own.
+    """
+
+    state: tuple[object, ...]
+    counts: dict[Effect, int]
+    features: tuple[str, ...]
+    lamps: tuple[tuple[Floats, Floats], ...]
+    fields: Rows
+    shaders: tuple[type[Any], ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Needs:
     """The effects that one frame needs, with their reasons.
 
@@ -171,6 +190,7 @@ class Needs:
         blending: how transparent objects are put together. glow: how glow is made.
         has_glow: whether the scene has glow, whatever shines in it.
         shaders: those that the scene's materials have of their own.
+        causes: what of this doesn't depend on the view. seen: the features of surfaces that shaders have.
     """
 
     effects: frozenset[Effect]
@@ -181,6 +201,8 @@ class Needs:
     glow: GlowSettings
     has_glow: bool
     shaders: tuple[type[Any], ...]
+    causes: SceneCauses
+    seen: frozenset[str]
 
     @property
     def image(self) -> Target:
@@ -256,8 +278,9 @@ def find_needs(
     reaches: tuple[bool, bool] = (True, True),
     blending: Blending = Blending.SORTED,
     glow: GlowSettings = EXACT_GLOW,
-    seen: Collection[str] | None = None,
+    seen: frozenset[str] | None = None,
     lights: Lights | None = None,
+    last: Needs | None = None,
 ) -> Needs:
     """Find what `scene` needs as `camera` sees it.
 
@@ -266,43 +289,69 @@ def find_needs(
         blending: how transparent surfaces are to be put together. glow: how glow is to be made.
         seen: the features of surfaces that shaders have (`SeenFeatures`); by default those that are in view.
         lights: the scene's, with the ranges that count; by default as they are.
+        last: what the last frame of the scene needed: it is returned again if nothing has changed.
     """
-    lights = lights or scene.lights
-    planes = camera.frustum.planes if len(lights.point) or len(lights.spot) else np.zeros((0, 4))
-    none = np.zeros(0, np.int64)
-    transparent = scene.find_transparent()
-    fields = np.array([*scene.height_fields], np.int64)
-    in_view: dict[Effect, Rows] = {Effect.TRANSPARENCY: find_in_view(scene, camera, transparent)}
+    causes = _find_causes(scene, scene.lights if lights is None else lights, None if last is None else last.causes)
+    in_view = {Effect.TRANSPARENCY: find_in_view(scene, camera, scene.find_transparent())}
+    in_view |= {
+        effect: find_lights_in_view(camera.frustum.planes, *spheres) if reached and len(spheres[0]) else _NONE
+        for effect, spheres, reached in zip(LAMPS, causes.lamps, reaches, strict=True)
+    }
+    fields = causes.fields
+    if len(fields):
+        casts = scene.objects.casts_shadow[fields] & any(causes.counts[effect] for effect in SHADOW_EFFECTS)
+        fields = np.union1d(fields[casts], find_in_view(scene, camera, fields))
+    in_view[Effect.HEIGHT_FIELDS] = fields
+    seen = SeenFeatures(scene).find(camera) if seen is None else seen
+    same = (causes, blending, glow, seen)
+    if (
+        last is not None
+        and same == (last.causes, last.blending, last.glow, last.seen)
+        and all(rows.tobytes() == last.in_view[effect].tobytes() for effect, rows in in_view.items())
+    ):
+        return last
+    for effect, kind in LAMPS.items():
+        some, rows = kind.find_rows(scene.lights), in_view[effect]
+        in_view[kind.spheres] = rows[some["source_radius"][rows] > 0.0]
+        in_view[kind.shadows] = rows[some["casts_shadow"][rows]] if causes.counts[kind.shadows] else _NONE
+    hidden = {effect for effect, rows in in_view.items() if not len(rows)}
+    hidden |= {_EFFECTS[name] for name in (*causes.features, "glow") if name not in seen and name != "vertex colors"}
+    effects = frozenset(effect for effect, count in causes.counts.items() if count and effect not in hidden)
+    return Needs(
+        effects, causes.counts, len(scene.materials), in_view, blending, glow, scene.glow is not None, causes.shaders,
+        causes, seen,
+    )  # fmt: skip
+
+
+def _find_causes(scene: Scene, lights: Lights, last: SceneCauses | None) -> SceneCauses:
+    """Find what may cause effects, or return what was found last if the scene is as it was."""
+    lights.refresh()
+    state = (
+        scene.material_version, len(scene.materials), lights.contents, scene.haze > 0.0, scene.fog is None,
+        scene.glow is None, bool(scene.objects.casts_shadow.any()), len(scene.height_fields),
+    )  # fmt: skip
+    if last is not None and last.state == state:
+        return last
     features = scene.count_features()
+    fields = np.array([*scene.height_fields], np.int64)
     counts = {
         Effect.DIRECTIONAL_LIGHTS: len(lights.directional),
         Effect.HAZE: int(scene.haze > 0.0),
         Effect.FOG: int(scene.fog is not None),
         Effect.GLOW: 0 if scene.glow is None else len(scene.find_glowing()),
-        Effect.TRANSPARENCY: len(transparent),
+        Effect.TRANSPARENCY: len(scene.find_transparent()),
         Effect.HEIGHT_FIELDS: len(fields),
         Effect.SUN_SHADOWS: _count_casting(scene, lights.directional),
         **{_EFFECTS[name]: count for name, count in features.items()},
     }
-    for (effect, kind), reached in zip(LAMPS.items(), reaches, strict=True):
+    lamps = []
+    for effect, kind in LAMPS.items():
         some = kind.find_rows(lights)
         counts[effect], counts[kind.shadows] = len(some), _count_casting(scene, some)
-        ranges = some["range"].astype(np.float64)
-        rows = find_lights_in_view(planes, some["position"], ranges) if reached else none
-        in_view[effect] = rows
         counts[kind.spheres] = int(np.count_nonzero(some["source_radius"]))
-        in_view[kind.spheres] = rows[some["source_radius"][rows] > 0.0]
-        in_view[kind.shadows] = rows[some["casts_shadow"][rows]] if counts[kind.shadows] else none
-    in_view[Effect.HEIGHT_FIELDS] = fields
-    if len(fields):
-        casts = scene.objects.casts_shadow[fields] & any(counts[effect] for effect in SHADOW_EFFECTS)
-        in_view[Effect.HEIGHT_FIELDS] = np.union1d(fields[casts], find_in_view(scene, camera, fields))
+        lamps.append((some["position"].copy(), some["range"].astype(np.float64)))
     shaders = tuple(one.shader for one in scene.shaders)
-    seen = SeenFeatures(scene).find(camera) if seen is None else seen
-    hidden = {effect for effect, rows in in_view.items() if not len(rows)}
-    hidden |= {_EFFECTS[name] for name in (*features, "glow") if name not in seen and name != "vertex colors"}
-    effects = frozenset(effect for effect, count in counts.items() if count and effect not in hidden)
-    return Needs(effects, counts, len(scene.materials), in_view, blending, glow, scene.glow is not None, shaders)
+    return SceneCauses(state, counts, tuple(features), tuple(lamps), fields, shaders)
 
 
 def _count_casting(scene: Scene, lights: NDArray[Any]) -> int:

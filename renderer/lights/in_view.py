@@ -21,6 +21,8 @@ def find_lights_in_view(planes: Floats, positions: Floats, ranges: Floats) -> Ro
     """
     if not len(positions):
         return np.zeros(0, np.int64)
-    distance = positions @ planes[:, :3].T + planes[:, 3]
-    slack = _MARGIN * (np.abs(positions).sum(1)[:, None] + np.abs(planes[:, 3]) + ranges[:, None])
-    return np.flatnonzero((distance >= -(ranges[:, None] + slack)).all(1))
+    offsets = planes[:, 3]
+    reach = ranges + _MARGIN * (np.abs(positions).sum(1) + ranges)
+    distance = positions @ planes[:, :3].T
+    distance += offsets + _MARGIN * np.abs(offsets)
+    return np.flatnonzero((distance >= -reach[:, None]).all(1))

@@ -8,10 +8,13 @@ import numpy as np
 
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
-from renderer.visibility.boxes.culling import Culler, CullingCounts, find_visible
+from renderer.visibility.boxes.culling import AllBoxes, Culler, CullingCounts, find_visible
 from renderer.visibility.boxes.hierarchy import build_by_area
 from renderer.visibility.scene_pass import ScenePass
 from rhi import Device
+
+_FEW: Final = 4096
+"""So many boxes are tested one by one: that takes less time than traversing a hierarchy."""
 
 
 class DevicelessCulling:
@@ -44,9 +47,9 @@ class NoCulling(DevicelessCulling):
 class FrustumCulling(DevicelessCulling):
     """Draws the objects whose bounds are not outside the frustum.
 
-    Objects with fixed bounds are in a hierarchy that is built once by surface area. The others are tested one by one:
-    that takes less time than building a hierarchy over them. The result is the set that `boxes.culling.find_visible`
-    gives for all objects.
+    Objects with fixed bounds are in a hierarchy that is built once by surface area, unless they are few. The others are
+    tested one by one: that takes less time than building a hierarchy over them. The result is the set that
+    `boxes.culling.find_visible` gives for all objects.
     """
 
     def __init__(self, scene: Scene, *_: object) -> None:
@@ -54,8 +57,8 @@ class FrustumCulling(DevicelessCulling):
         self._scene = scene
         rows = scene.objects.fixed_rows
         lower, upper = scene.objects.lower[rows], scene.objects.upper[rows]
-        self.hierarchy = build_by_area(lower, upper)
-        self._static = Culler(self.hierarchy, lower, upper)
+        few = len(rows) <= _FEW
+        self._static = AllBoxes(lower, upper) if few else Culler(build_by_area(lower, upper), lower, upper)
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw the objects whose bounds are not outside the frustum."""

@@ -31,8 +31,8 @@ class FrustumPlane(IntEnum):
 
 
 _FACES: Final = {
-    Depth.REVERSED: np.array([(1, 0, 0, 1), (-1, 0, 0, 1), (0, 1, 0, 1), (0, -1, 0, 1), (0, 0, -1, 1), (0, 0, 1, 0)]),
-    Depth.STANDARD: np.array([(1, 0, 0, 1), (-1, 0, 0, 1), (0, 1, 0, 1), (0, -1, 0, 1), (0, 0, 1, 0), (0, 0, -1, 1)]),
+    Depth.REVERSED: np.array([(1.0, 0, 0, 1), (-1, 0, 0, 1), (0, 1, 0, 1), (0, -1, 0, 1), (0, 0, -1, 1), (0, 0, 1, 0)]),
+    Depth.STANDARD: np.array([(1.0, 0, 0, 1), (-1, 0, 0, 1), (0, 1, 0, 1), (0, -1, 0, 1), (0, 0, 1, 0), (0, 0, -1, 1)]),
 }
 """What the rows of a clip matrix are multiplied by, and added up, to give the planes of its volume."""
 

@@ -15,6 +15,7 @@ from renderer.content import BUILT_IN
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, translation
 from renderer.techniques import Technique
+from renderer.techniques.parts import variants
 from renderer.visibility import find_obstacle, make_visibility
 
 SIZE = (48, 32)
@@ -59,6 +60,12 @@ def need_algorithm(device: rhi.Device, name: str) -> None:
     """Skip the test if the device can't run this visibility algorithm."""
     if (obstacle := find_obstacle(name, device)) is not None:
         pytest.skip(obstacle)
+
+
+def forget_variants() -> None:
+    """Let shaders be made again: what is patched takes effect, or none any more."""
+    variants.combine.cache_clear()
+    variants.choose_variant.cache_clear()
 
 
 def find_eye(scene: Scene) -> Camera:

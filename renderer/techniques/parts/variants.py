@@ -72,18 +72,37 @@ def combine(bases: tuple[type[Any], ...], constants: tuple[tuple[str, Any], ...]
 def find_variant(frame: Frame, *bases: type[Any], **fixed: Any) -> type[Any]:
     """Return the shader with these bases for what the frame needs; switches that are `fixed` don't depend on it."""
     needs, images = frame.needs, frame.resources.images
-    switches: dict[str, Any] = {name: effect in needs.effects for effect, name in SWITCHES.items()}
-    switches |= {"has_sun": needs.has_sun, "has_both_models": needs.has_both_models, "has_planes": needs.has_planes}
+    is_own = any(base in needs.shaders for base in bases)
+    if not needs.effects.isdisjoint(SHADOW_EFFECTS) and any(issubclass(base, ShadowReceiver) for base in bases):
+        bases = (FILTERS[frame.resources.workspace(ShadowMaps).settings.filter], *bases)
+    sizes = None
     if images is not None:
-        arrays = {"image_arrays": len(images.colors), "map_arrays": len(images.data)}
-        switches |= {**arrays, "has_table": images.table is not None, "footprint": images.footprint}
-    needs_changes = images is not None and (images.table is not None or images.footprint != 1.0)
-    own = [base for base in bases if base in needs.shaders]
-    switches |= {"is_own": bool(own), "has_changes": bool(own) or needs_changes}
+        sizes = len(images.colors), len(images.data), images.table is not None, images.footprint
+    facts = (needs.effects, needs.has_sun, needs.has_both_models, needs.has_planes, is_own, sizes)
+    return choose_variant(bases, *facts, **fixed)
+
+
+@cache
+def choose_variant(
+    bases: tuple[type[Any], ...],
+    effects: frozenset[Effect],
+    sun: bool,
+    both_models: bool,
+    planes: bool,
+    is_own: bool,
+    images: tuple[int, int, bool, float] | None,
+    /,
+    **fixed: Any,
+) -> type[Any]:
+    """Return the variant of `find_variant` for these facts about a frame; each is chosen once."""
+    switches: dict[str, Any] = {name: effect in effects for effect, name in SWITCHES.items()}
+    switches |= {"has_sun": sun, "has_both_models": both_models, "has_planes": planes}
+    if images is not None:
+        switches |= dict(zip(("image_arrays", "map_arrays", "has_table", "footprint"), images, strict=True))
+    needs_changes = images is not None and (images[2] or images[3] != 1.0)
+    switches |= {"is_own": is_own, "has_changes": is_own or needs_changes}
     switches |= fixed
     switches["has_second_uvs"] = switches["has_second_uvs"] and switches.get("has_table", False)
-    if any(issubclass(base, ShadowReceiver) for base in bases) and not needs.effects.isdisjoint(SHADOW_EFFECTS):
-        bases = (FILTERS[frame.resources.workspace(ShadowMaps).settings.filter], *bases)
     return combine(bases, tuple((name, switches[name]) for name in _find_known(bases, tuple(switches))))
 
 

@@ -64,12 +64,26 @@ def find_visible(planes: Floats, lower: Floats, upper: Floats) -> NDArray[np.boo
     Fastest when each column is contiguous, as in the transpose of a (3, n) array.
     """
     visible = np.ones(len(lower), bool)
-    for *normal, d in planes.tolist():
-        x, y, z = ((upper if n > 0.0 else lower)[:, axis] * n for axis, n in enumerate(normal))
-        x += y
-        x += z
-        visible &= x >= -d
+    below, above = lower.T, upper.T
+    for x, y, z, d in planes.tolist():
+        distance = (above if x > 0.0 else below)[0] * x
+        distance += (above if y > 0.0 else below)[1] * y
+        distance += (above if z > 0.0 else below)[2] * z
+        visible &= distance >= -d
     return visible
+
+
+class AllBoxes:
+    """Culls boxes by brute force, where there are so few that a hierarchy would take longer to traverse."""
+
+    def __init__(self, lower: Floats, upper: Floats) -> None:
+        self._lower, self._upper = (np.ascontiguousarray(corner.T).T for corner in (lower, upper))
+
+    def find_visible(self, planes: Floats) -> tuple[Rows, CullingCounts]:
+        """Return the rows, ascending, of the boxes that are not outside any of `planes` (p, 4), and the cost."""
+        count = len(self._lower)
+        visible = find_visible(planes, self._lower, self._upper).nonzero()[0]
+        return visible, CullingCounts(0, count, count * len(planes))
 
 
 class Culler:

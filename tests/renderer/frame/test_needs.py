@@ -78,6 +78,16 @@ def test_the_key_is_the_same_while_the_effects_are() -> None:
     assert find_needs(build(), EYE).key != here.key
 
 
+def test_the_same_needs_are_returned_until_the_scene_or_what_is_in_view_changes() -> None:
+    scene = build(CHANGES[Effect.POINT_LIGHTS])
+    needs = find_needs(scene, EYE)
+    assert find_needs(scene, EYE, last=needs) is needs
+    unseen = find_needs(scene, AWAY, last=needs)
+    assert (unseen is needs, unseen.causes is needs.causes) == (False, True)
+    scene.lights.point["source_radius"] = 0.5
+    assert find_needs(scene, EYE, last=needs).effects == needs.effects | {Effect.POINT_SPHERES}
+
+
 def test_the_reasons_count_the_lights() -> None:
     scene = build(lambda b: [b.lights.add_point((0, 2, z), 4.0) for z in (0, 0, 40)])
     needs = find_needs(scene, EYE)

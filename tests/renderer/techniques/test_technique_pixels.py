@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from frames import draw_each, find_difference, make_boxes
+from frames import draw_each, find_difference, forget_variants, make_boxes
 from numpy.typing import NDArray
 
 import rhi
@@ -16,7 +16,6 @@ from renderer.content import BUILT_IN, load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, SceneBuilder, scaling, translation
 from renderer.techniques import TECHNIQUES, Deferred, DeferredPlus, Forward, Inferred, LightPrePass, Technique, inferred
-from renderer.techniques.parts import variants
 from renderer.techniques.settings import TechniqueSettings
 from renderer.visibility import ALGORITHMS, NoCulling, list_algorithms, make_visibility
 from tests.renderer.conftest import open_device
@@ -325,9 +324,9 @@ def test_light_does_not_leak_over_edges(gl: rhi.Device, monkeypatch: pytest.Monk
     builder.lights.sky = (0.01, 0.01, 0.01)
     scene, camera = builder.build(), Camera.look_at((0.5, 14, 1), (0, 8, 0))
     expected, image = draw_each(gl, scene, Forward(), Inferred(), camera=camera, size=SIZE)
-    variants.combine.cache_clear()
+    forget_variants()
     monkeypatch.setattr(inferred, "_NEAR_PLANE", 1e6)  # the control: a bilinear filter
     (blurred,) = draw_each(gl, scene, Inferred(), camera=camera, size=SIZE)
-    variants.combine.cache_clear()
+    forget_variants()
     assert (np.abs(image - expected) > 16).any(2).mean() < 0.002
     assert (np.abs(blurred - expected) > 16).any(2).mean() > 0.02

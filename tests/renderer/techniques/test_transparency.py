@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import frames
 import numpy as np
 import pytest
 from frames import SIZE, count_draws, draw, find_difference, make_boxes, open_renderer, read_colors, record
@@ -30,7 +31,6 @@ from renderer.scene import (
 )
 from renderer.shadows.casters import SceneCasters
 from renderer.techniques import TECHNIQUES, Clustered, Forward, ForwardPlus, Inferred, Smoothed, inferred
-from renderer.techniques.parts import variants
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.transparency import TransparentShader, WeightedShader
 from renderer.visibility import ALGORITHMS, NoCulling, TwoPassCulling, list_algorithms
@@ -202,10 +202,10 @@ def test_inferred_light_reaches_three_transparent_surfaces_behind_each_other(
     scene = builder.build()
     expected = draw(gl, scene)
     image = draw(gl, scene, Inferred(scale=scale))
-    variants.combine.cache_clear()
+    frames.forget_variants()
     monkeypatch.setattr(inferred, "_LAYERS", 1)  # the control: all three have the same texel
     wrong = draw(gl, scene, Inferred(scale=scale))
-    variants.combine.cache_clear()
+    frames.forget_variants()
     assert find_difference(image, expected) <= 8
     if scale < 1.0:
         assert find_difference(wrong, expected) > 15

@@ -3,17 +3,10 @@
 import numpy as np
 import pytest
 
+from renderer import visibility
 from renderer.content import load_scene
 from renderer.scene import Camera
-from renderer.visibility import (
-    CallbackPass,
-    FrustumCulling,
-    NoCulling,
-    VisibilityAlgorithm,
-    find_visible,
-    find_visible_objects,
-    make_visibility,
-)
+from renderer.visibility import CallbackPass, FrustumCulling, NoCulling, find_visible, find_visible_objects, frustum
 from rhi.errors import ValidationError
 
 
@@ -29,7 +22,7 @@ def city():
 
 @pytest.mark.parametrize("path", ["ground", "sky"])
 def test_what_brute_force_keeps_is_drawn_along_a_path_and_moving_objects_where_they_are_now(hall, path):
-    algorithm: VisibilityAlgorithm = FrustumCulling(hall)
+    algorithm = FrustumCulling(hall)
     assert len(hall.objects.dynamic_rows)
     assert len(hall.objects.static_rows)
     seen = set()
@@ -73,19 +66,27 @@ def test_nothing_in_view_draws_nothing(hall):
     assert statistics.visible == statistics.batches == 0
 
 
-def test_the_hierarchy_needs_fewer_tests_than_every_plane_of_every_box():
+def test_many_objects_are_in_a_hierarchy_which_needs_fewer_tests_and_few_are_not(monkeypatch):
     city = load_scene("city:blocks=24,detail=2")
-    statistics = FrustumCulling(city).render(city.paths["ground"].camera(900), CallbackPass(lambda rows: None))
-    assert 0 < statistics.plane_tests < 5 * len(city.objects) / 3
-    assert statistics.objects_tested < len(city.objects) / 3
+    count, camera = len(city.objects.fixed_rows), city.paths["ground"].camera(900)
+    found = []
+    for few in (count, count - 1):
+        monkeypatch.setattr(frustum, "_FEW", few)
+        statistics = FrustumCulling(city).render(camera, CallbackPass(found.append))
+        if few == count:
+            assert (statistics.nodes_tested, statistics.plane_tests) == (0, 5 * count)
+    assert np.array_equal(*found)
+    assert 0 < len(found[0]) < count
+    assert 0 < statistics.plane_tests < 5 * count / 3
+    assert statistics.objects_tested < count / 3
 
 
 @pytest.mark.parametrize("name", ["none", "frustum"])
 def test_a_name_makes_its_algorithm(city, null, name):
-    assert len(find_visible_objects(make_visibility(name, city, null), city.views["street"])) > 0
+    assert len(find_visible_objects(visibility.make_visibility(name, city, null), city.views["street"])) > 0
 
 
 def test_an_unknown_name_is_refused_with_the_nearest(city, null):
     with pytest.raises(ValidationError, match="did you mean 'frustum'") as error:
-        make_visibility("frustrum", city, null)
+        visibility.make_visibility("frustrum", city, null)
     assert error.value.rule.id == "visibility-unknown-name"
