@@ -11,20 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhi import (
-    BlendFunction,
-    ColorWrite,
-    DepthFunction,
-    DepthTest,
-    DepthWrite,
-    Device,
-    Format,
-    Scissor,
-    State,
-    StencilTest,
-    Texture,
-    TextureKind,
-)
+import rhi
+from rhi import BlendFunction, ColorWrite, DepthFunction, DepthWrite, Device, Format, State, StencilTest, Texture
 from rhi.conformance.compare import assert_mask, assert_same
 from rhi.conformance.formats import require_format, require_renderable, require_samples
 from rhi.conformance.pictures import draw_once
@@ -134,7 +122,7 @@ def test_stencil_is_cleared_under_a_draw_that_uses_it_or_not(device: Device, use
         assert_mask(target.read() > 0.3, box(60, 3, 30, 40))
 
 
-@pytest.mark.parametrize("first", [(ColorWrite.OFF,), (DepthTest.OFF, DepthWrite.OFF)], ids=["depth", "color"])
+@pytest.mark.parametrize("first", [(ColorWrite.OFF,), (rhi.DepthTest.OFF, DepthWrite.OFF)], ids=["depth", "color"])
 def test_what_the_first_draw_leaves_out_is_cleared_for_the_second(device: Device, first: tuple[State, ...]) -> None:
     with (
         device.texture(SIZE, Format.RGBA8) as image,
@@ -163,7 +151,7 @@ def test_a_clear_is_done_under_draws_of_nothing(device: Device) -> None:
 
 def test_a_clear_is_done_under_a_scissor_that_holds_nothing_of_the_draw(device: Device) -> None:
     drawn = draw_once(
-        device, SIZE, Format.RGBA8, texel_rectangle(0, 0, 9, 9, SIZE), Scissor(100, 50, 20, 10), clear=RED
+        device, SIZE, Format.RGBA8, texel_rectangle(0, 0, 9, 9, SIZE), rhi.Scissor(100, 50, 20, 10), clear=RED
     )
     assert_same(drawn, (255, 0, 0, 255))
 
@@ -195,7 +183,7 @@ def test_other_commands_may_stand_between_a_clear_and_its_draws(
 
 def test_a_layer_is_cleared_under_a_draw_and_no_other(device: Device) -> None:
     with (
-        device.texture(SIZE, Format.RGBA8, kind=TextureKind.D2_ARRAY, layers=3) as image,
+        device.texture(SIZE, Format.RGBA8, kind=rhi.TextureKind.D2_ARRAY, layers=3) as image,
         device.mesh(texel_rectangle(60, 3, 30, 40, SIZE)) as mesh,
     ):
         with device.render_pass(image.at(layer=1), clear=RED):

@@ -14,26 +14,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import rhi.shading as sl
 from rhi import Buffer, Device, Format, IndirectDraws, Mesh, Primitive, ShaderError
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Bare
 from rhi.conformance.shapes import centers
 from rhi.conformance.validation.refusal import refuses
 from rhi.errors.rules import MESH_RANGE
-from rhi.shading import (
-    Flat,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    array,
-    ddx,
-    fragment_coordinate,
-    instance_index,
-    vec2,
-    vec4,
-    vertex_index,
-)  # fmt: skip
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
@@ -45,35 +32,35 @@ FAR = [COUNT, 1000, 1 << 20, (1 << 31) - 1, 1 << 31, (1 << 32) - 2]
 """Numbers of vertices, instances or indices beyond a mesh, just beyond it and as far as 32 bits reach."""
 
 
-class Vertex(Struct):
-    place: vec2
+class Vertex(sl.Struct):
+    place: sl.vec2
     shade: float
 
 
-class Shown(Struct):
-    clip: vec4
-    shade: Flat[float]
+class Shown(sl.Struct):
+    clip: sl.vec4
+    shade: sl.Flat[float]
 
 
-class Numbered(Shader):
+class Numbered(sl.Shader):
     """Points that show their own number, in whichever stream it lies."""
 
     def vertex(self, v: Vertex) -> Shown:
-        return Shown(clip=vec4(v.place, 0.5, 1.0), shade=v.shade)
+        return Shown(clip=sl.vec4(v.place, 0.5, 1.0), shade=v.shade)
 
     def fragment(self, v: Shown) -> float:
         return v.shade
 
 
-class Place(Struct):
-    place: vec2
+class Place(sl.Struct):
+    place: sl.vec2
 
 
-class Counted(Shader):
+class Counted(sl.Shader):
     """Points at their vertex, that show how many instances were drawn; no data of instances is read."""
 
     def vertex(self, v: Place) -> Shown:
-        return Shown(clip=vec4(v.place, 0.5, 1.0), shade=float(instance_index() + 1))
+        return Shown(clip=sl.vec4(v.place, 0.5, 1.0), shade=float(sl.instance_index() + 1))
 
     def fragment(self, v: Shown) -> float:
         return v.shade
@@ -271,26 +258,28 @@ def test_a_checked_shader_says_that_an_index_is_beyond(device: Device, indexed: 
     assert_same(show(device, lambda: device.draw(program, indexed.view(0, 2))), OWN * (OWN <= 2))
 
 
-class Bounded(Shader):
+class Bounded(sl.Shader):
     """A picture whose stages read and write outside; differences of pixels let helper invocations run."""
 
-    words: Storage[float]
-    far: Storage[int]
-    seen: StorageRW[float]
+    words: sl.Storage[float]
+    far: sl.Storage[int]
+    seen: sl.StorageRW[float]
 
     def vertex(self) -> Bare:
-        n = vertex_index()
+        n = sl.vertex_index()
         x = 4.0 * float(n & 1) - 1.0 if self.words[n + self.far[0]] > 0.0 else 9.0
-        return Bare(clip=vec4(x, 4.0 * float(n >> 1) - 1.0, 0.5, 1.0))
+        return Bare(clip=sl.vec4(x, 4.0 * float(n >> 1) - 1.0, 0.5, 1.0))
 
-    def fragment(self) -> vec4:
-        x = int(fragment_coordinate().x)
-        table = array(float, 4)
+    def fragment(self) -> sl.vec4:
+        x = int(sl.fragment_coordinate().x)
+        table = sl.array(float, 4)
         table[x + self.far[0]] = 50.0
         table[x] = 2.0
         self.seen[x + self.far[1]] = 1.0
         self.seen[x] = 3.0
-        return vec4(self.words[x - 2], table[x + self.far[0]] + table[x], ddx(self.words[self.far[0] - x]), table[3])
+        return sl.vec4(
+            self.words[x - 2], table[x + self.far[0]] + table[x], sl.ddx(self.words[self.far[0] - x]), table[3]
+        )
 
 
 @pytest.mark.needs("max_storage_slots")

@@ -8,27 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhi import (
-    BlendFunction,
-    ColorWrite,
-    Comparison,
-    CullMode,
-    DepthBias,
-    DepthFunction,
-    DepthTest,
-    Device,
-    Format,
-    FrontFace,
-    LineWidth,
-    PolygonMode,
-    PolygonOffset,
-    Primitive,
-    Scissor,
-    StencilBack,
-    StencilFront,
-    StencilTest,
-    Viewport,
-)
+import rhi
+from rhi import Comparison, CullMode, DepthFunction, Device, Format, FrontFace, LineWidth, PolygonMode, Primitive
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import require_format, require_line_width, require_samples
 from rhi.conformance.pictures import draw_once
@@ -157,7 +138,7 @@ def test_values_and_depth_run_along_a_wide_line(device: Device) -> None:
 def test_a_wide_line_is_cut_by_the_scissor(device: Device) -> None:
     require_line_width(device, 4)
     whole = drawn(device, GENTLE, LineWidth(4))
-    cut = drawn(device, GENTLE, LineWidth(4), Scissor(8, 9, 10, 3))
+    cut = drawn(device, GENTLE, LineWidth(4), rhi.Scissor(8, 9, 10, 3))
     assert_same(cut[9:12, 8:18], whole[9:12, 8:18])
     assert (cut[..., 3] > 0).sum() == (cut[9:12, 8:18, 3] > 0).sum() > 0
 
@@ -175,7 +156,7 @@ def test_the_width_ends_with_its_scope(device: Device) -> None:
     rows = corners(window_to_clip(GENTLE, SIZE))
     with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(rows, primitive=Primitive.LINES) as mesh:
         with device.render_pass(image, clear=(0, 0, 0, 0)):
-            with device.states(LineWidth(4), Scissor(0, 0, 0, 0)):
+            with device.states(LineWidth(4), rhi.Scissor(0, 0, 0, 0)):
                 device.draw(device.program(Colored), mesh)
             device.draw(device.program(Colored), mesh)
         assert_same(image.read(), drawn(device, GENTLE))
@@ -268,7 +249,7 @@ def test_many_triangles_have_all_their_edges(device: Device, dtype: str | None) 
 @pytest.mark.needs("wireframe")
 def test_an_edge_of_two_triangles_is_drawn_twice(device: Device) -> None:
     points = [(3.3125, 4.4375), (5.6875, 20.1875), (25.4375, 18.8125), (27.5625, 3.3125)]
-    image = wired(device, [*points[:3], points[0], *points[2:]], BlendFunction.ADDITIVE)
+    image = wired(device, [*points[:3], points[0], *points[2:]], rhi.BlendFunction.ADDITIVE)
     left, *rest = (line((points[i], points[(i + 1) % 4])) for i in range(4))
     shared, beside = line((points[0], points[2])), np.any([possible for _, possible in rest], axis=0)
     assert_same(image[shared[0] & ~beside & ~left[1]], 2)
@@ -312,7 +293,7 @@ def test_each_texel_of_an_edge_is_tested_for_depth(device: Device, function: Dep
     points = [(4.0, 4.25), (4.25, 20.0), (28.0, 8.25)]
     depths = (np.array(points)[:, 0] - 4.0) / 24  # 0.5 at x = 16
     rows = corners(window_to_clip(points, SIZE), depth=depths)
-    covered, _ = drawn_with_depth(device, rows, DepthTest.ON, function, PolygonMode.LINE, clear=0.5)
+    covered, _ = drawn_with_depth(device, rows, rhi.DepthTest.ON, function, PolygonMode.LINE, clear=0.5)
     certain, possible = outline(points)
     near = slice(16, None) if function is DepthFunction.GREATER else slice(None, 16)
     half = np.zeros_like(certain)
@@ -327,7 +308,7 @@ def test_edges_are_offset_as_their_triangle_is(device: Device, axis: int, far: f
     """By a bias in steps, and by the slope of the triangle rather than of the edge. Lines are not."""
     points = [(4.0, 4.25), (4.25, 20.0), (28.0, 8.25)]
     depths = 0.25 + (np.array(points)[:, axis] - 4.0) / 48 / far
-    view = Viewport(0.0, 0.0, *SIZE, 0.0, far)
+    view = rhi.Viewport(0.0, 0.0, *SIZE, 0.0, far)
 
     def stored(primitive: Primitive, *states: Any) -> NDArray[Any]:
         rows = corners(window_to_clip(points, SIZE), depth=depths)
@@ -335,13 +316,17 @@ def test_edges_are_offset_as_their_triangle_is(device: Device, axis: int, far: f
 
     seen = outline(points)[0] & ~(np.arange(SIZE[0]) > 26)  # at the last corner two edges cross
     plain = stored(Primitive.TRIANGLES, PolygonMode.LINE)
-    for states, moved in (([PolygonOffset(2.0)], 2 / 48), ([PolygonOffset(-1.0)], -1 / 48), ([DepthBias(0.0)], 0.0)):
+    for states, moved in (
+        ([rhi.PolygonOffset(2.0)], 2 / 48),
+        ([rhi.PolygonOffset(-1.0)], -1 / 48),
+        ([rhi.DepthBias(0.0)], 0.0),
+    ):
         after = stored(Primitive.TRIANGLES, PolygonMode.LINE, *states)
         assert_near((after - plain)[seen], moved, 1e-4, "8 fraction bits of the window position in the slope")
-    biased = (stored(Primitive.TRIANGLES, PolygonMode.LINE, DepthBias(1000.0)) - plain)[seen]
+    biased = (stored(Primitive.TRIANGLES, PolygonMode.LINE, rhi.DepthBias(1000.0)) - plain)[seen]
     assert (biased > 400 * 2.0**-24).all()
     lines = stored(Primitive.LINE_STRIP)
-    assert_same(stored(Primitive.LINE_STRIP, PolygonMode.LINE, DepthBias(1000.0), PolygonOffset(2.0)), lines)
+    assert_same(stored(Primitive.LINE_STRIP, PolygonMode.LINE, rhi.DepthBias(1000.0), rhi.PolygonOffset(2.0)), lines)
 
 
 @pytest.mark.needs("wireframe", "stencil")
@@ -357,7 +342,7 @@ def test_edges_of_a_front_face_have_its_stencil_test(device: Device) -> None:
         for front, back in ((Comparison.ALWAYS, Comparison.NEVER), (Comparison.NEVER, Comparison.ALWAYS)):
             with (
                 device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.0, clear_stencil=0),
-                device.states(StencilTest.ON, StencilFront(front), StencilBack(back), PolygonMode.LINE),
+                device.states(rhi.StencilTest.ON, rhi.StencilFront(front), rhi.StencilBack(back), PolygonMode.LINE),
             ):
                 device.draw(device.program(Colored), mesh)
             if front is Comparison.ALWAYS:
@@ -389,11 +374,11 @@ def test_filled_triangles_and_edges_are_drawn_in_order(device: Device) -> None:
     inside = rasterise(np.multiply(TRIANGLE, SUBTEXELS), *SIZE)
     with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(rows) as mesh:
         program = device.program(Colored)
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(BlendFunction.ADDITIVE):
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.BlendFunction.ADDITIVE):
             device.draw(program, mesh)
-            with device.states(PolygonMode.LINE, ColorWrite(green=False)):
+            with device.states(PolygonMode.LINE, rhi.ColorWrite(green=False)):
                 device.draw(program, mesh)
-            with device.states(BlendFunction.OFF, ColorWrite(red=False, alpha=False)):
+            with device.states(rhi.BlendFunction.OFF, rhi.ColorWrite(red=False, alpha=False)):
                 device.draw(program, mesh)
         back = image.read()
     certain, possible = outline(TRIANGLE)

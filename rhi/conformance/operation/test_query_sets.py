@@ -9,21 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhi import (
-    DRAW,
-    AlphaFunction,
-    AlphaReference,
-    AlphaTest,
-    ColorWrite,
-    CullMode,
-    DepthWrite,
-    Device,
-    Format,
-    Mesh,
-    Primitive,
-    QuerySet,
-    ValidationError,
-)
+import rhi
+from rhi import DRAW, AlphaTest, ColorWrite, CullMode, DepthWrite, Device, Format, Mesh, Primitive, QuerySet
 from rhi.conformance.compare import assert_same
 from rhi.conformance.patience import comes_true
 from rhi.conformance.shaders import Colored, Corner, FlatShade, Shade, Smooth
@@ -339,7 +326,7 @@ def test_changed_indices_are_those_that_are_counted(device: Device, queries: Que
 def test_what_the_alpha_test_drops_is_not_counted(device: Device, queries: QuerySet, bars: Mesh, image: Any) -> None:
     rows = BARS.copy()
     rows["color"][: 6 * 2, 3] = 0.2
-    with device.mesh(rows) as mesh, device.states(AlphaTest.ON, AlphaFunction.GREATER, AlphaReference(0.5)):
+    with device.mesh(rows) as mesh, device.states(AlphaTest.ON, rhi.AlphaFunction.GREATER, rhi.AlphaReference(0.5)):
         assert count(device, image, queries, mesh, parts(mesh, *range(4)))[:4] == [0, 0, *COUNTS[2:4]]
     assert count(device, image, queries, bars, parts(bars, *range(4)))[:4] == COUNTS[:4]
 
@@ -433,7 +420,7 @@ def test_an_unfinished_set_has_no_numbers_yet(device: Device) -> None:
             device.draw_counted(device.program(Colored), mesh, mesh.draws([0, 0]), queries)
         try:
             early = queries.visible_samples
-        except ValidationError as error:
+        except rhi.ValidationError as error:
             assert error.rule is rules.QUERY_UNFINISHED  # noqa: PT017 (both outcomes are valid)
             early = queries.wait()
         assert early.tolist() == [30 << 20] * 2

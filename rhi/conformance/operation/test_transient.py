@@ -11,20 +11,10 @@ from numpy.typing import NDArray
 import rhi
 import rhi.shading as sl
 from rhi import BlendFunction, CullMode, Device, Format, Primitive, ValidationError
+from rhi.conformance import shaders
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import SUBTEXELS, rasterise
-from rhi.conformance.shaders import (
-    Colored,
-    Corner,
-    Flat,
-    FlatShade,
-    PaintedShader,
-    PaintedTwice,
-    Tint,
-    Tinted,
-    Weighted,
-)
 from rhi.conformance.shapes import centers, corners, rectangle, window_to_clip
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
@@ -50,17 +40,17 @@ def test_each_draw_of_a_frame_has_its_own_constants(device: Device, way: str) ->
         with device.render_pass(image):
             for index in range(count):
                 color = (index, 0, 0, 0)
-                value = {"color": color} if way == "fields" else Tint(color=color)
+                value = {"color": color} if way == "fields" else shaders.Tint(color=color)
                 tint: Any = device.transient.uniform(value) if way == "transient" else value
-                device.draw(device.program(Tinted), mesh.view(index, 1), tint=tint)
+                device.draw(device.program(shaders.Tinted), mesh.view(index, 1), tint=tint)
         device.present()
         assert_same(image.read().reshape(-1), np.arange(count))
 
 
 def test_a_value_is_read_when_it_is_drawn_with(device: Device) -> None:
     """One struct changes between draws, takes turns with a buffer, and is given to each kind of draw."""
-    size, tint = (8, 1), Tint(color=(0, 0, 0, 0))
-    kept, program = device.uniform(Tint(color=(100, 0, 0, 0))), device.program(Tinted)
+    size, tint = (8, 1), shaders.Tint(color=(0, 0, 0, 0))
+    kept, program = device.uniform(shaders.Tint(color=(100, 0, 0, 0))), device.program(shaders.Tinted)
     with device.texture(size, Format.R32F) as image, device.mesh(points(8, size), primitive=Primitive.POINTS) as mesh:
         with device.render_pass(image):
             for index in range(6):
@@ -68,8 +58,8 @@ def test_a_value_is_read_when_it_is_drawn_with(device: Device) -> None:
                 device.draw(program, mesh.view(index, 1), tint=kept if index in (2, 3) else tint)
             part = mesh.draws()
             part["first"], part["count"] = 6, 1
-            device.draw_many(program, mesh, part, tint=Tint(color=(7, 0, 0, 0)))
-            with device.immediate(program, Primitive.POINTS, tint=Tint(color=(8, 0, 0, 0))) as one:
+            device.draw_many(program, mesh, part, tint=shaders.Tint(color=(7, 0, 0, 0)))
+            with device.immediate(program, Primitive.POINTS, tint=shaders.Tint(color=(8, 0, 0, 0))) as one:
                 one.vertices(points(8, size)[7:])
         device.present()
         assert_same(image.read().reshape(-1), [1, 2, 100, 100, 5, 6, 7, 8])
@@ -81,10 +71,10 @@ def test_constants_made_first_and_drawn_later_are_intact(device: Device) -> None
     size = (32, 32)
     rows = points(1024, size)
     with device.texture(size, Format.R32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
-        tints = [device.transient.uniform(Tint(color=(index, 0, 0, 0))) for index in range(1024)]
+        tints = [device.transient.uniform(shaders.Tint(color=(index, 0, 0, 0))) for index in range(1024)]
         with device.render_pass(image):
             for index in reversed(range(1024)):
-                device.draw(device.program(Tinted), mesh.view(index, 1), tint=tints[index])
+                device.draw(device.program(shaders.Tinted), mesh.view(index, 1), tint=tints[index])
         device.present()
         assert_same(image.read().reshape(-1), np.arange(1024))
 
@@ -100,8 +90,8 @@ def test_constants_of_frames_in_flight_do_not_disturb_each_other(backend: str) -
         for image, values in zip(images, expected, strict=True):
             with device.render_pass(image):
                 for index, value in enumerate(values):
-                    tint = device.transient.uniform(Tint(color=(value, 0, 0, 0)))
-                    device.draw(device.program(Tinted), mesh.view(index, 1), tint=tint)
+                    tint = device.transient.uniform(shaders.Tint(color=(value, 0, 0, 0)))
+                    device.draw(device.program(shaders.Tinted), mesh.view(index, 1), tint=tint)
             device.present(image)
         for image, values in zip(images, expected, strict=True):
             assert_same(image.read().reshape(-1), values)
@@ -111,26 +101,26 @@ def test_a_fence_in_mid_frame_frees_nothing_of_the_frame(fresh_device: Device) -
     """Transient memory lives until present(): waiting for the GPU within a frame must not allow its reuse."""
     device = fresh_device
     with device.texture((2, 2), Format.R32F) as image, device.mesh(rectangle()) as mesh:
-        tint = device.transient.uniform(Tint(color=(7, 0, 0, 0)))
+        tint = device.transient.uniform(shaders.Tint(color=(7, 0, 0, 0)))
         device.finish()
         for index in range(2000):
-            device.transient.uniform(Tint(color=(1000 + index, 0, 0, 0)))
+            device.transient.uniform(shaders.Tint(color=(1000 + index, 0, 0, 0)))
         with device.render_pass(image):
-            device.draw(device.program(Tinted), mesh, tint=tint)
+            device.draw(device.program(shaders.Tinted), mesh, tint=tint)
         assert_same(image.read(), 7)
 
 
 def test_a_ring_that_grows_keeps_what_was_given_out_alive(fresh_device: Device) -> None:
     device = fresh_device
     with device.texture((2, 2), Format.R32F) as image, device.mesh(rectangle()) as mesh:
-        tint = device.transient.uniform(Tint(color=(7, 0, 0, 0)))
+        tint = device.transient.uniform(shaders.Tint(color=(7, 0, 0, 0)))
         capacity = device.transient.capacity
         while device.transient.capacity == capacity:
-            device.transient.uniform(Tint(color=(1, 0, 0, 0)))
+            device.transient.uniform(shaders.Tint(color=(1, 0, 0, 0)))
         device.finish()
         device.signal()
         with device.render_pass(image):
-            device.draw(device.program(Tinted), mesh, tint=tint)
+            device.draw(device.program(shaders.Tinted), mesh, tint=tint)
         assert_same(image.read(), 7)
 
 
@@ -138,7 +128,7 @@ def test_rings_settle_at_what_their_frames_need(fresh_device: Device) -> None:
     device = fresh_device
     for _ in range(100):
         for index in range(300):
-            device.transient.uniform(Tint(color=(index, 0, 0, 0)))
+            device.transient.uniform(shaders.Tint(color=(index, 0, 0, 0)))
         device.present()
     # Two frames in flight and the one being recorded. A ring grows by doubling and may leave its end unused.
     frame = 300 * max(16, device.capabilities.uniform_alignment)
@@ -150,7 +140,7 @@ def test_rings_settle_at_what_their_frames_need(fresh_device: Device) -> None:
 
 def test_transient_meshes_are_drawn_as_they_were_made(device: Device) -> None:
     size = (64, 16)
-    program = device.program(Colored)
+    program = device.program(shaders.Colored)
     rng = np.random.default_rng(1)
     rows = points(1024, size)
     with device.texture(size, Format.R32F) as image:
@@ -167,7 +157,7 @@ def test_transient_meshes_are_drawn_as_they_were_made(device: Device) -> None:
 
 @pytest.mark.parametrize("dtype", ["u2", "u4", "u1", "i8"])
 def test_transient_meshes_may_have_indices(device: Device, dtype: str) -> None:
-    program = device.program(Colored)
+    program = device.program(shaders.Colored)
     rows = points(8, (8, 1))
     with device.texture((8, 1), Format.R32F) as image:
         with device.render_pass(image, clear=(-1, 0, 0, 0)):
@@ -179,7 +169,7 @@ def test_transient_meshes_may_have_indices(device: Device, dtype: str) -> None:
 
 def test_frames_of_transient_vertices_around_the_wrap_are_intact(fresh_device: Device) -> None:
     device = fresh_device
-    program = device.program(Colored)
+    program = device.program(shaders.Colored)
     rng = np.random.default_rng(2)
     size = (64, 8)
     rows = points(512, size)
@@ -205,11 +195,11 @@ class Flagged(sl.Struct):
     number: int
 
 
-class FlaggedShader(Flat):
+class FlaggedShader(shaders.Flat):
     """Draws vertices in the color of their number."""
 
-    def vertex(self, v: Flagged) -> FlatShade:
-        return FlatShade(clip=sl.vec4(v.position, 0.5, 1.0), color=sl.vec4(float(v.number)))
+    def vertex(self, v: Flagged) -> shaders.FlatShade:
+        return shaders.FlatShade(clip=sl.vec4(v.position, 0.5, 1.0), color=sl.vec4(float(v.number)))
 
 
 PACKED = np.dtype([("position", "<f4", 2), ("uv", "<f4", 2), ("color", "u1", 4)])
@@ -233,7 +223,7 @@ def test_integers_that_feed_floats_are_normalised(device: Device, way: str, code
     rows = np.zeros(5, np.dtype([("position", "<f4", 2), ("color", code, components)]))
     rows["position"] = centers(np.stack([np.arange(5), np.zeros(5)], axis=1), (5, 1))
     rows["color"][:, 0] = values
-    program = device.program(PaintedShader if components == 4 else PaintedTwice)
+    program = device.program(shaders.PaintedShader if components == 4 else shaders.PaintedTwice)
     with device.texture((5, 1), Format.R32F) as image:
         with device.render_pass(image, clear=(9, 0, 0, 0)):
             if way == "immediate":
@@ -251,7 +241,7 @@ def test_arrays_by_name_make_transient_vertices(device: Device, way: str) -> Non
     """NumPy's float64 becomes float32, as in a mesh."""
     rows = points(6, (6, 1))
     arrays = {"position": rows["position"].astype(np.float64), "color": rows["color"]}
-    program = device.program(Colored)
+    program = device.program(shaders.Colored)
     with device.texture((6, 1), Format.R32F) as image:
         with device.render_pass(image, clear=(9, 0, 0, 0)):
             if way == "immediate":
@@ -284,7 +274,7 @@ def test_floats_for_integer_attributes_are_refused(device: Device) -> None:
 
 def test_views_of_a_transient_mesh_draw_its_parts(device: Device) -> None:
     """The draw lists of an interface: one upload of vertices and indices a frame, and a view for each command."""
-    count, program = 48, device.program(PaintedShader)
+    count, program = 48, device.program(shaders.PaintedShader)
     rows = packed_points(count)
     with device.texture((count, 1), Format.R32F) as image:
         for _ in range(3):  # frames, so that the mesh lies at other places in its ring
@@ -303,7 +293,7 @@ def test_views_of_a_transient_mesh_draw_its_parts(device: Device) -> None:
 
 
 def test_draws_of_a_transient_mesh_count_from_its_own_start(device: Device) -> None:
-    count, program = 16, device.program(PaintedShader)
+    count, program = 16, device.program(shaders.PaintedShader)
     rows = packed_points(count)
     with device.texture((count, 1), Format.R32F) as image:
         with device.render_pass(image, clear=(9, 0, 0, 0)):
@@ -326,11 +316,13 @@ class Instance(sl.Struct):
     shift: sl.vec2
 
 
-class Instanced(Flat):
+class Instanced(shaders.Flat):
     """Draws the number of each instance."""
 
-    def vertex(self, v: Instance) -> FlatShade:
-        return FlatShade(clip=sl.vec4(v.position + v.shift, 0.5, 1.0), color=sl.vec4(float(sl.instance_index())))
+    def vertex(self, v: Instance) -> shaders.FlatShade:
+        return shaders.FlatShade(
+            clip=sl.vec4(v.position + v.shift, 0.5, 1.0), color=sl.vec4(float(sl.instance_index()))
+        )
 
 
 @pytest.mark.parametrize("way", ["transient", "immediate"])
@@ -378,7 +370,7 @@ def test_vertices_follow_their_instances(device: Device) -> None:
 def test_a_mesh_made_before_its_ring_grew_is_drawn_after_it(fresh_device: Device) -> None:
     """What the ring has outgrown lives until the end of the frame, also when the GPU has caught up meanwhile."""
     device = fresh_device
-    program = device.program(Colored)
+    program = device.program(shaders.Colored)
     rows = points(4, (4, 1))
     with device.texture((4, 1), Format.R32F) as image:
         early = device.transient.mesh(program, rows, np.arange(4), Primitive.POINTS)
@@ -394,15 +386,15 @@ def test_a_mesh_made_before_its_ring_grew_is_drawn_after_it(fresh_device: Device
         assert_same(image.read()[0], np.arange(4))
 
 
-class Weighed(Flat):
+class Weighed(shaders.Flat):
     """Draws instances in colors from storage, scaled by one number."""
 
     scale: sl.Uniform[float]
     weights: sl.Storage[sl.vec4]
 
-    def vertex(self, v: Instance) -> FlatShade:
+    def vertex(self, v: Instance) -> shaders.FlatShade:
         place = sl.vec4(v.position + v.shift, 0.5, 1.0)
-        return FlatShade(clip=place, color=self.weights[sl.instance_index()] * self.scale)
+        return shaders.FlatShade(clip=place, color=self.weights[sl.instance_index()] * self.scale)
 
 
 def test_a_command_buffer_has_transient_geometry_of_its_own(device: Device) -> None:
@@ -445,7 +437,7 @@ class Accumulate(sl.Shader):
 def test_each_draw_of_a_frame_reads_its_own_storage(device: Device) -> None:
     size = (32, 8)
     rows = points(256, size)
-    program = device.program(Weighted)
+    program = device.program(shaders.Weighted)
     with device.texture(size, Format.R32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
         with device.render_pass(image):
             for index in range(256):
@@ -471,14 +463,14 @@ def test_transient_storage_of_a_number_is_zeroed(device: Device) -> None:
             device.transient.storage(sl.vec4, np.full((64, 4), 7, "<f4"))
             device.present()
         with device.render_pass(image, clear=(9, 0, 0, 0)):
-            device.draw(device.program(Weighted), mesh, weights=device.transient.storage(sl.vec4, 64))
+            device.draw(device.program(shaders.Weighted), mesh, weights=device.transient.storage(sl.vec4, 64))
         assert_same(image.read(), 0)
 
 
 # -- single values -----------------------------------------------------------------------------------------
 
 
-class Values(Flat):
+class Values(shaders.Flat):
     """Sums single values of each kind, so that each lies where the layout says."""
 
     scale: sl.Uniform[float]
@@ -488,10 +480,10 @@ class Values(Flat):
     turn: sl.Uniform[sl.mat3]
     view: sl.Uniform[sl.mat4]
 
-    def vertex(self, v: Corner) -> FlatShade:
+    def vertex(self, v: shaders.Corner) -> shaders.FlatShade:
         turned = self.turn @ self.offset
         seen = self.view @ sl.vec4(turned, self.scale)
-        return FlatShade(clip=v.position, color=seen + sl.vec4(float(self.number), float(self.bits), 0.0, 0.0))
+        return shaders.FlatShade(clip=v.position, color=seen + sl.vec4(float(self.number), float(self.bits), 0.0, 0.0))
 
 
 @pytest.mark.parametrize("way", ["uniform", "transient", "write", "value"])
@@ -542,7 +534,7 @@ def covered(*triangles: Any) -> NDArray[np.bool_]:
 
 def test_vertices_one_by_one_make_quads(device: Device) -> None:
     with device.texture(SIZE, Format.R8) as image:
-        with device.render_pass(image), device.immediate(device.program(Colored), Primitive.QUADS) as quads:
+        with device.render_pass(image), device.immediate(device.program(shaders.Colored), Primitive.QUADS) as quads:
             for x, y in window_to_clip(QUAD, SIZE):
                 quads.vertex(position=(x, y, 0.5, 1.0), color=(1, 1, 1, 1))
         assert_mask(image.read(), covered(QUAD[:3], [QUAD[0], QUAD[2], QUAD[3]]))
@@ -551,7 +543,7 @@ def test_vertices_one_by_one_make_quads(device: Device) -> None:
 @pytest.mark.parametrize("primitive", list(Primitive), ids=lambda p: p.name)
 def test_immediate_vertices_draw_what_a_mesh_of_them_draws(device: Device, primitive: Primitive) -> None:
     rows = corners(centers([(1, 1), (3, 13), (14, 12), (12, 2), (5, 5), (6, 9), (10, 8), (9, 4)], SIZE))
-    program = device.program(Colored)
+    program = device.program(shaders.Colored)
     with (
         device.texture(SIZE, Format.R8) as one,
         device.texture(SIZE, Format.R8) as two,
@@ -572,7 +564,7 @@ def test_immediate_vertices_draw_what_a_mesh_of_them_draws(device: Device, primi
 def test_an_immediate_block_without_vertices_draws_nothing(device: Device) -> None:
     with device.texture(SIZE, Format.R8) as image:
         before = device.statistics.draws
-        with device.render_pass(image), device.immediate(device.program(Colored), Primitive.TRIANGLES):
+        with device.render_pass(image), device.immediate(device.program(shaders.Colored), Primitive.TRIANGLES):
             pass
         assert device.statistics.draws == before
         assert_same(image.read(), 0)
@@ -583,7 +575,7 @@ def test_an_immediate_block_is_one_draw(device: Device) -> None:
         before = device.statistics.draws
         with (
             device.render_pass(image),
-            device.immediate(device.program(Colored), Primitive.TRIANGLES) as triangles,
+            device.immediate(device.program(shaders.Colored), Primitive.TRIANGLES) as triangles,
         ):
             for _ in range(10):
                 triangles.vertices(rectangle())
@@ -593,24 +585,24 @@ def test_an_immediate_block_is_one_draw(device: Device) -> None:
 def test_an_exception_in_an_immediate_block_draws_nothing(device: Device) -> None:
     with device.texture(SIZE, Format.R8) as image:
         with pytest.raises(ZeroDivisionError), device.render_pass(image):
-            with device.immediate(device.program(Colored), Primitive.TRIANGLES) as triangles:
+            with device.immediate(device.program(shaders.Colored), Primitive.TRIANGLES) as triangles:
                 triangles.vertices(rectangle())
                 raise ZeroDivisionError
         assert_same(image.read(), 0)
 
 
 def test_an_immediate_block_takes_bindings_and_states(device: Device) -> None:
-    tint = device.uniform(Tint(color=(0.25, 0, 0, 0)))
+    tint = device.uniform(shaders.Tint(color=(0.25, 0, 0, 0)))
     with device.texture(SIZE, Format.R16F) as image:
         with device.render_pass(image, clear=(1, 0, 0, 0)), device.states(BlendFunction.ADDITIVE):
-            with device.immediate(device.program(Tinted), Primitive.TRIANGLES, tint=tint) as triangles:
+            with device.immediate(device.program(shaders.Tinted), Primitive.TRIANGLES, tint=tint) as triangles:
                 triangles.vertices(rectangle())
         assert_same(image.read(), 1.25)
     tint.destroy()
 
 
 def test_immediate_blocks_and_other_draws_keep_their_order(device: Device) -> None:
-    program = device.program(Colored)
+    program = device.program(shaders.Colored)
     with device.texture(SIZE, Format.R32F) as image, device.mesh(rectangle(color=(2, 0, 0, 0))) as mesh:
         with device.render_pass(image):
             for value in (1, 3):
@@ -624,7 +616,7 @@ def test_a_great_many_immediate_vertices_fit(device: Device) -> None:
     """20,000 vertices of 32 bytes don't fit into the initial size of the ring."""
     size = (200, 100)
     with device.texture(size, Format.R32F) as image:
-        with device.render_pass(image), device.immediate(device.program(Colored), Primitive.POINTS) as many:
+        with device.render_pass(image), device.immediate(device.program(shaders.Colored), Primitive.POINTS) as many:
             many.vertices(points(20_000, size))
         device.present()
         assert_same(image.read().reshape(-1), np.arange(20_000))

@@ -6,19 +6,9 @@ import numpy as np
 import pytest
 from gltf_documents import TRIANGLE, GltfDocument
 
+from renderer import scene as scenes
 from renderer.content import load_model, load_scene, save_scene
-from renderer.scene import (
-    AlphaMode,
-    Camera,
-    Orthographic,
-    Perspective,
-    Scene,
-    SceneBuilder,
-    TextureMap,
-    make_geometry,
-    rotation,
-    translation,
-)
+from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, TextureMap, make_geometry, rotation, translation
 from rhi import Filter, SamplerDescriptor, Wrap
 from rhi.errors import ValidationError
 
@@ -148,7 +138,7 @@ def make_rich_scene():
     builder.lights.add_spots(rng.normal(size=(20, 3)), rng.normal(size=(20, 3)), 3.1, 0.2, 0.7, (1, 0.9, 0.3), 5.5)
     builder.lights.point["source_radius"][::2] = builder.lights.spot["source_radius"][1::2] = 0.3
     builder.views["first"] = Camera.look_at(rng.normal(size=3), rng.normal(size=3))
-    builder.views["flat"] = Camera.look_at((1, 2, 3), (0, 0, 0), projection=Orthographic(4.0, 1.5, 0.5, 9.0))
+    builder.views["flat"] = Camera.look_at((1, 2, 3), (0, 0, 0), projection=scenes.Orthographic(4.0, 1.5, 0.5, 9.0))
     builder.background, builder.haze = (0.1, 0.2, 0.3), 0.01
     return builder.build()
 
@@ -175,7 +165,7 @@ def test_rotated_texture_coordinates_are_the_same_to_float32(tmp_path):
 def test_a_camera_without_a_far_plane_has_one_for_other_programs(tmp_path):
     """Loaders of other engines fail without one. What another program has changed since is believed."""
     scene = load_scene("grid:count=1")
-    scene.views["view"] = Camera.look_at((1, 2, 3), (0, 0, 0), projection=Perspective(near=0.5))
+    scene.views["view"] = Camera.look_at((1, 2, 3), (0, 0, 0), projection=scenes.Perspective(near=0.5))
     loaded, _ = save_and_load(scene, tmp_path, "saved.gltf")
     assert loaded.views["view"].projection.far == np.inf
     file = tmp_path / "saved.gltf"

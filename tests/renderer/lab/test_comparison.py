@@ -16,26 +16,13 @@ import rhi
 from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.content import load_scene
-from renderer.lab.comparison import (
-    Column,
-    Frames,
-    Record,
-    Subject,
-    average,
-    compare,
-    interval,
-    largest,
-    middle,
-    rate,
-    ratio,
-    ratio_of,
-    time,
-)
+from renderer.lab import comparison
+from renderer.lab.comparison import Frames, Record, Subject, average, compare, interval, middle, rate, ratio, time
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Shot
 from tests.renderer.conftest import open_device, run_with_quick_kernels
 
-COLUMNS: dict[str, Column] = {"ratio": ratio(), "speed": ratio(inverse=True)}
+COLUMNS: dict[str, comparison.Column] = {"ratio": ratio(), "speed": ratio(inverse=True)}
 
 
 @pytest.fixture
@@ -96,7 +83,7 @@ def test_a_ratio_of_counts_is_the_median_of_rounds_too() -> None:
         Subject({}, now.append, count=lambda of=of: {"seconds": of[now[-1]]})
         for of in ((1.0, 2.0, 9.0), (3.0, 1.0, 8.0), (1.0, 2.0, 9.0))
     ]
-    columns = {"seconds": middle(), "ratio": ratio_of("seconds")}
+    columns = {"seconds": middle(), "ratio": comparison.ratio_of("seconds")}
     rows = compare(subjects, columns, range(3), warm_ups=0)
     assert [(row["seconds"], row["ratio"]) for row in rows] == [(2.0, 1.0), (3.0, 0.889), (2.0, 1.0)]
 
@@ -111,7 +98,7 @@ def test_counts_are_those_of_timed_runs_and_cells_have_their_order() -> None:
     rows = compare([one], {"calls": average()}, (2, 6), warm_ups=3)
     assert rows == [{"name": "a", "calls": 4, "all": 5}]
     assert list(rows[0]) == ["name", "calls", "all"]
-    assert compare([one], {"calls": largest}, (2, 6))[0]["calls"] == 6
+    assert compare([one], {"calls": comparison.largest}, (2, 6))[0]["calls"] == 6
 
 
 Run = Callable[..., Any]

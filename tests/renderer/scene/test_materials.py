@@ -10,18 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusals import find_rule
 
+from renderer import scene as scenes
 from renderer.content import BUILT_IN
-from renderer.scene import (
-    VERTEX,
-    AlphaMode,
-    Scene,
-    SceneBuilder,
-    ShadingModel,
-    TextureMap,
-    make_geometry,
-    make_material,
-    vertex_format,
-)
+from renderer.scene import Scene, SceneBuilder, ShadingModel, TextureMap, make_geometry, make_material, vertex_format
 from rhi import Comparison, SamplerDescriptor, Wrap
 
 SIDE = np.full((4, 4, 4), 128, np.uint8)
@@ -77,7 +68,7 @@ def test_parameters_of_both_models_are_refused(name: str) -> None:
         ("alpha_cutoff", 0.0, -0.1),
         ("emissive", (0, 1e6, 0), (0, -1, 0)),
         ("emissive_texture", -1, -2),
-        ("alpha_mode", AlphaMode.BLEND, 3),
+        ("alpha_mode", scenes.AlphaMode.BLEND, 3),
         ("base_color", (1, 0, 0, 1), (1, 2)),
         ("base_color", (1, 0, 0, 1), (1, -0.1, 0)),
         ("base_color", (1, 0, 0, 1), (np.nan, 0, 0)),
@@ -144,7 +135,7 @@ def test_vertices_have_only_what_the_scene_reads() -> None:
     more = {"uv2": np.ones((4, 2)), "tangent": np.tile([1.0, 0, 0, 1], (4, 1)), "color": np.ones((4, 4))}
     given = make_geometry(**SQUARE, **more)
     assert given.vertices.dtype == vertex_format(more)
-    assert build().meshes.vertices.dtype == VERTEX
+    assert build().meshes.vertices.dtype == scenes.VERTEX
     assert build(given).meshes.vertices.dtype == vertex_format(["color"])
     assert build(given, texture=TextureMap(0, uv_set=1)).meshes.vertices.dtype == vertex_format(["uv2", "color"])
     assert build(given, normal_texture=0).meshes.vertices.dtype == vertex_format(["tangent", "color"])

@@ -9,19 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from renderer import scene as scenes
 from renderer.content import BUILT_IN, load_scene
 from renderer.content.fountains import BOUNDS, DROPS, Fountains, make_drops
-from renderer.scene import (
-    VERTEX,
-    Camera,
-    Orthographic,
-    Perspective,
-    Scene,
-    SceneBuilder,
-    Simulator,
-    Stepwise,
-    translation,
-)
 from rhi.errors import ValidationError
 
 
@@ -31,7 +21,7 @@ class Clock:
     interval = 0.5
 
     def __init__(self, count: int, memory: int | None = None, steps_per_frame: int = 10_000) -> None:
-        self.catch_up = Stepwise(steps_per_frame, memory)
+        self.catch_up = scenes.Stepwise(steps_per_frame, memory)
         self.taken: list[list[int]] = [[] for _ in range(count)]
 
     def step(self, members, numbers):
@@ -39,40 +29,40 @@ class Clock:
             self.taken[member].append(number)
 
     def vertices(self, members):
-        vertices = np.zeros(len(members), VERTEX)
+        vertices = np.zeros(len(members), scenes.VERTEX)
         vertices["position"][:, 1] = [len(self.taken[member]) for member in members]
         return vertices
 
 
-def make_scene(count: int = 3, memory: int | None = None, apart: float = 0.0) -> Scene:
-    builder = SceneBuilder("clocks")
+def make_scene(count: int = 3, memory: int | None = None, apart: float = 0.0) -> scenes.Scene:
+    builder = scenes.SceneBuilder("clocks")
     bounds = (np.full(3, -9.0), np.full(3, 9.0))
     meshes = [builder.add_mesh(BUILT_IN["box"](), bounds=bounds) for _ in range(count)]
     still = builder.add_mesh(BUILT_IN["sphere"]())
     material = builder.add_material()
     builder.add_objects(builder.add_node(), still, material)  # row 0 isn't simulated
     objects = builder.add_objects(
-        builder.add_nodes(translation(np.outer(np.arange(count), (-apart, 0, 0)))), meshes, material
+        builder.add_nodes(scenes.translation(np.outer(np.arange(count), (-apart, 0, 0)))), meshes, material
     )
     builder.simulate(objects, Clock(count, memory))
     return builder.build()
 
 
-def make_simulator(scene: Scene) -> tuple[Simulator, Clock]:
+def make_simulator(scene: scenes.Scene) -> tuple[scenes.Simulator, Clock]:
     simulator = scene.make_simulator()
     return simulator, simulator.simulations[0]
 
 
-def taken(simulator: Simulator) -> list[list[int]]:
+def taken(simulator: scenes.Simulator) -> list[list[int]]:
     return simulator.simulations[0].taken
 
 
-def show(simulator: Simulator, seconds: float, rows: list[int]) -> list[tuple[int, int]]:
+def show(simulator: scenes.Simulator, seconds: float, rows: list[int]) -> list[tuple[int, int]]:
     simulator.begin_frame(seconds)
     return states(simulator, np.array(rows, np.int64))
 
 
-def states(simulator: Simulator, rows: np.ndarray) -> list[tuple[int, int]]:
+def states(simulator: scenes.Simulator, rows: np.ndarray) -> list[tuple[int, int]]:
     deformed = simulator.advance(rows).deformed
     return [pair for one in deformed for pair in zip(one.rows.tolist(), one.states.tolist(), strict=True)]
 
@@ -155,13 +145,13 @@ DIAMETER = 18.0 * np.sqrt(3.0)
 """That of the clocks' bounds, 9 m around the origin."""
 
 
-def look_from(pixels: float) -> Camera:
+def look_from(pixels: float) -> scenes.Camera:
     """Return a camera to which the bounds of the clocks are as large as that, by their nearest point."""
     eye = (9.0 + 0.5 * HEIGHT * DIAMETER / pixels, 0.0, 0.0)
-    return Camera.look_at(eye, (0.0, 0.0, 0.0), projection=Perspective(fov=np.pi / 2))
+    return scenes.Camera.look_at(eye, (0.0, 0.0, 0.0), projection=scenes.Perspective(fov=np.pi / 2))
 
 
-def count_moves(camera: Camera, lag: float = LAG, seconds: float = 8.0, interval: float = 1 / 64) -> list[int]:
+def count_moves(camera: scenes.Camera, lag: float = LAG, seconds: float = 8.0, interval: float = 1 / 64) -> list[int]:
     """Return in how many of 64 frames a second each of nine clocks has moved on."""
     simulator, clock = make_simulator(make_scene(9))
     clock.interval, moves = interval, np.zeros(9, int)
@@ -186,8 +176,8 @@ def test_what_is_small_moves_on_less_often_and_what_is_smaller_than_the_lag_rest
 
 def test_a_parallel_lens_shows_all_at_the_same_size() -> None:
     for distance in (20.0, 2000.0):
-        lens = Orthographic(1000.0 * DIAMETER, far=9999.0)
-        camera = Camera.look_at((distance, 0.0, 0.0), (0.0, 0.0, 0.0), projection=lens)
+        lens = scenes.Orthographic(1000.0 * DIAMETER, far=9999.0)
+        camera = scenes.Camera.look_at((distance, 0.0, 0.0), (0.0, 0.0, 0.0), projection=lens)
         assert max(count_moves(camera, lag=0.0999)) == 64  # it is of 0.1 pixels
         assert max(count_moves(camera, lag=0.1001)) == 0
 
@@ -229,7 +219,7 @@ def test_what_comes_nearer_is_brought_to_the_frame_s_time_and_what_goes_away_sta
 def test_flags_that_are_late_are_off_by_less_than_the_lag() -> None:
     halls = [load_scene("hall:columns=6,flags=8") for _ in range(2)]
     simulators = [hall.make_simulator() for hall in halls]
-    camera = Camera.look_at((0.0, 2.0, 120.0), (0.0, 2.0, 0.0))
+    camera = scenes.Camera.look_at((0.0, 2.0, 120.0), (0.0, 2.0, 0.0))
     off = []
     for frame in range(60):
         places = []
@@ -327,7 +317,7 @@ def test_a_fountain_begins_as_its_mesh() -> None:
 
 
 def refusal(change: object) -> str:
-    builder = SceneBuilder("bad")
+    builder = scenes.SceneBuilder("bad")
     bounds = (np.full(3, -9.0), np.full(3, 9.0))
     bound, free = builder.add_mesh(BUILT_IN["box"](), bounds=bounds), builder.add_mesh(BUILT_IN["box"]())
     nodes = builder.add_nodes(np.tile(np.eye(4), (3, 1, 1)))

@@ -8,17 +8,8 @@ import numpy as np
 import pytest
 from refusals import find_rule
 
-from renderer.scene import (
-    COMFORTABLE_SHARE,
-    NATURAL_DISTANCE,
-    Camera,
-    Depth,
-    Orthographic,
-    Perspective,
-    Projection,
-    StereoRig,
-    measure_parallax,
-)
+from renderer import scene as scenes
+from renderer.scene import NATURAL_DISTANCE, Camera, Depth, Perspective, Projection, StereoRig, measure_parallax
 from renderer.scene.arrays import Floats
 
 HERE = (3.0, 1.7, -4.0)
@@ -26,7 +17,7 @@ FAR_AWAY = (1e5, 1.7, -2e5)
 LENSES: dict[str, Projection] = {
     "perspective": Perspective(1.1, 16 / 9, 0.1),
     "perspective with an end": Perspective(0.7, 1.3, 0.5, 80.0, Depth.STANDARD),
-    "parallel": Orthographic(6.0, 1.5, -2.0, 90.0),
+    "parallel": scenes.Orthographic(6.0, 1.5, -2.0, 90.0),
 }
 
 
@@ -132,12 +123,14 @@ def test_eyes_without_a_distance_are_the_camera(is_toed_in: bool) -> None:
     assert all(eye is camera for eye in (*rig.place_eyes(camera), rig.enclose(camera)))
 
 
-@pytest.mark.parametrize("lens", [LENSES["perspective"], Orthographic(1.0, 1.5)], ids=["perspective", "parallel"])
+@pytest.mark.parametrize(
+    "lens", [LENSES["perspective"], scenes.Orthographic(1.0, 1.5)], ids=["perspective", "parallel"]
+)
 def test_the_comfortable_rig_spreads_parallax_evenly_about_the_screen(lens: Projection) -> None:
     rig = StereoRig.comfortable(lens, 0.5, 20.0)
     near, far = rig.find_parallax(lens, [0.5, 20.0])
     assert near == pytest.approx(-far)
-    assert far - near == pytest.approx(2.0 * COMFORTABLE_SHARE)
+    assert far - near == pytest.approx(2.0 * scenes.COMFORTABLE_SHARE)
     assert 0.0 < rig.eye_distance < NATURAL_DISTANCE
 
 

@@ -15,21 +15,12 @@ from numpy.typing import NDArray
 
 import rhi
 import rhi.shading as sl
+from renderer import scene as scenes
 from renderer.content import BUILT_IN
 from renderer.lab.exam import CASES
 from renderer.lab.exam.shadows import FLOOR, SETTINGS, SLOPES, find_acne, make_slope
 from renderer.renderer import Renderer
-from renderer.scene import (
-    AlphaMode,
-    Camera,
-    Orthographic,
-    Perspective,
-    Scene,
-    SceneBuilder,
-    make_geometry,
-    scaling,
-    translation,
-)
+from renderer.scene import AlphaMode, Camera, Orthographic, Perspective, Scene, SceneBuilder, scaling, translation
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.shadows.maps import FarDepth
 from renderer.shadows.receiver import FILTERS, ShadowReader
@@ -186,7 +177,7 @@ def leaf_scene(*, turned: bool = False, **material: Any) -> Scene:
     builder = SceneBuilder("leaf")
     corners = [(-1, 2, 1), (1, 2, 1), (1, 2, -1), (-1, 2, -1)]
     uv, order = [(0, 1), (1, 1), (1, 0), (0, 0)], [0, 1, 2, 0, 2, 3]
-    sheet = builder.add_mesh(make_geometry(corners, order[::-1] if turned else order, uv=uv))
+    sheet = builder.add_mesh(scenes.make_geometry(corners, order[::-1] if turned else order, uv=uv))
     images = {name: builder.add_image(value) for name, value in material.items() if isinstance(value, np.ndarray)}
     builder.add_objects(builder.add_node(), sheet, builder.add_material(**{**material, **images}))
     floor = builder.add_node(translation((0, -0.5, 0)) @ scaling((30, 1, 30)))

@@ -13,22 +13,13 @@ from frames import open_renderer as open_any
 from numpy.typing import NDArray
 
 import rhi
+from renderer import scene as scenes
 from renderer.content import load_scene
 from renderer.content.shapes import box
 from renderer.frame.lamps import ExactPlace
 from renderer.layers.particles import Particles
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import (
-    Camera,
-    Depth,
-    Orthographic,
-    Perspective,
-    Scene,
-    SceneBuilder,
-    StereoRig,
-    scaling,
-    translation,
-)
+from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, StereoRig, scaling, translation
 from renderer.shaders import PointLight, ViewConstants
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES
@@ -131,7 +122,7 @@ def test_each_lens_has_two_eyes(drawing_device: rhi.Device, city: Scene, name: s
 
 def make_pillars(x: float) -> Scene:
     """Pillars in sunlight, all at `x` metres from the world's origin."""
-    builder = SceneBuilder("pillars")
+    builder = scenes.SceneBuilder("pillars")
     mesh = builder.add_mesh(box())
     rng = np.random.default_rng(5)
     places = rng.integers(-64, 64, (40, 3)) / 16.0 + (x, 0.0, -8.0)

@@ -11,21 +11,11 @@ import pytest
 from frames import open_renderer as open_any
 
 import rhi
+from renderer import scene as scenes
 from renderer.content import load_scene
 from renderer.content.shapes import box
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import (
-    Camera,
-    Depth,
-    Orthographic,
-    Perspective,
-    Projection,
-    Scene,
-    SceneBuilder,
-    StereoRig,
-    scaling,
-    translation,
-)
+from renderer.scene import Camera, Depth, Orthographic, Perspective, Projection, Scene, StereoRig, scaling, translation
 from renderer.stereo import Stereo, find_holes
 from rhi import Op
 from rhi.math import multiply
@@ -41,7 +31,7 @@ RIG: Final = StereoRig(1.0, 9.0)
 @pytest.fixture(scope="module")
 def wall() -> Scene:
     """A box before a wall of many colours, both seen from the front, in light that has no direction."""
-    builder = SceneBuilder("wall")
+    builder = scenes.SceneBuilder("wall")
     mesh = builder.add_mesh(box())
     rng = np.random.default_rng(1)
     columns, rows = np.meshgrid(np.arange(-60, 61, 4), np.arange(-32, 33, 4))

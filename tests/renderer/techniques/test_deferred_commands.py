@@ -10,17 +10,10 @@ import pytest
 from frames import count_draws, find_eye, list_owned, list_passes, make_lit_boxes, open_renderer, record
 
 import rhi
+from renderer import techniques
 from renderer.content import load_scene
 from renderer.scene import Perspective
-from renderer.techniques import (
-    Deferred,
-    Forward,
-    ForwardMultipass,
-    Inferred,
-    LightPrePass,
-    Technique,
-    TechniqueSettings,
-)
+from renderer.techniques import Deferred, Forward, ForwardMultipass, Inferred, LightPrePass, Technique
 from rhi import DepthFunction, DepthWrite, Op
 
 SIZE = (32, 16)
@@ -157,7 +150,7 @@ def test_a_second_frame_uploads_the_rows_of_its_lamps(null: rhi.Device, techniqu
         *(partial(LightPrePass, specular_channels=channels) for channels in (0, 2, 4)),
         *(partial(kind, light_bits=bits) for kind in (Deferred, LightPrePass, Inferred) for bits in (8, 24, 64)),
         partial(ForwardMultipass, light_bits=16.0),
-        partial(TechniqueSettings, light_bits=8),
+        partial(techniques.TechniqueSettings, light_bits=8),
     ],
 )
 def test_a_parameter_out_of_its_range_is_refused(make: Callable[[], Technique]) -> None:

@@ -5,20 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import frames
 import numpy as np
 import pytest
-from frames import (
-    draw,
-    draw_each,
-    find_difference,
-    find_eye,
-    list_passes,
-    make_boxes,
-    need_algorithm,
-    open_renderer,
-    read_colors,
-    record,
-)
 from numpy.typing import NDArray
 
 import rhi
@@ -71,22 +60,22 @@ class Lamp(MaterialShader):
 def test_all_techniques_draw_materials_with_shaders_alike(drawing_device: rhi.Device) -> None:
     scene = load_scene(YARD)
     names = COMPARED if drawing_device.backend_name == "gl" else ("deferred", "deferred_plus", "forward_multipass")
-    camera = find_eye(scene).with_aspect(4 / 3)
+    camera = frames.find_eye(scene).with_aspect(4 / 3)
     techniques = (Forward(), *(COMPARED[name]() for name in names))
-    expected, *images = draw_each(drawing_device, scene, *techniques, camera=camera, size=SIZE)
+    expected, *images = frames.draw_each(drawing_device, scene, *techniques, camera=camera, size=SIZE)
     assert expected[..., :3].std() > 30.0
-    off = {name: find_difference(image, expected) for name, image in zip(names, images, strict=True)}
+    off = {name: frames.find_difference(image, expected) for name, image in zip(names, images, strict=True)}
     assert max(off.values()) <= 2, off
 
 
 @pytest.mark.parametrize("name", ["none", "frustum", "chc_plus_plus", "conditional", "depth_pyramid", "two_pass"])
 def test_all_algorithms_draw_each_object_by_its_shader(drawing_device: rhi.Device, name: str) -> None:
-    need_algorithm(drawing_device, name)
+    frames.need_algorithm(drawing_device, name)
     scene = load_scene(YARD)
-    expected = draw(drawing_device, scene, size=SIZE)
-    with open_renderer(drawing_device, scene, visibility=name, size=SIZE) as renderer:
-        results = [renderer.render(find_eye(scene)) for _ in range(3)]
-        assert find_difference(read_colors(results[-1]), expected) == 0
+    expected = frames.draw(drawing_device, scene, size=SIZE)
+    with frames.open_renderer(drawing_device, scene, visibility=name, size=SIZE) as renderer:
+        results = [renderer.render(frames.find_eye(scene)) for _ in range(3)]
+        assert frames.find_difference(frames.read_colors(results[-1]), expected) == 0
         assert set(results[-1].visible.tolist()) <= set(range(len(scene.objects)))
 
 
@@ -94,7 +83,7 @@ def test_gl_and_cl_agree() -> None:
     pictures = []
     for backend in ("gl", "cl"):
         with open_device(backend) as device:
-            pictures.append(draw(device, load_scene(YARD), size=SIZE))
+            pictures.append(frames.draw(device, load_scene(YARD), size=SIZE))
     apart = np.abs(pictures[0] - pictures[1]).max(axis=2)
     assert np.count_nonzero(apart > 3) <= 0.005 * apart.size, "edges alone"
 
@@ -103,7 +92,7 @@ def stand(*shaders: type[MaterialShader] | None, repeats: int = 1, **material: A
     """Make boxes side by side, `repeats` for each shader, in turns."""
     builder = SceneBuilder("side by side")
     builder.lights.sky = builder.lights.ground = (0.5, 0.5, 0.5)
-    first = make_boxes()
+    first = frames.make_boxes()
     mesh = builder.add_mesh(first._geometries[0])
     rows = [builder.add_material(shader=shader, **material) for shader in shaders]
     for number in range(repeats * len(rows)):
@@ -115,7 +104,7 @@ def stand(*shaders: type[MaterialShader] | None, repeats: int = 1, **material: A
 
 def count_calls(device: rhi.Device, scene: Scene, **options: Any) -> tuple[int, int]:
     """Return the numbers of draw calls, and of programs that they use."""
-    ops = [one.op for one in record(device, scene, Forward(), frames=1, **options)]
+    ops = [one.op for one in frames.record(device, scene, Forward(), frames=1, **options)]
     return sum(op in DRAWS for op in ops), ops.count(Op.BIND_PROGRAM)
 
 
@@ -128,18 +117,18 @@ def test_objects_are_drawn_by_shader(null: rhi.Device) -> None:
 
 def test_a_scene_without_such_shaders_has_none_of_their_cost(null: rhi.Device) -> None:
     plain, own = stand(None), stand(None, Lamp)
-    assert Effect.MATERIAL_SHADERS not in find_needs(plain, find_eye(plain)).effects
-    assert Effect.MATERIAL_SHADERS in find_needs(own, find_eye(own)).effects
+    assert Effect.MATERIAL_SHADERS not in find_needs(plain, frames.find_eye(plain)).effects
+    assert Effect.MATERIAL_SHADERS in find_needs(own, frames.find_eye(own)).effects
     assert Effect.MATERIAL_SHADERS not in find_needs(own, Camera.look_at((0, 0, 10), (0, 0, 20))).effects
-    assert "material ids" not in list_passes(null, plain, DeferredPlus())
-    assert "material ids" in list_passes(null, own, DeferredPlus())
+    assert "material ids" not in frames.list_passes(null, plain, DeferredPlus())
+    assert "material ids" in frames.list_passes(null, own, DeferredPlus())
 
 
 def test_depth_alone_is_drawn_without_shaders_of_materials(null: rhi.Device) -> None:
     """Unless they cut masks."""
     for masks, programs in ((AlphaMode.OPAQUE, 1), (AlphaMode.MASK, 2)):
         scene = stand(None, Halves, alpha_mode=masks)
-        stream = record(null, scene, DeferredPlus(), frames=1)
+        stream = frames.record(null, scene, DeferredPlus(), frames=1)
         first = list(stream)[: next(place for place, one in enumerate(stream) if one.op is Op.END_PASS)]
         assert len({one["program"] for one in first if one.op is Op.BIND_PROGRAM}) == programs
 
@@ -147,20 +136,20 @@ def test_depth_alone_is_drawn_without_shaders_of_materials(null: rhi.Device) -> 
 def test_all_that_a_shader_says_is_drawn_by_techniques_that_store_it(drawing_device: rhi.Device) -> None:
     scene = stand(None, Lamp, base_color=(1, 1, 1), metallic=0.5, roughness=0.5, emissive=(0.6, 0.3, 0.1))
     scene.lights.add_point((0, 2, 3), 8.0, intensity=3.0)
-    forward, *others = draw_each(
+    forward, *others = frames.draw_each(
         drawing_device, scene, Forward(), Deferred(), LightPrePass(), DeferredPlus(), size=SIZE
     )
     assert np.abs(forward[:, : SIZE[0] // 2] - forward[:, : SIZE[0] // 2 - 1 : -1]).max() > 40
-    assert max(find_difference(forward, image) for image in others) <= 2
+    assert max(frames.find_difference(forward, image) for image in others) <= 2
 
 
 def test_a_shader_cuts_masks_from_pictures_and_from_shadows(drawing_device: rhi.Device) -> None:
     def show(technique: Technique, alpha_mode: AlphaMode, casts: bool) -> NDArray[Any]:
-        builder = make_boxes(translation((0, 0, -2)) @ scaling((20, 20, 0.1)))
+        builder = frames.make_boxes(translation((0, 0, -2)) @ scaling((20, 20, 0.1)))
         sheet = builder.add_material(shader=Halves, alpha_mode=alpha_mode, base_color=(1, 1, 1, 1))
         builder.add_objects(builder.add_node(translation((1, 0, 0)) @ scaling((2.0, 2.0, 0.05))), 0, sheet)
         builder.lights.add_directional((-1.0, 0.0, -1.0), casts_shadow=casts)
-        return draw(drawing_device, builder.build(), technique, size=SIZE)
+        return frames.draw(drawing_device, builder.build(), technique, size=SIZE)
 
     cut, whole = (show(Forward(), mode, True) for mode in (AlphaMode.MASK, AlphaMode.OPAQUE))
     red = [np.count_nonzero((image[..., 0] > 60) & (image[..., 1] < 40)) for image in (cut, whole)]
@@ -169,13 +158,13 @@ def test_a_shader_cuts_masks_from_pictures_and_from_shadows(drawing_device: rhi.
     shadows = [np.count_nonzero((unshadowed - image)[..., 1] > 20) for image in (cut, whole)]
     assert 0.3 < shadows[0] / shadows[1] < 0.7, "the half that is cut casts none"
     for technique in (Deferred(), DeferredPlus(), DeferredPlus(multi_pass=True)):
-        assert find_difference(show(technique, AlphaMode.MASK, True), cut) <= 2
+        assert frames.find_difference(show(technique, AlphaMode.MASK, True), cut) <= 2
 
 
 def test_transparent_surfaces_have_the_opacity_that_a_shader_says(drawing_device: rhi.Device) -> None:
-    solid = draw(drawing_device, stand(Halves, base_color=(1, 1, 1, 1)), camera=NEAR, size=SIZE)
+    solid = frames.draw(drawing_device, stand(Halves, base_color=(1, 1, 1, 1)), camera=NEAR, size=SIZE)
     glass = stand(Halves, base_color=(1, 1, 1, 0.5), alpha_mode=AlphaMode.BLEND)
-    half = draw(drawing_device, glass, camera=NEAR, size=SIZE)
+    half = frames.draw(drawing_device, glass, camera=NEAR, size=SIZE)
     left, right = (slice(SIZE[0] // 2 - 8, SIZE[0] // 2 - 2), slice(SIZE[0] // 2 + 2, SIZE[0] // 2 + 8))
     row = SIZE[1] // 2
     assert (solid[row, left, 0] > 100).all()
@@ -184,18 +173,18 @@ def test_transparent_surfaces_have_the_opacity_that_a_shader_says(drawing_device
 
 
 def test_parameters_and_instances_may_change_between_frames(drawing_device: rhi.Device) -> None:
-    builder = make_boxes()
+    builder = frames.make_boxes()
     parent = builder.add_material(shader=material_shaders.Checker, second_color=(1, 0, 0), base_color=(1, 1, 1))
     child = builder.add_material(parent=parent)
     builder.add_objects(builder.add_node(), 0, child)
     builder.lights.sky = builder.lights.ground = (1, 1, 1)
     scene = builder.build()
-    with open_renderer(drawing_device, scene, size=SIZE) as renderer:
-        red = read_colors(renderer.render(NEAR))
+    with frames.open_renderer(drawing_device, scene, size=SIZE) as renderer:
+        red = frames.read_colors(renderer.render(NEAR))
         scene.set_material(parent, second_color=(0.0, 0.0, 1.0))
-        blue = read_colors(renderer.render(NEAR))
+        blue = frames.read_colors(renderer.render(NEAR))
         scene.parameters[0]["second_color"][child] = (0.0, 1.0, 0.0)
-        green = read_colors(renderer.render(NEAR))
+        green = frames.read_colors(renderer.render(NEAR))
     for image, channel in ((red, 0), (blue, 2), (green, 1)):
         pure = (image[..., channel] > 100) & (np.delete(image, channel, axis=2).max(axis=2) < 40)
         assert np.count_nonzero(pure) > 100
@@ -301,28 +290,28 @@ def test_noise_is_smooth_within_its_bounds_and_has_no_direction() -> None:
 
 def test_marble_goes_through_objects(gl: rhi.Device) -> None:
     """Two boxes whose faces meet have the veins of one."""
-    builder = make_boxes()
+    builder = frames.make_boxes()
     stone = builder.add_material(
         shader=material_shaders.Marble, base_color=(1, 1, 1), vein_color=(0, 0, 0), frequency=2.0
     )
     for x in (-0.5, 0.5):
         builder.add_objects(builder.add_node(translation((x, 0, 0))), 0, stone)
-    wide = make_boxes()
+    wide = frames.make_boxes()
     whole = wide.add_material(shader=material_shaders.Marble, base_color=(1, 1, 1), vein_color=(0, 0, 0), frequency=2.0)
     wide.add_objects(wide.add_node(scaling((2, 1, 1))), 0, whole)
     for one in (builder, wide):
         one.lights.sky = one.lights.ground = (1, 1, 1)
-    halves, one = (draw(gl, each.build(), camera=NEAR, size=SIZE) for each in (builder, wide))
+    halves, one = (frames.draw(gl, each.build(), camera=NEAR, size=SIZE) for each in (builder, wide))
     assert one.std() > 20.0
-    assert find_difference(halves, one) <= 1
+    assert frames.find_difference(halves, one) <= 1
 
 
 def test_pictures_are_those_of_float64(drawing_device: rhi.Device) -> None:
     """The same shaders by NumPy, from what the device has in its buffers: arithmetic is all that differs."""
     scene = load_scene("yard:columns=2,lamps=2")
-    with open_renderer(drawing_device, scene, size=(80, 60)) as renderer:
-        exact = shade_exactly(renderer, find_eye(scene))
-        drawn = read_colors(renderer.render(find_eye(scene)))
+    with frames.open_renderer(drawing_device, scene, size=(80, 60)) as renderer:
+        exact = shade_exactly(renderer, frames.find_eye(scene))
+        drawn = frames.read_colors(renderer.render(frames.find_eye(scene)))
     shown = exact.objects >= 0
     assert 0.5 < shown.mean() < 1.0
     shaders = scene.materials["shader"][scene.objects.material[exact.objects[shown]]]

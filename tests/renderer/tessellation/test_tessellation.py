@@ -4,18 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import bisection_reference
 import numpy as np
 import pytest
-from bisection_reference import (
-    HEIGHT,
-    check_conforming,
-    decode,
-    find_keys,
-    is_wanted,
-    list_cameras,
-    make_hills,
-    make_scene,
-)
+from bisection_reference import HEIGHT, check_conforming, decode, find_keys, is_wanted, make_hills, make_scene
 from frames import open_renderer
 from numpy.typing import NDArray
 
@@ -27,7 +19,7 @@ from renderer.tessellation import Tessellation, TessellationSettings, Tessellato
 from renderer.tessellation.tessellator import view_field
 from rhi import ValidationError
 
-CAMERAS = list_cameras()
+CAMERAS = bisection_reference.list_cameras()
 
 
 def choose(field: HeightField, camera: Camera, edge_pixels: float = 6.0) -> tuple[NDArray[np.int64], bool]:

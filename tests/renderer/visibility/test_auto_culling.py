@@ -8,18 +8,10 @@ from functools import partial
 import pytest
 
 import rhi
+from renderer import visibility
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Scene
-from renderer.visibility import (
-    CANDIDATES,
-    AutoCulling,
-    CallbackPass,
-    NoCulling,
-    VisibilityStatistics,
-    list_algorithms,
-    make_visibility,
-)
 
 COSTS = {"slow": 0.012, "fast": 0.008, "middling": 0.0105}
 
@@ -41,7 +33,7 @@ class Sleeper:
     opens_pass = False
 
     def __init__(self, scene: Scene, name: str, log: list[str]) -> None:
-        self.none = NoCulling(scene)
+        self.none = visibility.NoCulling(scene)
         self.name, self.log, self.seconds = name, log, COSTS[name]
         self.visible = 100
 
@@ -49,7 +41,7 @@ class Sleeper:
         self.log.append(self.name)
         Clock.now += self.seconds
         self.none.render(camera, scene_pass)
-        return VisibilityStatistics(100, self.visible)
+        return visibility.VisibilityStatistics(100, self.visible)
 
     def destroy(self):
         self.log.append(f"{self.name} destroyed")
@@ -66,12 +58,14 @@ def log() -> list[str]:
 
 
 @pytest.fixture
-def auto(null: rhi.Device, city: Scene, log: list[str]) -> AutoCulling:
+def auto(null: rhi.Device, city: Scene, log: list[str]) -> visibility.AutoCulling:
     return make_auto(null, city, log)
 
 
-def make_auto(device: rhi.Device, scene: Scene, log: list[str], rest: int = 0) -> AutoCulling:
-    auto = AutoCulling(scene, device, {name: partial(Sleeper, scene, name, log) for name in COSTS}, frames=4, rest=rest)
+def make_auto(device: rhi.Device, scene: Scene, log: list[str], rest: int = 0) -> visibility.AutoCulling:
+    auto = visibility.AutoCulling(
+        scene, device, {name: partial(Sleeper, scene, name, log) for name in COSTS}, frames=4, rest=rest
+    )
     auto.candidates.update({name: Sleeper(scene, name, log) for name in COSTS})  # for tests to change
     return auto
 
@@ -80,11 +74,11 @@ def look(x: float = 0.0, dx: float = 0.0, dz: float = -1.0) -> Camera:
     return Camera.look_at((x, 2.0, 0.0), (x + dx, 2.0, dz))
 
 
-def render(auto: AutoCulling, camera: Camera, count: int) -> list[VisibilityStatistics]:
-    return [auto.render(camera, CallbackPass(lambda rows: None)) for _ in range(count)]
+def render(auto: visibility.AutoCulling, camera: Camera, count: int) -> list[visibility.VisibilityStatistics]:
+    return [auto.render(camera, visibility.CallbackPass(lambda rows: None)) for _ in range(count)]
 
 
-def test_each_is_tried_and_the_fastest_stays(auto: AutoCulling, log: list[str]) -> None:
+def test_each_is_tried_and_the_fastest_stays(auto: visibility.AutoCulling, log: list[str]) -> None:
     assert auto.is_trying
     tried = render(auto, look(), 12)
     assert log == ["slow"] * 4 + ["fast"] * 4 + ["middling"] * 4
@@ -107,7 +101,7 @@ def test_nothing_is_tried_while_code_is_being_built(
         return rhi.Preparation([future])
 
     makers = {name: partial(Sleeper, city, name, log) for name in COSTS}
-    auto = AutoCulling(city, null, makers, frames=4, prepare=prepare)
+    auto = visibility.AutoCulling(city, null, makers, frames=4, prepare=prepare)
     assert {one.stalled_milliseconds for one in render(auto, look(), 3)} == {0.0}
     assert not auto.is_trying
     monkeypatch.setattr(rhi.Device, "is_building", True)
@@ -123,7 +117,7 @@ def test_nothing_is_tried_while_code_is_being_built(
 
 
 def test_waiting_at_the_end_of_a_frame_on_trial_counts_as_stalled(
-    null: rhi.Device, auto: AutoCulling, monkeypatch: pytest.MonkeyPatch
+    null: rhi.Device, auto: visibility.AutoCulling, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def finish() -> None:
         Clock.now += 0.004
@@ -134,7 +128,7 @@ def test_waiting_at_the_end_of_a_frame_on_trial_counts_as_stalled(
     assert {one.stalled_milliseconds for one in render(auto, look(), 3)} == {0.0}
 
 
-def test_the_first_two_frames_of_a_trial_are_not_counted(auto: AutoCulling) -> None:
+def test_the_first_two_frames_of_a_trial_are_not_counted(auto: visibility.AutoCulling) -> None:
     render(auto, look(), 4)
     auto.candidates["fast"].seconds = 0.02
     render(auto, look(), 2)
@@ -147,13 +141,13 @@ def test_the_first_two_frames_of_a_trial_are_not_counted(auto: AutoCulling) -> N
     assert auto.chosen == "fast"
 
 
-def test_what_is_hopelessly_slow_is_given_up(auto: AutoCulling, log: list[str]) -> None:
+def test_what_is_hopelessly_slow_is_given_up(auto: visibility.AutoCulling, log: list[str]) -> None:
     auto.candidates["middling"].seconds = 0.05
     render(auto, look(), 20)
     assert log == ["slow"] * 4 + ["fast"] * 4 + ["middling"] * 3 + ["fast"] * 9
 
 
-def test_the_two_fastest_are_tried_again_when_they_are_close(auto: AutoCulling, log: list[str]) -> None:
+def test_the_two_fastest_are_tried_again_when_they_are_close(auto: visibility.AutoCulling, log: list[str]) -> None:
     auto.candidates["middling"].seconds = 0.0085
     auto.candidates["fast"].seconds = 0.009  # while the machine does something else
     render(auto, look(), 12)
@@ -197,21 +191,23 @@ def test_a_choice_that_changed_is_soon_looked_at_again(null: rhi.Device, city: S
 @pytest.mark.parametrize(("camera", "tries"), [
     (look(0.5), False), (look(1000.0), True), (look(dx=0.9), False), (look(dx=1.1), True), (look(dz=1.0), True),
 ])  # fmt: skip
-def test_another_view_is_another_trial(auto: AutoCulling, camera: Camera, tries: bool) -> None:
+def test_another_view_is_another_trial(auto: visibility.AutoCulling, camera: Camera, tries: bool) -> None:
     render(auto, look(), 13)
     render(auto, camera, 1)
     assert auto.is_trying is tries
 
 
 @pytest.mark.parametrize(("drawn", "tries"), [(149, False), (151, True), (67, False), (66, True), (0, True)])
-def test_a_number_of_objects_that_changes_by_half_is_another_trial(auto: AutoCulling, drawn: int, tries: bool) -> None:
+def test_a_number_of_objects_that_changes_by_half_is_another_trial(
+    auto: visibility.AutoCulling, drawn: int, tries: bool
+) -> None:
     render(auto, look(), 13)
     auto.candidates["fast"].visible = drawn
     render(auto, look(), 1)
     assert auto.is_trying is tries
 
 
-def test_the_choice_follows_what_is_fastest_now(auto: AutoCulling) -> None:
+def test_the_choice_follows_what_is_fastest_now(auto: visibility.AutoCulling) -> None:
     render(auto, look(), 12)
     auto.candidates["fast"].seconds, auto.candidates["slow"].seconds = 0.03, 0.0
     render(auto, look(1000.0), 12)
@@ -219,7 +215,7 @@ def test_the_choice_follows_what_is_fastest_now(auto: AutoCulling) -> None:
 
 
 def test_a_device_that_answers_no_queries_has_one_candidate(null: rhi.Device, city: Scene) -> None:
-    auto = make_visibility("auto", city, null)
+    auto = visibility.make_visibility("auto", city, null)
     assert auto.names == ("frustum",)
     render(auto, look(), 2)
     assert not auto.is_trying
@@ -228,7 +224,7 @@ def test_a_device_that_answers_no_queries_has_one_candidate(null: rhi.Device, ci
 def test_a_candidate_is_made_when_it_is_first_tried_and_given_back(
     null: rhi.Device, city: Scene, log: list[str]
 ) -> None:
-    auto = AutoCulling(city, null, {name: partial(Sleeper, city, name, log) for name in COSTS}, frames=4)
+    auto = visibility.AutoCulling(city, null, {name: partial(Sleeper, city, name, log) for name in COSTS}, frames=4)
     made = [list(auto.candidates)]
     for _ in range(3):
         render(auto, look(), 4)
@@ -241,14 +237,14 @@ def test_a_candidate_is_made_when_it_is_first_tried_and_given_back(
 def test_a_device_that_answers_queries_has_all_but_cl_those_that_ask_none(
     drawing_device: rhi.Device, city: Scene
 ) -> None:
-    names = make_visibility("auto", city, drawing_device).names
+    names = visibility.make_visibility("auto", city, drawing_device).names
     if drawing_device.backend_name == "cl":
         assert names == ("frustum", "none", "depth_pyramid")
     else:
-        possible = list_algorithms(drawing_device)
-        assert names == tuple(name for name in CANDIDATES if name in possible)
+        possible = visibility.list_algorithms(drawing_device)
+        assert names == tuple(name for name in visibility.CANDIDATES if name in possible)
 
 
 def test_auto_is_the_renderer_s_default(gl: rhi.Device, city: Scene) -> None:
     with Renderer(gl, city, size=(64, 36)) as renderer:
-        assert isinstance(renderer.visibility, AutoCulling)
+        assert isinstance(renderer.visibility, visibility.AutoCulling)

@@ -14,16 +14,11 @@ import pytest
 from occlusion_scenes import DEVICE, look, mirrored_boxes, need_algorithm
 
 import rhi
+from renderer import visibility
 from renderer.content import load_scene
 from renderer.lab.exam.scenes import CullingImage, Shots, Uncut, along, make_city, walk
 from renderer.lab.exam.visibility import NAMES
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene
-from renderer.visibility import (
-    CallbackPass,
-    FrustumCulling,
-    ScenePass,
-    VisibilityStatistics,
-)
 
 PAIRS = [*(("gl", name) for name in NAMES), *(("cl", name) for name in (*DEVICE, "software_depth"))]
 STANDARD = Perspective(near=0.2, far=2000.0, depth=Depth.STANDARD)
@@ -145,10 +140,10 @@ def test_a_lost_object_is_seen(gl: rhi.Device) -> None:
     class LeaveOut:
         opens_pass = False
 
-        def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
-            some = CallbackPass(lambda rows: scene_pass.draw(rows[1:]))
-            return FrustumCulling(city).render(camera, some)
+        def render(self, camera: Camera, scene_pass: visibility.ScenePass) -> visibility.VisibilityStatistics:
+            some = visibility.CallbackPass(lambda rows: scene_pass.draw(rows[1:]))
+            return visibility.FrustumCulling(city).render(camera, some)
 
     with Uncut(gl, city, [(city.views["overview"], 0.0)], (160, 90)) as uncut:
-        assert uncut.count_wrong_pixels(FrustumCulling(city)) == [0]
+        assert uncut.count_wrong_pixels(visibility.FrustumCulling(city)) == [0]
         assert uncut.count_wrong_pixels(LeaveOut()) > [0]

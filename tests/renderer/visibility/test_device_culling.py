@@ -8,41 +8,18 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import occlusion_scenes
 import pytest
 from frames import list_owned
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from occlusion_scenes import (
-    DEVICE,
-    ORIGIN,
-    SIZE,
-    WALL,
-    Oracle,
-    Uncut,
-    cameras,
-    count_wrong_pixels,
-    draw_with,
-    look,
-    make_boxes,
-    make_cloud,
-    scenes,
-    visible,
-    walk,
-)
+from occlusion_scenes import DEVICE, ORIGIN, SIZE, Oracle, draw_with, look, make_boxes, visible, walk
 
 import rhi
+from renderer import visibility
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Perspective, Scene
-from renderer.visibility import (
-    AutoCulling,
-    DeviceCulling,
-    FrustumCulling,
-    NoCulling,
-    find_visible_objects,
-    list_algorithms,
-    make_visibility,
-)
 from renderer.visibility.gpu.depth_pyramid import prepare_depth_pyramid
 from rhi import Op, ValidationError
 from rhi.backends.null import Activity, Lane, SimulatedBackend, Simulation
@@ -50,9 +27,9 @@ from rhi.backends.null import Activity, Lane, SimulatedBackend, Simulation
 STANDARD = Perspective(near=0.2, far=2000.0, depth=Depth.STANDARD)
 
 
-def make(name: str, scene: Scene, device: rhi.Device) -> DeviceCulling:
-    algorithm = make_visibility(name, scene, device)
-    assert isinstance(algorithm, DeviceCulling)
+def make(name: str, scene: Scene, device: rhi.Device) -> visibility.DeviceCulling:
+    algorithm = visibility.make_visibility(name, scene, device)
+    assert isinstance(algorithm, visibility.DeviceCulling)
     return algorithm
 
 
@@ -73,7 +50,7 @@ def whole_city() -> Scene:
 def test_a_walk_through_the_whole_city_loses_no_depth(gl: rhi.Device, name: str, path: str, frames: int) -> None:
     # Its pixels of exactly equal depth show the surface drawn first, so it is the depth that is compared.
     whole = whole_city()
-    algorithm, none = make(name, whole, gl), NoCulling(whole)
+    algorithm, none = make(name, whole, gl), visibility.NoCulling(whole)
     with Renderer(gl, whole, size=(480, 270)) as renderer:
         for frame in range(640, 640 + 2 * frames, 2):
             camera = whole.paths[path].camera(frame)
@@ -83,7 +60,7 @@ def test_a_walk_through_the_whole_city_loses_no_depth(gl: rhi.Device, name: str,
 
 @pytest.mark.parametrize("name", DEVICE)
 def test_an_image_of_another_size_leaves_no_trace(device: rhi.Device, city: Scene, name: str) -> None:
-    algorithm, none = make(name, city, device), NoCulling(city)
+    algorithm, none = make(name, city, device), visibility.NoCulling(city)
     with Renderer(device, city, size=(64, 36)) as renderer:
         for size in ((64, 36), (97, 55), (33, 70), (64, 36)):
             renderer.size = size
@@ -93,7 +70,7 @@ def test_an_image_of_another_size_leaves_no_trace(device: rhi.Device, city: Scen
 
 
 @settings(max_examples=5)
-@given(scenes(), cameras(), st.integers(0, 2**32 - 1))
+@given(occlusion_scenes.scenes(), occlusion_scenes.cameras(), st.integers(0, 2**32 - 1))
 def test_random_walks_among_random_boxes_look_as_without_culling(
     device: rhi.Device, scene: Scene, eye: Camera, seed: int
 ) -> None:
@@ -103,17 +80,19 @@ def test_random_walks_among_random_boxes_look_as_without_culling(
     for _ in range(6):
         shots.append((Camera.look_at(place, aim, projection=eye.projection), 0.0))
         place, aim = place + step[0], aim + step[1]
-    with Uncut(device, scene, shots) as uncut:
+    with occlusion_scenes.Uncut(device, scene, shots) as uncut:
         assert [uncut.try_algorithm(name) for name in DEVICE] == [[0] * 6] * 2
 
 
 @pytest.mark.parametrize("name", DEVICE)
 def test_what_a_wall_hides_is_not_drawn(device: rhi.Device, name: str) -> None:
-    places = [WALL, *((x, y, -9.0) for x in (-1, 0, 1) for y in (-1, 0, 1)), (0.0, 0.0, 9.0)]
+    places = [occlusion_scenes.WALL, *((x, y, -9.0) for x in (-1, 0, 1) for y in (-1, 0, 1)), (0.0, 0.0, 9.0)]
     scene = make_boxes(places, [(30.0, 30.0, 0.1)] + [(0.5, 0.5, 0.5)] * 10)
     algorithm = make(name, scene, device)
     with Renderer(device, scene, size=SIZE) as renderer:
-        drawn = [visible(draw_with(renderer, algorithm, look((0.0, 0.0, 0.0), WALL))) for _ in range(3)]
+        drawn = [
+            visible(draw_with(renderer, algorithm, look((0.0, 0.0, 0.0), occlusion_scenes.WALL))) for _ in range(3)
+        ]
     assert drawn[2] == {0}
     assert drawn[0] > {0}, "at first nothing is known"
     assert 10 not in drawn[0], "behind the eye"
@@ -161,7 +140,7 @@ def test_what_the_cpu_does_is_the_same_for_any_number_of_objects(null: rhi.Devic
 def test_what_the_lists_hold_follows_from_what_shows_and_what_is_guessed(
     null: rhi.Device, frames: list[tuple[set[int], set[int]]]
 ) -> None:
-    scene, camera = make_cloud(), look((0.0, 0.0, 30.0), ORIGIN, near=0.1)
+    scene, camera = occlusion_scenes.make_cloud(), look((0.0, 0.0, 30.0), ORIGIN, near=0.1)
     with Renderer(null, scene, size=(64, 36)) as renderer:
         for name in DEVICE:
             algorithm, oracle = make(name, scene, null), Oracle(null, scene, name)
@@ -179,7 +158,7 @@ def test_what_the_lists_hold_follows_from_what_shows_and_what_is_guessed(
 @pytest.mark.parametrize("name", DEVICE)
 def test_the_gpu_draws_what_is_listed_and_the_cpu_never_waits(name: str) -> None:
     simulation = Simulation(submission_latency=10**8)
-    scene, camera = make_cloud(), look((0.0, 0.0, 30.0), ORIGIN, near=0.1)
+    scene, camera = occlusion_scenes.make_cloud(), look((0.0, 0.0, 30.0), ORIGIN, near=0.1)
     with rhi.create_device("null", simulation=simulation) as device, Renderer(device, scene) as renderer:
         gpu = device.backend_as(SimulatedBackend)
         oracle = Oracle(device, scene, name, guessed={1, 2}, seen={2, 40, 59})
@@ -208,7 +187,7 @@ def test_near_objects_are_drawn_first(null: rhi.Device, name: str) -> None:
 @pytest.mark.parametrize("name", DEVICE)
 def test_a_pass_without_a_device_is_refused(null: rhi.Device, city: Scene, name: str) -> None:
     with pytest.raises(ValidationError, match=r"^\[visibility-no-scene-pass\]"):
-        find_visible_objects(make(name, city, null), city.views["overview"])
+        visibility.find_visible_objects(make(name, city, null), city.views["overview"])
 
 
 @pytest.mark.parametrize("name", DEVICE)
@@ -235,8 +214,8 @@ def test_a_device_without_compute_is_refused(monkeypatch: pytest.MonkeyPatch, na
 
 
 def test_devices_that_draw_and_compute_list_them(gl: rhi.Device, null: rhi.Device) -> None:
-    assert set(DEVICE) <= set(list_algorithms(gl))
-    assert not set(DEVICE) & set(list_algorithms(null))
+    assert set(DEVICE) <= set(visibility.list_algorithms(gl))
+    assert not set(DEVICE) & set(visibility.list_algorithms(null))
 
 
 @pytest.mark.parametrize("name", DEVICE)
@@ -260,7 +239,7 @@ def test_all_that_a_depth_pyramid_dispatches_is_prepared(
     """No program is created in the first frame that it culls."""
     camera = city.views["overview"] if lens is None else replace(city.views["overview"], projection=lens)
     with Renderer(null, city, size=SIZE) as renderer:
-        draw_with(renderer, FrustumCulling(city), camera)
+        draw_with(renderer, visibility.FrustumCulling(city), camera)
         prepare_depth_pyramid(city, null, camera.projection.depth)
         null.stream.clear()
         draw_with(renderer, make("depth_pyramid", city, null), camera)
@@ -276,16 +255,16 @@ def test_without_a_counted_indirect_draw_the_others_are_of_no_instance(
     monkeypatch.setattr(gl._core, "capabilities", replace(gl.capabilities, indirect_count=False))
     shots = walk(city, "ground", range(600, 612, 4))
     algorithm = make(name, city, gl)
-    assert count_wrong_pixels(gl, city, algorithm, shots) == [0] * 3
+    assert occlusion_scenes.count_wrong_pixels(gl, city, algorithm, shots) == [0] * 3
     for drawn in (algorithm.first, algorithm.second):
         assert drawn.draws.read()["instances"].sum() == len(drawn.read_rows())
 
 
 @pytest.mark.parametrize("name", DEVICE)
 def test_it_can_be_a_candidate_of_auto(device: rhi.Device, city: Scene, name: str) -> None:
-    makers = {"frustum": lambda: FrustumCulling(city), name: lambda: make(name, city, device)}
-    auto = AutoCulling(city, device, makers, frames=3, rest=1)
-    assert count_wrong_pixels(device, city, auto, walk(city, "ground", range(600, 616, 2))) == [0] * 8
+    makers = {"frustum": lambda: visibility.FrustumCulling(city), name: lambda: make(name, city, device)}
+    auto = visibility.AutoCulling(city, device, makers, frames=3, rest=1)
+    assert occlusion_scenes.count_wrong_pixels(device, city, auto, walk(city, "ground", range(600, 616, 2))) == [0] * 8
 
 
 @pytest.mark.parametrize("name", DEVICE)
@@ -301,4 +280,4 @@ def test_a_frame_that_was_broken_off_does_not_disturb_the_next(
         broken.setattr(algorithm.second, "list_draws", fail)
         with pytest.raises(RuntimeError):
             draw_with(renderer, algorithm, shot[0])
-    assert count_wrong_pixels(device, city, algorithm, shots) == [0] * 2
+    assert occlusion_scenes.count_wrong_pixels(device, city, algorithm, shots) == [0] * 2

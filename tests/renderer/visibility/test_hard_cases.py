@@ -12,24 +12,11 @@ from collections.abc import Iterable
 from functools import cache
 
 import numpy as np
+import occlusion_scenes
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from occlusion_scenes import (
-    DEVICE,
-    OCCLUSION,
-    ORIGIN,
-    WALL,
-    Oracle,
-    Uncut,
-    cameras,
-    count_wrong_pixels,
-    draw_with,
-    look,
-    make_boxes,
-    scenes,
-    visible,
-)
+from occlusion_scenes import DEVICE, OCCLUSION, ORIGIN, WALL, Oracle, Uncut, draw_with, look, make_boxes, visible
 
 import rhi
 from renderer.lab.exam.scenes import IMAGES
@@ -59,7 +46,12 @@ def test_the_images_are_not_empty(drawing_device: rhi.Device) -> None:
 
 
 @settings(max_examples=4)
-@given(scenes(), st.lists(cameras(), min_size=2, max_size=4), st.integers(1, 6), st.integers(1, 4))
+@given(
+    occlusion_scenes.scenes(),
+    st.lists(occlusion_scenes.cameras(), min_size=2, max_size=4),
+    st.integers(1, 6),
+    st.integers(1, 4),
+)
 def test_random_scenes_from_random_places_look_as_without_culling(
     drawing_device: rhi.Device, scene: Scene, eyes: list[Camera], batch: int, persistence: int
 ) -> None:
@@ -69,7 +61,7 @@ def test_random_scenes_from_random_places_look_as_without_culling(
     }
     algorithms["small"] = ChcPlusPlus(scene, drawing_device, VisibilitySettings(batch=batch, persistence=persistence))
     for name, algorithm in algorithms.items():
-        assert count_wrong_pixels(drawing_device, scene, algorithm, shots) == [0] * len(shots), name
+        assert occlusion_scenes.count_wrong_pixels(drawing_device, scene, algorithm, shots) == [0] * len(shots), name
         algorithm.destroy()
 
 

@@ -7,16 +7,10 @@ import occlusion_scenes
 import pytest
 
 import rhi
+from renderer import visibility
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Scene
-from renderer.visibility import (
-    Chc,
-    FrustumCulling,
-    VisibilitySettings,
-    find_visible_objects,
-    make_visibility,
-)
 from renderer.visibility.boxes.forest import Forest, Frontier
 
 EYE = occlusion_scenes.look((0.0, 0.0, 30.0), (0.0, 0.0, 0.0), near=0.1)
@@ -47,7 +41,7 @@ def test_leaves_hold_all_objects_once_and_no_more_than_their_size(cloud: Scene, 
 
 def test_a_visible_leaf_is_drawn_as_a_whole_inside_one_query(null: rhi.Device, cloud: Scene) -> None:
     occlusion_scenes.Oracle(null, cloud, "chc", seen=set(range(60)))
-    algorithm = Chc(cloud, null, VisibilitySettings(leaf_size=4))
+    algorithm = visibility.Chc(cloud, null, visibility.VisibilitySettings(leaf_size=4))
     forest = algorithm._forest
     is_leaf = [forest.child[node] < 0 for node in range(len(forest))]
     tops = [node for node, leaf in enumerate(is_leaf) if leaf and not is_leaf[forest.parent[node]]]
@@ -64,9 +58,9 @@ def test_of_a_leaf_across_the_edge_of_the_view_only_what_is_in_view_is_drawn(
 ) -> None:
     camera = occlusion_scenes.look((0.0, 0.0, 8.0), (3.0, 0.0, 0.0), fov=0.4, near=0.1)
     occlusion_scenes.Oracle(null, cloud, name, seen=set(range(60)))
-    inside = set(find_visible_objects(FrustumCulling(cloud), camera).tolist())
+    inside = set(visibility.find_visible_objects(visibility.FrustumCulling(cloud), camera).tolist())
     assert 0 < len(inside) < 60
-    algorithm = make_visibility(name, cloud, null, VisibilitySettings(leaf_size=16))
+    algorithm = visibility.make_visibility(name, cloud, null, visibility.VisibilitySettings(leaf_size=16))
     with Renderer(null, cloud, size=(64, 36)) as renderer:
         for _ in range(3):
             assert occlusion_scenes.visible(occlusion_scenes.draw_with(renderer, algorithm, camera)) == inside
@@ -89,7 +83,7 @@ def test_larger_leaves_ask_less_and_draw_more(gl: rhi.Device, monkeypatch: pytes
     city = load_scene("city:blocks=8,detail=2")
     costs = []
     for leaf_size in (1, 4):
-        algorithm = make_visibility(name, city, gl, VisibilitySettings(leaf_size=leaf_size))
+        algorithm = visibility.make_visibility(name, city, gl, visibility.VisibilitySettings(leaf_size=leaf_size))
         with Renderer(gl, city, size=occlusion_scenes.SIZE) as renderer:
             found = [
                 occlusion_scenes.draw_with(renderer, algorithm, camera)

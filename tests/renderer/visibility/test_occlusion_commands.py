@@ -13,20 +13,10 @@ from occlusion_scenes import OCCLUSION, WAITING, Oracle, delay_answers, draw_wit
 from refusals import find_rule
 
 import rhi
+from renderer import visibility
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective
-from renderer.visibility import (
-    CallbackPass,
-    Chc,
-    ChcPlusPlus,
-    ConditionalCulling,
-    FrustumCulling,
-    StopAndWait,
-    VisibilitySettings,
-    find_obstacle,
-    list_algorithms,
-    make_visibility,
-)
+from renderer.visibility import Chc, ChcPlusPlus, ConditionalCulling, StopAndWait, VisibilitySettings, make_visibility
 from renderer.visibility.boxes.forest import Forest
 from rhi import FixedQueue, Op, QuerySet
 from rhi.device.core import containers
@@ -332,10 +322,10 @@ def test_conditional_culling_is_listed_where_queries_are_native(native: bool, li
         device._core.capabilities = replace(
             device.capabilities, shading=True, sample_counter=True, occlusion_queries=native
         )
-        names = list_algorithms(device)
+        names = visibility.list_algorithms(device)
         assert ("conditional" in names) is listed
         assert "chc_plus_plus" in names  # emulated queries are enough
-        assert (find_obstacle("conditional", device) is None) is listed
+        assert (visibility.find_obstacle("conditional", device) is None) is listed
         if listed:
             ConditionalCulling(make_cloud(3, seed=1), device)
         else:
@@ -377,7 +367,7 @@ def test_a_frame_that_was_broken_off_does_not_disturb_the_next(renderer: Rendere
 
     with renderer.device.render_pass(renderer._targets.image, renderer._targets.depth):
         with pytest.raises(RuntimeError):
-            algorithm.render(EYE, CallbackPass(fail))
+            algorithm.render(EYE, visibility.CallbackPass(fail))
     assert visible(draw_with(renderer, algorithm, EYE)) >= oracle.seen
 
 
@@ -418,4 +408,4 @@ def test_tight_bounds_cover_their_node(count: int) -> None:
 def test_the_null_device_refuses_to_guess(renderer: Renderer) -> None:
     algorithm = ChcPlusPlus(renderer.scene, renderer.device)
     assert find_rule(lambda: draw_with(renderer, algorithm, EYE)) == "null-samples"
-    draw_with(renderer, FrustumCulling(renderer.scene), EYE)
+    draw_with(renderer, visibility.FrustumCulling(renderer.scene), EYE)

@@ -25,18 +25,10 @@ from occlusion_scenes import (
 )
 
 import rhi
+from renderer import visibility
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
-from renderer.visibility import (
-    FrustumCulling,
-    NoCulling,
-    SoftwareDepth,
-    VisibilitySettings,
-    find_visible_objects,
-    list_algorithms,
-    make_visibility,
-)
 from renderer.visibility.gpu.occluder_depth import OccluderDepth
 from renderer.visibility.software_depth import can_rasterise
 from rhi import ValidationError
@@ -76,7 +68,7 @@ def test_moving_objects_hide_where_they_are(device: rhi.Device) -> None:
         motion=lambda seconds: (0.0, 0.0, -8.0 * seconds), moving=(0,),
     )  # fmt: skip
     scene.objects.mesh[:] = 0
-    algorithm = SoftwareDepth(scene)
+    algorithm = visibility.SoftwareDepth(scene)
     with Renderer(device, scene, size=SIZE) as renderer:
         drawn = [visible(draw_with(renderer, algorithm, FRONT, seconds)) for seconds in (0.0, 1.0, 0.0)]
     assert drawn == [{0}, {0, 1}, {0}]
@@ -85,7 +77,7 @@ def test_moving_objects_hide_where_they_are(device: rhi.Device) -> None:
 
 def test_what_a_wall_hides_is_not_drawn_in_the_first_frame(device: rhi.Device) -> None:
     scene = walled(*((x, y, -9.0) for x in (-1, 0, 1) for y in (-1, 0, 1)), (0.0, 0.0, -3.0))
-    algorithm = SoftwareDepth(scene)
+    algorithm = visibility.SoftwareDepth(scene)
     with Renderer(device, scene, size=SIZE) as renderer:
         assert visible(draw_with(renderer, algorithm, FRONT)) == {0, 10}
     algorithm.destroy()
@@ -94,13 +86,13 @@ def test_what_a_wall_hides_is_not_drawn_in_the_first_frame(device: rhi.Device) -
 def test_nothing_but_the_scenes_draw_reaches_the_renderers_device(null: rhi.Device) -> None:
     scene = walled((0.0, 0.0, -9.0), (0.0, 0.0, -3.0))
     streams = []
-    for algorithm in (SoftwareDepth(scene), FrustumCulling(scene)):
+    for algorithm in (visibility.SoftwareDepth(scene), visibility.FrustumCulling(scene)):
         with Renderer(null, scene, size=SIZE) as renderer:
             draw_with(renderer, algorithm, FRONT)
             null.stream.clear()
             result = draw_with(renderer, algorithm, FRONT)
             streams.append([command.op for command in null.stream])
-            if isinstance(algorithm, SoftwareDepth):
+            if isinstance(algorithm, visibility.SoftwareDepth):
                 assert visible(result) == {0, 2}
                 assert result.statistics.queries == 0
         algorithm.destroy()
@@ -110,7 +102,7 @@ def test_nothing_but_the_scenes_draw_reaches_the_renderers_device(null: rhi.Devi
 @settings(max_examples=5)
 @given(scenes(), st.lists(cameras(), min_size=1, max_size=3), st.integers(1, 8))
 def test_whatever_occludes_no_pixel_is_lost(cl: rhi.Device, scene: Scene, eyes: list[Camera], occluders: int) -> None:
-    algorithm = SoftwareDepth(scene, None, VisibilitySettings(occluders=occluders))
+    algorithm = visibility.SoftwareDepth(scene, None, visibility.VisibilitySettings(occluders=occluders))
     assert not any(count_wrong_pixels(cl, scene, algorithm, [(eye, 0.0) for eye in eyes]))
     algorithm.destroy()
 
@@ -150,7 +142,7 @@ def test_occluders_of_fewer_pixels_close_narrow_gaps(null: rhi.Device, pixels: i
     behind_the_eye, behind_the_gap = (0.0, 0.0, 9.0), (0.85, 0.0, -10.0)
     places = [(-9.65, 0.0, -5.0), behind_the_eye, (10.5, 0.0, -5.0), behind_the_gap]
     scene = make_boxes(places, [(20.0, 20.0, 0.02), (0.1,) * 3, (20.0, 20.0, 0.02), (0.5,) * 3])
-    algorithm = SoftwareDepth(scene, None, VisibilitySettings(occluder_pixels=pixels))
+    algorithm = visibility.SoftwareDepth(scene, None, visibility.VisibilitySettings(occluder_pixels=pixels))
     with Renderer(null, scene, size=SIZE) as renderer:
         assert visible(draw_with(renderer, algorithm, FRONT)) == expected
     algorithm.destroy()
@@ -177,14 +169,14 @@ def test_the_largest_occlude_near_first() -> None:
     )
     everything = np.arange(4)
     for occluders, expected in ((1, [2]), (2, [1, 2]), (4, [1, 2, 0])):
-        algorithm = SoftwareDepth(scene, None, VisibilitySettings(occluders=occluders))
+        algorithm = visibility.SoftwareDepth(scene, None, visibility.VisibilitySettings(occluders=occluders))
         assert algorithm.choose_occluders(FRONT, everything).tolist() == expected
         algorithm.destroy()
 
 
 def test_what_is_simulated_occludes_nothing() -> None:
     hall = load_scene("hall:columns=4,rows=2,flags=3,fountains=3")
-    algorithm = SoftwareDepth(hall)
+    algorithm = visibility.SoftwareDepth(hall)
     sprays = np.concatenate([one.objects for one in hall.simulated])
     flags = hall.objects.dynamic_rows
     eye = hall.objects.lower[flags[0]]
@@ -196,9 +188,9 @@ def test_what_is_simulated_occludes_nothing() -> None:
 
 
 def test_a_device_that_draws_nothing_is_given_the_same(device: rhi.Device, null: rhi.Device, city: Scene) -> None:
-    algorithm, drawn = SoftwareDepth(city), []
+    algorithm, drawn = visibility.SoftwareDepth(city), []
     for one in (device, null):
-        assert "software_depth" in list_algorithms(one)
+        assert "software_depth" in visibility.list_algorithms(one)
         with Renderer(one, city, size=SIZE) as renderer:
             shots = walk(city, "ground", range(600, 640, 8))
             drawn.append([draw_with(renderer, algorithm, camera).visible.tolist() for camera, _ in shots])
@@ -207,14 +199,18 @@ def test_a_device_that_draws_nothing_is_given_the_same(device: rhi.Device, null:
 
 
 def test_without_a_renderers_pass_it_refuses(null: rhi.Device) -> None:
-    algorithm = make_visibility("software_depth", walled(), null)
+    algorithm = visibility.make_visibility("software_depth", walled(), null)
     with pytest.raises(ValidationError, match=r"^\[visibility-no-scene-pass\]"):
-        find_visible_objects(algorithm, FRONT)
+        visibility.find_visible_objects(algorithm, FRONT)
     algorithm.destroy()
 
 
 def test_on_a_walk_most_of_what_is_hidden_is_not_drawn(cl: rhi.Device, city: Scene) -> None:
-    algorithm, frustum, none = SoftwareDepth(city), FrustumCulling(city), NoCulling(city)
+    algorithm, frustum, none = (
+        visibility.SoftwareDepth(city),
+        visibility.FrustumCulling(city),
+        visibility.NoCulling(city),
+    )
     counts = []
     with Renderer(cl, city, size=(320, 180)) as renderer:
         for camera, _ in walk(city, "ground", range(300, 320, 5)):

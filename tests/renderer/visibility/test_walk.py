@@ -7,18 +7,10 @@ import pytest
 from occlusion_scenes import Oracle, draw_with, make_boxes
 
 import rhi
+from renderer import visibility
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene
-from renderer.visibility import (
-    AutoCulling,
-    CullingWalk,
-    FrustumCulling,
-    NoCulling,
-    VisibilityAlgorithm,
-    WalkOutcome,
-    find_walk,
-    make_visibility,
-)
+from renderer.visibility import AutoCulling, CullingWalk, FrustumCulling, WalkOutcome, find_walk, make_visibility
 
 ROWS, COLUMNS = 6, 8
 
@@ -127,7 +119,7 @@ def test_what_is_outside_of_an_opened_node_shows_even_if_nothing_in_the_node_is_
     assert boxes[0] == boxes[1]
 
 
-def outcomes(algorithm: VisibilityAlgorithm, scene: Scene, drawn: np.ndarray | None) -> list[int]:
+def outcomes(algorithm: visibility.VisibilityAlgorithm, scene: Scene, drawn: np.ndarray | None) -> list[int]:
     walk = find_walk(algorithm, scene, field_camera().with_aspect(64 / 36), drawn)
     assert not walk.of_nodes
     assert (walk.lower == scene.objects.lower).all()
@@ -149,7 +141,7 @@ def test_without_a_hierarchy_the_objects_are_shown(null: rhi.Device, scene: Scen
 
 
 def test_the_walk_of_auto_is_that_of_its_latest_algorithm(null: rhi.Device, scene: Scene) -> None:
-    makers = {"frustum": lambda: FrustumCulling(scene), "none": lambda: NoCulling(scene)}
+    makers = {"frustum": lambda: FrustumCulling(scene), "none": lambda: visibility.NoCulling(scene)}
     auto = AutoCulling(scene, null, makers)
     assert auto.walk() is None
     with Renderer(null, scene, visibility=auto, size=(64, 36)) as renderer:

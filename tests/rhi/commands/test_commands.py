@@ -13,18 +13,9 @@ from rhi.commands.ops import DRAWS, WIDTHS
 from rhi.commands.recorder import Recorder
 from rhi.commands.stream import CommandStream, Op
 from rhi.commands.text import describe, describe_call
-from rhi.contract import descriptors
+from rhi.contract import descriptors, states
 from rhi.contract.backend import Backend
-from rhi.contract.states import (
-    DEFAULTS,
-    BlendFunction,
-    ColorWrite,
-    CullMode,
-    DepthWrite,
-    Scissor,
-    StateChange,
-    Viewport,
-)
+from rhi.contract.states import DEFAULTS, ColorWrite, CullMode, DepthWrite, Scissor, StateChange, Viewport
 from rhi.errors import ValidationError
 
 NOT_COMMANDS = {"capabilities", "close", "completed", "read_query"}
@@ -286,7 +277,7 @@ def test_a_limit_says_what_it_left_out(labelled):
         (Viewport.TARGET, "Viewport.TARGET"),
         (Scissor.OFF, "Scissor.OFF"),
         (Viewport(0, 0, 64, 32), "Viewport(width=64, height=32)"),
-        (BlendFunction.ALPHA, "BlendFunction.ALPHA"),
+        (states.BlendFunction.ALPHA, "BlendFunction.ALPHA"),
         (StateChange(CullMode, CullMode.NONE), "CullMode.NONE"),
         (StateChange(ColorWrite, (ColorWrite.OFF,) * 8), "ColorWrite.OFF"),
         ((StateChange(CullMode, CullMode.NONE), 2), "(CullMode.NONE, 2)"),

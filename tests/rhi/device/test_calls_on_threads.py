@@ -10,18 +10,6 @@ from dataclasses import replace
 
 import calls
 import pytest
-from calls import (
-    CLASSES,
-    INTERNAL,
-    OBJECTS,
-    SAMPLES,
-    Doubled,
-    House,
-    check_drawing,
-    given_arguments,
-    in_pass,
-    run,
-)
 
 import rhi
 
@@ -32,7 +20,7 @@ FREE = {
 """Calls that any thread may make: they read what never changes. So may a command buffer be recorded on any."""
 
 
-class Unseen(Doubled):
+class Unseen(calls.Doubled):
     """A shader that no test has made a program of."""
 
 
@@ -76,15 +64,17 @@ when it is used."""
 
 
 def test_every_public_member_has_a_call() -> None:
-    for kind in CLASSES:
+    for kind in calls.CLASSES:
         name = kind.__name__
         if name in SAFE:
             members = {member for member in dir(kind) if not member.startswith("_") and not member.isupper()}
-            called = {each.partition(".")[2] for each in [*SAMPLES, *MORE] if each.startswith(f"{name}.")}
-            assert members <= called | {*SAFE[name].split(), *INTERNAL.get(name, ())}, members
+            called = {each.partition(".")[2] for each in [*calls.SAMPLES, *MORE] if each.startswith(f"{name}.")}
+            assert members <= called | {*SAFE[name].split(), *calls.INTERNAL.get(name, ())}, members
 
 
-THREADED = [name for name in SAMPLES if "." in name and name not in FREE and not name.startswith("CommandBuffer.")]
+THREADED = [
+    name for name in calls.SAMPLES if "." in name and name not in FREE and not name.startswith("CommandBuffer.")
+]
 
 
 @pytest.mark.parametrize("name", [*THREADED, *MORE])
@@ -94,18 +84,18 @@ def test_a_call_on_another_thread_is_refused(name: str) -> None:
         ThreadPoolExecutor(1) as pool,
         ExitStack() as stack,
     ):
-        house = House(device)
+        house = calls.House(device)
 
         def call() -> object:
-            if name in SAMPLES:
-                right = given_arguments(house, SAMPLES[name]) | FRESH.get(name, {})
-                return run(house, replace(SAMPLES[name], within=lambda house, stack: None), right)
+            if name in calls.SAMPLES:
+                right = calls.given_arguments(house, calls.SAMPLES[name]) | FRESH.get(name, {})
+                return calls.run(house, replace(calls.SAMPLES[name], within=lambda house, stack: None), right)
             kind, _, member = name.partition(".")
-            found = getattr(getattr(house, OBJECTS[kind]), member)
+            found = getattr(getattr(house, calls.OBJECTS[kind]), member)
             return found() if callable(found) else found
 
         if "draw" in name or name == "OcclusionQuery.end":
-            in_pass(house, stack)
+            calls.in_pass(house, stack)
         if name == "OcclusionQuery.end":
             stack.enter_context(house.query)
         before = len(device.stream)
@@ -115,4 +105,4 @@ def test_a_call_on_another_thread_is_refused(name: str) -> None:
         assert caught.value.site.file in (__file__, calls.__file__, contextlib.__file__)
         assert len(device.stream) == before
         stack.close()
-        check_drawing(house)
+        calls.check_drawing(house)

@@ -7,18 +7,7 @@ from hypothesis import strategies as st
 
 import rhi
 from rhi.errors import ValidationError
-from rhi.math import (
-    Camera,
-    Depth,
-    Frustum,
-    FrustumPlane,
-    Orthographic,
-    Perspective,
-    look_at,
-    orbit,
-    orthographic,
-    perspective,
-)
+from rhi.math import Camera, Depth, FrustumPlane, Orthographic, Perspective, look_at, orbit, orthographic, perspective
 
 
 def clip_depth(lens, distance):
@@ -127,7 +116,7 @@ def test_a_frustum_far_from_the_origin_is_as_exact_as_near_it():
 
 def test_a_frustum_from_a_whole_matrix_equals_the_cameras():
     camera = Camera.look_at((3.0, 4.0, 5.0), (0.0, 1.0, 0.0), projection=Perspective(far=60.0))
-    assert np.allclose(Frustum.from_matrix(camera.view_projection).planes, camera.frustum.planes)
+    assert np.allclose(rhi.math.Frustum.from_matrix(camera.view_projection).planes, camera.frustum.planes)
 
 
 def test_another_aspect_changes_the_width_only():

@@ -11,33 +11,14 @@ import pytest
 from null_kit import hand_made_program
 
 import rhi
-from rhi import (
-    AlphaFunction,
-    AlphaReference,
-    AlphaTest,
-    BlendFunction,
-    Format,
-    PolygonOffset,
-    Region,
-    StencilReadMask,
-    StencilReference,
-    StencilWriteMask,
-    TextureKind,
-)
+from rhi import BlendFunction, Format, PolygonOffset, Region, StencilReadMask, StencilWriteMask, TextureKind
 from rhi.commands.recorder import CommandWriter
 from rhi.commands.stream import Failure
 from rhi.conformance.validation.refusal import refuses
+from rhi.contract import descriptors
 from rhi.contract.backend import Capabilities
 from rhi.contract.blocks import CompressedFormat
-from rhi.contract.descriptors import (
-    Attachment,
-    BufferDescriptor,
-    DepthAttachment,
-    PassDescriptor,
-    QueryKind,
-    SamplerDescriptor,
-    TextureDescriptor,
-)
+from rhi.contract.descriptors import Attachment, DepthAttachment, QueryKind, SamplerDescriptor, TextureDescriptor
 from rhi.contract.states import State
 from rhi.device.core.state_cache import StateCache
 from rhi.trace import load, save
@@ -56,7 +37,7 @@ def write(issue: Issue) -> CommandWriter:
     """The commands of `issue` on two buffers of 64 bytes, 1 and 2, and textures of 8×8 texels, 3 to 11."""
     writer = CommandWriter(WHOLE)
     for buffer in (1, 2):
-        writer.create_buffer(buffer, BufferDescriptor(64))
+        writer.create_buffer(buffer, descriptors.BufferDescriptor(64))
     for texture, format, samples, levels in (
         (3, Format.RGBA8, 1, 3), (4, Format.RGBA8, 4, 1), (5, Format.D32FS8, 1, 3), (6, Format.RGBA8UI, 1, 3),
         (7, Format.D32FS8, 4, 1), (8, Format.RGBA8UI, 4, 1), (9, Format.RGBA8, 1, 1), (10, Format.D32F, 1, 1),
@@ -69,7 +50,10 @@ def write(issue: Issue) -> CommandWriter:
 
 def begin(*targets: int, depth: DepthAttachment | None = None, samples: int = 1, resolve: int = 0) -> Issue:
     colors = tuple(Attachment(target, resolve=resolve) for target in targets)
-    return lambda writer: (writer.begin_pass(PassDescriptor((8, 8), colors, depth, samples)), writer.end_pass())
+    return lambda writer: (
+        writer.begin_pass(descriptors.PassDescriptor((8, 8), colors, depth, samples)),
+        writer.end_pass(),
+    )
 
 
 def copy(source: int, target: int, x: int = 0) -> Issue:
@@ -228,7 +212,7 @@ def set_states(*states: State) -> Issue:
 
 LACKING: dict[str, tuple[dict[str, object], Issue, Issue]] = {
     "stencil references per face": (
-        {"stencil_per_face": False}, set_states(StencilReference(1, 2)), set_states(StencilReference(1, 1)),
+        {"stencil_per_face": False}, set_states(rhi.StencilReference(1, 2)), set_states(rhi.StencilReference(1, 1)),
     ),
     "stencil masks of reads per face": (
         {"stencil_per_face": False}, set_states(StencilReadMask(1, 2)), set_states(StencilReadMask(1, 1)),
@@ -242,12 +226,12 @@ LACKING: dict[str, tuple[dict[str, object], Issue, Issue]] = {
     "a clamp of depth offsets": (
         {"depth_bias_clamp": False}, set_states(PolygonOffset(1.0, clamp=3.0)), set_states(PolygonOffset(1.0)),
     ),
-    "the alpha test": ({"alpha_test": False}, set_states(AlphaTest.ON), set_states(rhi.CullMode.NONE)),
+    "the alpha test": ({"alpha_test": False}, set_states(rhi.AlphaTest.ON), set_states(rhi.CullMode.NONE)),
     "the function of the alpha test": (
-        {"alpha_test": False}, set_states(AlphaFunction.LESS), set_states(rhi.CullMode.NONE),
+        {"alpha_test": False}, set_states(rhi.AlphaFunction.LESS), set_states(rhi.CullMode.NONE),
     ),
     "the reference of the alpha test": (
-        {"alpha_test": False}, set_states(AlphaReference(0.25)), set_states(rhi.CullMode.NONE),
+        {"alpha_test": False}, set_states(rhi.AlphaReference(0.25)), set_states(rhi.CullMode.NONE),
     ),
     "a format of color targets": ({"unrenderable_formats": frozenset({Format.RGBA8UI})}, begin(6), begin(3)),
     "draws": (

@@ -23,16 +23,7 @@ from renderer.cli.accuracy import list_left_out
 from renderer.cli.executors import SerialExecutor, make_executor
 from renderer.content import load_scene
 from renderer.lab.accuracy import FrontPoint, KnobReport, Situation, SweepJob, ValueRow, choice, choose, run_jobs
-from renderer.lab.accuracy.choice import (
-    CombinationBench,
-    expect_error,
-    find_choices,
-    find_truth,
-    list_held_out,
-    list_steps,
-    mark_best,
-    search,
-)
+from renderer.lab.accuracy.choice import CombinationBench, expect_error, find_choices, list_held_out, mark_best, search
 from renderer.lab.accuracy.jobs import list_jobs, load_sample, order_jobs, save_sample
 from renderer.lab.accuracy.sweep import KnobSample, SweepShare, ValueSample, list_views
 from renderer.scene import Shot
@@ -63,7 +54,7 @@ def test_each_step_saves_the_most_time_for_its_error() -> None:
         "fxaa": report_of("fxaa", ("off", 3.0, 0.9), ("on", 2.0, 1.0)),
         "precision": report_of("precision", ("fast", 0.5, 1.1), ("exact", 0.0, 1.0)),  # not faster: never taken
     }
-    chosen = [(one["shadow_size"], one["fxaa"], one["precision"]) for one in list_steps(reports)]
+    chosen = [(one["shadow_size"], one["fxaa"], one["precision"]) for one in choice.list_steps(reports)]
     assert chosen == [
         ("2048", "on", "exact"),
         ("1024", "on", "exact"),
@@ -124,7 +115,7 @@ def test_only_knobs_that_change_a_picture_of_the_scene_are_combined() -> None:
 
 
 def test_the_common_truth_has_what_each_truth_asks_for() -> None:
-    truth, scale = find_truth(RenderSettings(), ["precision", "samples", "shadow_filter"])
+    truth, scale = choice.find_truth(RenderSettings(), ["precision", "samples", "shadow_filter"])
     assert (truth.shadows.cascade_size, truth.shadows.filter) == (2048, ShadowFilter.SMOOTH)
     assert (truth.precision.value, truth.technique.samples, scale) == ("exact", 1, 4)
 

@@ -11,20 +11,6 @@ import pytest
 from renderer.content import load_scene
 from renderer.lab.accuracy import KNOBS, Situation, sweep, sweep_knob
 from renderer.lab.accuracy.bench import shrink_picture
-from renderer.lab.accuracy.sweep import (
-    NO_EFFECT,
-    KnobBench,
-    SweepShare,
-    count_reached,
-    crop_worst,
-    find_missing_option,
-    join_shares,
-    list_frames,
-    list_shares,
-    list_views,
-    prepare_scene,
-    sweep_share,
-)
 from renderer.lab.measure.alternate import Interval, Measurement
 from renderer.scene import Camera
 from tests.renderer.conftest import open_device
@@ -82,9 +68,12 @@ def test_flicker_is_the_change_of_what_is_wrong_from_a_frame_to_the_next(
 ) -> None:
     frames = iter((5.0, 5.0 + change))
     monkeypatch.setattr(sweep, "read_picture", lambda _: np.full((28, 48, 3), next(frames)))
-    monkeypatch.setattr(KnobBench, "find_true", lambda *_: np.zeros((28, 48, 3)))
+    monkeypatch.setattr(sweep.KnobBench, "find_true", lambda *_: np.zeros((28, 48, 3)))
     scene = load_scene("city:blocks=2")
-    with open_device("gl") as device, KnobBench(device, scene, replace(TINY, views=1), KNOBS["fxaa"], ["off"]) as bench:
+    with (
+        open_device("gl") as device,
+        sweep.KnobBench(device, scene, replace(TINY, views=1), KNOBS["fxaa"], ["off"]) as bench,
+    ):
         (errors,) = bench.find_errors(bench.list_views()).values()
     assert (errors.flicker, errors.summarize()) == (change, (5.0, 5.0))
 
@@ -113,15 +102,15 @@ def test_values_that_the_device_lacks_are_left_out_by_name() -> None:
 
 def test_a_knob_that_changes_nothing_in_the_views_has_no_rows() -> None:
     report = sweep_knob(TINY, "precision")  # GL has one
-    assert (report.rows, set(report.left_out.values())) == ((), {NO_EFFECT})
+    assert (report.rows, set(report.left_out.values())) == ((), {sweep.NO_EFFECT})
     assert len(sweep_knob(TINY, "fxaa").rows) == 2
 
 
 def test_a_camera_that_stands_has_one_view_in_all_shares_together() -> None:
     still = replace(TINY, camera="street")
-    shares = [sweep_share(still, "fxaa", share) for share in list_shares(still, "fxaa")]
+    shares = [sweep.sweep_share(still, "fxaa", share) for share in sweep.list_shares(still, "fxaa")]
     assert [len(share.values["on"].sums) for share in shares] == [0, 1]
-    assert join_shares(shares).rows[0].mean_error > 0.0
+    assert sweep.join_shares(shares).rows[0].mean_error > 0.0
 
 
 def test_a_knob_that_the_scene_has_no_use_for_has_no_rows() -> None:
@@ -136,7 +125,7 @@ def test_a_knob_of_the_scene_is_judged_by_the_scene_of_its_last_value(name: str)
     camera, values = "banners" if "cloth" in name else "-9,2.2,0,-3,1.8,2", list(knob.values)
     situation = replace(TINY, scene=text, camera=camera, rounds=1, size=(96, 54))
     scene = load_scene(text)
-    with open_device("gl") as device, KnobBench(device, scene, situation, knob, [values[0], values[-1]]) as bench:
+    with open_device("gl") as device, sweep.KnobBench(device, scene, situation, knob, [values[0], values[-1]]) as bench:
         bench.draw_history()
         least, most = (one.summarize()[1] for one in bench.find_errors(bench.list_views()).values())
     assert least > most == 0.0
@@ -144,11 +133,11 @@ def test_a_knob_of_the_scene_is_judged_by_the_scene_of_its_last_value(name: str)
 
 def test_a_scene_without_a_cloth_or_without_the_option_has_no_such_knob() -> None:
     assert set(sweep_knob(TINY, "cloth_step").left_out.values()) == {"the scene lacks a cloth"}
-    assert prepare_scene(load_scene("hall:cloths=1"), KNOBS["cloth_step"]) is None
-    assert find_missing_option("city:blocks=2", KNOBS["drops"]) == "the scene has no option drops"
-    assert find_missing_option("model.glb", KNOBS["drops"]) == "the scene has no option drops"
-    assert find_missing_option("hall:flags=2", KNOBS["drops"]) is None
-    assert find_missing_option("city", KNOBS["fxaa"]) is None
+    assert sweep.prepare_scene(load_scene("hall:cloths=1"), KNOBS["cloth_step"]) is None
+    assert sweep.find_missing_option("city:blocks=2", KNOBS["drops"]) == "the scene has no option drops"
+    assert sweep.find_missing_option("model.glb", KNOBS["drops"]) == "the scene has no option drops"
+    assert sweep.find_missing_option("hall:flags=2", KNOBS["drops"]) is None
+    assert sweep.find_missing_option("city", KNOBS["fxaa"]) is None
 
 
 def test_what_an_absence_changes_is_an_error_unless_it_is_simulated_unseen() -> None:
@@ -163,9 +152,9 @@ def test_what_an_absence_changes_is_an_error_unless_it_is_simulated_unseen() -> 
 
 def test_frames_that_remember_nothing_are_not_compared() -> None:
     scene, knob = load_scene("city:blocks=4"), KNOBS["pyramid_texels"]
-    with open_device("gl") as device, KnobBench(device, scene, TINY, knob, ["8"]) as bench:
+    with open_device("gl") as device, sweep.KnobBench(device, scene, TINY, knob, ["8"]) as bench:
         (first,) = bench.find_errors(bench.list_views()[:1]).values()
-        with KnobBench(device, scene, TINY, knob, ["8"]) as other:
+        with sweep.KnobBench(device, scene, TINY, knob, ["8"]) as other:
             other.draw_history()
             (later,) = other.find_errors(other.list_views()[:1]).values()
     assert first.summarize()[1] > 2.0 * later.summarize()[1] > 0.0  # all in view was drawn
@@ -173,9 +162,9 @@ def test_frames_that_remember_nothing_are_not_compared() -> None:
 
 def test_shares_find_together_what_one_finds_that_does_all() -> None:
     situation = replace(TINY, rounds=3)
-    shares = list_shares(situation, "occluder_pixels")
-    samples = [sweep_share(situation, "occluder_pixels", share) for share in shares]
-    joined, whole = join_shares(samples), sweep_knob(situation, "occluder_pixels")
+    shares = sweep.list_shares(situation, "occluder_pixels")
+    samples = [sweep.sweep_share(situation, "occluder_pixels", share) for share in shares]
+    joined, whole = sweep.join_shares(samples), sweep_knob(situation, "occluder_pixels")
     found = [[(row.value, row.mean_error, row.max_error, row.worst) for row in one.rows] for one in (joined, whole)]
     assert found[0] == found[1]
     assert joined.pictures == whole.pictures
@@ -186,21 +175,21 @@ def test_shares_find_together_what_one_finds_that_does_all() -> None:
 
 def test_frames_that_depend_on_earlier_ones_follow_each_other() -> None:
     scene, knob = load_scene("city:blocks=2"), KNOBS["pyramid_texels"]
-    parts = list_frames(scene, TINY, knob, SweepShare())
+    parts = sweep.list_frames(scene, TINY, knob, sweep.SweepShare())
     assert [len(some) for some in parts] == [knob.remembers, 2, 2]
     assert np.diff([one.number for some in parts for one in some]).tolist() == [1] * (knob.remembers + 3)
     short = replace(TINY, first=7, last=8)
-    history, compared, timed = list_frames(scene, short, knob, SweepShare())
+    history, compared, timed = sweep.list_frames(scene, short, knob, sweep.SweepShare())
     assert [[one.number for one in some] for some in (history, compared, timed)] == [[], [7, 8], [7, 8]]
 
 
 def test_a_sweep_has_two_shares_unless_frames_depend_on_earlier_ones() -> None:
-    counts = {views: len(list_shares(replace(TINY, views=views, rounds=9), "fxaa")) for views in (1, 2, 9)}
+    counts = {views: len(sweep.list_shares(replace(TINY, views=views, rounds=9), "fxaa")) for views in (1, 2, 9)}
     assert counts == {1: 1, 2: 2, 9: 2}
-    assert len(list_shares(replace(TINY, rounds=1), "fxaa")) == 1  # each has a round
-    assert len(list_shares(TINY, "pyramid_texels")) == len(list_shares(TINY, "normal_bits")) == 1
+    assert len(sweep.list_shares(replace(TINY, rounds=1), "fxaa")) == 1  # each has a round
+    assert len(sweep.list_shares(TINY, "pyramid_texels")) == len(sweep.list_shares(TINY, "normal_bits")) == 1
     for count in (1, 2, 4):
-        parts = [SweepShare(number, count).take(range(11)) for number in range(count)]
+        parts = [sweep.SweepShare(number, count).take(range(11)) for number in range(count)]
         assert [item for part in parts for item in part] == list(range(11))
         assert max(map(len, parts)) - min(map(len, parts)) <= 1
 
@@ -213,24 +202,24 @@ def test_encodings_are_measured_without_a_frame() -> None:
 
 def test_shadows_are_switched_on_for_their_knobs_only() -> None:
     scene = load_scene("city:blocks=2")
-    assert prepare_scene(scene, KNOBS["fxaa"]) is None
+    assert sweep.prepare_scene(scene, KNOBS["fxaa"]) is None
     assert not scene.lights.point["casts_shadow"].any()
-    assert prepare_scene(scene, KNOBS["occluders"]) is None
-    assert "other triangles" in str(prepare_scene(load_scene("terrain:cells=8,trees=0"), KNOBS["occluders"]))
-    assert prepare_scene(scene, KNOBS["shadow_size"]) is None
+    assert sweep.prepare_scene(scene, KNOBS["occluders"]) is None
+    assert "other triangles" in str(sweep.prepare_scene(load_scene("terrain:cells=8,trees=0"), KNOBS["occluders"]))
+    assert sweep.prepare_scene(scene, KNOBS["shadow_size"]) is None
     assert scene.lights.point["casts_shadow"].all()
 
 
 def test_views_are_spread_or_follow_each_other() -> None:
     scene = load_scene("city:blocks=2")
-    spread = [one.number for one in list_views(scene, replace(TINY, views=3))]
+    spread = [one.number for one in sweep.list_views(scene, replace(TINY, views=3))]
     assert spread == sorted(spread)
     assert min(np.diff(spread)) > 100
-    near = [one.number for one in list_views(scene, TINY, consecutive=True, count=5)]
+    near = [one.number for one in sweep.list_views(scene, TINY, consecutive=True, count=5)]
     assert np.diff(near).tolist() == [1] * 4
-    part = [one.number for one in list_views(scene, replace(TINY, first=100, last=110))]
+    part = [one.number for one in sweep.list_views(scene, replace(TINY, first=100, last=110))]
     assert all(100 < number < 110 for number in part)
-    assert [one.number for one in list_views(scene, replace(TINY, camera="street"))] == [0]
+    assert [one.number for one in sweep.list_views(scene, replace(TINY, camera="street"))] == [0]
 
 
 def test_the_mean_of_samples_is_one_of_light() -> None:
@@ -248,7 +237,7 @@ def test_lights_that_reach_a_point_are_counted_by_range_and_cone() -> None:
     before, behind = away * np.asarray(spot["direction"], np.float64), -away * np.asarray(spot["direction"], np.float64)
     only = type("Lights", (), {"point": scene.lights.point[:0], "spot": scene.lights.spot[:1]})
     stage = type("Stage", (), {"lights": only})
-    counts = [count_reached(stage, camera, place[None]) for place in (before, behind, 3.0 * before)]  # type: ignore[arg-type]
+    counts = [sweep.count_reached(stage, camera, place[None]) for place in (before, behind, 3.0 * before)]  # type: ignore[arg-type]
     assert counts == [1, 0, 0]
 
 
@@ -260,7 +249,7 @@ def test_a_picture_of_the_worst_place_has_three_parts() -> None:
 
     true, shown = np.zeros((200, 300, 3)), np.zeros((200, 300, 3))
     shown[199, 299] = 60.0
-    pixels = np.asarray(Image.open(io.BytesIO(b64decode(crop_worst(true, shown, 299, 199)))))
+    pixels = np.asarray(Image.open(io.BytesIO(b64decode(sweep.crop_worst(true, shown, 299, 199)))))
     height, width = pixels.shape[0], pixels.shape[1] // 3
     assert (pixels[-1, 2 * width - 1] == 60).all()
     assert (pixels[-1, 3 * width - 1] == 240).all()

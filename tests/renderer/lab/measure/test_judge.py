@@ -9,23 +9,13 @@ import numpy as np
 import pytest
 
 import renderer.lab.measure.judge
+from renderer import scene as scenes
 from renderer.content import BUILT_IN
 from renderer.lab.measure.judge import Judge
 from renderer.lab.measure.judge.light import find_thickness
 from renderer.lab.measure.judge.picture import map_tones, unmap_tones
 from renderer.lab.measure.judge.surfaces import decode_srgb, encode_srgb
-from renderer.scene import (
-    AlphaMode,
-    Camera,
-    Fog,
-    Glow,
-    Orthographic,
-    Perspective,
-    SceneBuilder,
-    StereoRig,
-    scaling,
-    translation,
-)
+from renderer.scene import Camera, Fog, Glow, Orthographic, Perspective, SceneBuilder, StereoRig, scaling, translation
 from tests.renderer.fog_reference import add_up
 
 LENS = Perspective(fov=1.0, aspect=1.0)
@@ -117,7 +107,7 @@ def test_panes_cover_what_is_behind_them_from_back_to_front() -> None:
     mesh = builder.add_mesh(BUILT_IN["box"]())
     for height, color, alpha in ((1.0, (0.9, 0.0, 0.0), 0.5), (2.0, (0.0, 0.9, 0.0), 0.25)):
         pane = builder.add_material(base_color=(*color, alpha), emission=1.0, specular_color=(0, 0, 0),
-                                    alpha_mode=AlphaMode.BLEND)  # fmt: skip
+                                    alpha_mode=scenes.AlphaMode.BLEND)  # fmt: skip
         builder.add_objects(builder.add_node(translation((0, height, 0)) @ scaling((9, 0.1, 9))), mesh, pane)
     camera = Camera.look_at((0, 5, 0.1), (0, 0, 0.1), (0, 0, -1), projection=LENS)
     (color,) = Judge(builder.build()).see(camera, (8, 8), np.array([(4.0, 4.0)]))

@@ -16,15 +16,8 @@ from rhi.backends.gl.buffers import Buffers
 from rhi.backends.gl.quads import expand_indices
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
-from rhi.contract.descriptors import (
-    BufferDescriptor,
-    BufferUsage,
-    DepthAttachment,
-    PassDescriptor,
-    Region,
-    TextureDescriptor,
-    TextureKind,
-)
+from rhi.contract import descriptors
+from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Region, TextureDescriptor, TextureKind
 from rhi.contract.formats import Format, IndexFormat
 from rhi.errors import DeviceError
 
@@ -67,7 +60,7 @@ def test_a_framebuffer_is_made_once_and_dropped_with_a_texture(gl_kit: GlKit) ->
     names = gl_kit.backend._framebuffers._names
     color, depth = gl_kit.texture(), gl_kit.texture(Format.D32F)
     for _ in range(2):
-        gl_kit.begin(color, depth=DepthAttachment(depth))
+        gl_kit.begin(color, depth=descriptors.DepthAttachment(depth))
         gl_kit.backend.end_pass()
     assert len(names) == 1
     gl_kit.begin(color)
@@ -80,7 +73,7 @@ def test_a_framebuffer_is_made_once_and_dropped_with_a_texture(gl_kit: GlKit) ->
 
 
 def test_a_pass_may_have_no_target_at_all(checked_kit: GlKit) -> None:
-    checked_kit.backend.begin_pass(PassDescriptor((SIZE, SIZE)))
+    checked_kit.backend.begin_pass(descriptors.PassDescriptor((SIZE, SIZE)))
     checked_kit.backend.end_pass()
 
 

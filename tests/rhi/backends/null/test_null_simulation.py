@@ -8,30 +8,12 @@ from null_kit import hand_made_program
 from simulated_kit import PLAIN, STATIC, STREAM, draw, make_backend, words
 
 import rhi
-from rhi.backends.null import (
-    Activity,
-    CommandWork,
-    CostModel,
-    Lane,
-    NullBackend,
-    SimulatedBackend,
-    Simulation,
-    create_backend,
-)
+from rhi.backends import null
+from rhi.backends.null import Activity, CommandWork, CostModel, Lane, NullBackend, SimulatedBackend, Simulation
 from rhi.backends.null.simulation.cost import count_primitives
 from rhi.commands.ops import Op
-from rhi.contract.descriptors import (
-    Attachment,
-    BufferDescriptor,
-    BufferUsage,
-    PassDescriptor,
-    Primitive,
-    QueryKind,
-    Region,
-    SamplerDescriptor,
-    TextureDescriptor,
-    VertexArrayDescriptor,
-)
+from rhi.contract import descriptors
+from rhi.contract.descriptors import BufferDescriptor, PassDescriptor, Primitive, QueryKind, Region, TextureDescriptor
 from rhi.contract.formats import Format
 from rhi.contract.states import CullMode, Scissor, StateChange, Viewport
 
@@ -42,8 +24,8 @@ CPU, GPU = Lane.CPU, Lane.GPU
 
 
 def test_without_a_simulation_the_null_backend_has_no_clock():
-    assert type(create_backend()) is NullBackend
-    assert type(create_backend(simulation=Simulation())) is SimulatedBackend
+    assert type(null.create_backend()) is NullBackend
+    assert type(null.create_backend(simulation=Simulation())) is SimulatedBackend
 
 
 def test_a_device_takes_the_simulation_as_an_option():
@@ -80,9 +62,9 @@ def test_every_call_takes_the_cpu_its_time_and_other_work_what_it_says():
 CREATIONS = {
     "buffer": lambda backend: backend.create_buffer(900, BufferDescriptor(16)),
     "texture": lambda backend: backend.create_texture(900, TextureDescriptor((4, 4), Format.RGBA8)),
-    "sampler": lambda backend: backend.create_sampler(900, SamplerDescriptor()),
+    "sampler": lambda backend: backend.create_sampler(900, descriptors.SamplerDescriptor()),
     "program": lambda backend: backend.create_program(900, hand_made_program("p")),
-    "vertex array": lambda backend: backend.create_vertex_array(900, VertexArrayDescriptor(PLAIN, ())),
+    "vertex array": lambda backend: backend.create_vertex_array(900, descriptors.VertexArrayDescriptor(PLAIN, ())),
     "query": lambda backend: backend.create_query(900, QueryKind.TIMESTAMP),
 }
 
@@ -97,7 +79,7 @@ def test_making_anything_takes_a_call(create):
 
 def test_a_read_of_readback_memory_takes_a_call_and_does_not_wait_for_the_gpu():
     backend = make_backend()
-    backend.create_buffer(900, BufferDescriptor(16, BufferUsage.READBACK))
+    backend.create_buffer(900, BufferDescriptor(16, descriptors.BufferUsage.READBACK))
     backend.copy_buffer(STATIC, 0, 900, 0, 16)
     backend.signal(1)
     before = backend.now
@@ -399,7 +381,7 @@ def test_mip_levels_cost_what_is_read_and_written():
 
 
 def test_clears_and_resolves_cost_by_pass():
-    target = Attachment(1, clear=(0, 0, 0, 0), resolve=2)
+    target = descriptors.Attachment(1, clear=(0, 0, 0, 0), resolve=2)
 
     def run(backend):
         backend.begin_pass(PassDescriptor((64, 32), (target,), samples=4))

@@ -7,14 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from stage_runner import (
-    run_fragment_glsl,
-    run_fragment_lanes,
-    run_fragment_numpy,
-    run_vertex_glsl,
-    run_vertex_lanes,
-    run_vertex_numpy,
-)
+import stage_runner
 
 import rhi.shading as sl
 from rhi.contract.descriptors import Stage
@@ -29,9 +22,9 @@ def vertex_stage(request, context):
     """`vertex_stage(shader, attributes, count, …)` in each language."""
     dtype = np.float64 if "64" in request.param else np.float32
     return {
-        "glsl": partial(run_vertex_glsl, context),
-        "lanes": run_vertex_lanes,
-    }.get(request.param, partial(run_vertex_numpy, dtype=dtype))
+        "glsl": partial(stage_runner.run_vertex_glsl, context),
+        "lanes": stage_runner.run_vertex_lanes,
+    }.get(request.param, partial(stage_runner.run_vertex_numpy, dtype=dtype))
 
 
 @pytest.fixture(params=LANGUAGES)
@@ -39,9 +32,9 @@ def fragment_stage(request, context):
     """`fragment_stage(shader, varyings, shape, …)` in each language."""
     dtype = np.float64 if "64" in request.param else np.float32
     return {
-        "glsl": partial(run_fragment_glsl, context),
-        "lanes": run_fragment_lanes,
-    }.get(request.param, partial(run_fragment_numpy, dtype=dtype))
+        "glsl": partial(stage_runner.run_fragment_glsl, context),
+        "lanes": stage_runner.run_fragment_lanes,
+    }.get(request.param, partial(stage_runner.run_fragment_numpy, dtype=dtype))
 
 
 # -- vertices ----------------------------------------------------------------------------------------------

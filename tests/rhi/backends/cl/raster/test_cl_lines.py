@@ -11,19 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhi import (
-    BlendFunction,
-    Comparison,
-    CullMode,
-    Device,
-    Format,
-    LineWidth,
-    PolygonMode,
-    Primitive,
-    StencilBack,
-    StencilFront,
-    StencilTest,
-)
+import rhi
+from rhi import BlendFunction, Comparison, CullMode, Device, Format, LineWidth, PolygonMode, Primitive, StencilTest
 from rhi.backends.cl.raster import launcher
 from rhi.conformance.compare import assert_same
 from rhi.conformance.pictures import draw_once
@@ -90,7 +79,7 @@ def test_edges_have_the_stencil_test_of_their_face(device: Device, order: int) -
         for front, back in ((Comparison.ALWAYS, Comparison.NEVER), (Comparison.NEVER, Comparison.ALWAYS)):
             with (
                 device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.0, clear_stencil=0),
-                device.states(StencilTest.ON, StencilFront(front), StencilBack(back)),
+                device.states(StencilTest.ON, rhi.StencilFront(front), rhi.StencilBack(back)),
                 device.states(CullMode.NONE, PolygonMode.LINE),
             ):
                 device.draw(device.program(Colored), mesh)
