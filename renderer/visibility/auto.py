@@ -14,6 +14,9 @@ from renderer.visibility.trial import OnTrial, SpeedTrial
 from renderer.visibility.walk import CullingWalk, WalksNodes
 from rhi import Device, Preparation
 
+_EARLY: Final = 3
+"""The frame by which it shows which kernels are hot. These are optimised before those that only a candidate needs."""
+
 
 class AutoCulling(OnTrial):
     """Tries each candidate for some frames, then stays with the fastest until the view has changed (`SpeedTrial`).
@@ -46,18 +49,20 @@ class AutoCulling(OnTrial):
         self._prepare = prepare
         self._preparation: Preparation | None = None
         self._device = device
+        self._early = _EARLY
         self._trial = SpeedTrial(scene, list(makers), frames=frames, rest=rest)
 
     @property
     def is_trying(self) -> bool:
-        """Whether the next frame is a trial frame."""
-        return self._trial.is_trying and self._is_ready
+        """Whether the next frame is a trial frame, or before the first one."""
+        return self._trial.is_trying and (self._early > 0 or self._is_ready)
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what the chosen algorithm draws."""
         trial = self._trial
         trial.look(camera)
-        if self._prepare is not None:
+        self._early = max(self._early - 1, 0)
+        if not self._early and self._prepare is not None and not self._device.is_building:
             self._preparation, self._prepare = self._prepare(camera.projection.depth), None
         if trial.is_trying and not self._is_ready:
             return _render(self.latest or self._find(trial.chosen), camera, scene_pass)
