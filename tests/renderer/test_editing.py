@@ -8,7 +8,6 @@ from frames import SIZE, need_algorithm, open_renderer, read_colors
 from numpy.typing import NDArray
 from refusals import find_rule
 
-import rhi
 from renderer.content import BUILT_IN
 from renderer.frame import Effect
 from renderer.renderer import FrameResult, Renderer
@@ -16,7 +15,7 @@ from renderer.scene import AlphaMode, Camera, ObjectHandle, Scene, SceneBuilder,
 from renderer.shadows import ShadowSettings
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import ALGORITHMS
-from rhi import ValidationError
+from rhi import Device, ValidationError
 
 EYE = Camera.look_at((0.0, 5.0, 11.0), (0.0, 0.5, 0.0)).with_aspect(SIZE[0] / SIZE[1])
 SHADOWS = ShadowSettings(cascades=1, cascade_size=128, largest=64, far_size=0)
@@ -105,7 +104,7 @@ def draw(renderer: Renderer) -> FrameResult:
     return renderer.render(EYE)
 
 
-def compare(device: rhi.Device, technique: str, algorithm: str, edits: int, *, every: int, seed: int = 1) -> None:
+def compare(device: Device, technique: str, algorithm: str, edits: int, *, every: int, seed: int = 1) -> None:
     """Edit a scene, and compare it with one that is built anew: its picture, and what is drawn without queries."""
     glass = 1 if technique == "inferred" else 3  # which stipples glass by the rows of objects
     scene = make_edited(glass)
@@ -131,30 +130,28 @@ def compare(device: rhi.Device, technique: str, algorithm: str, edits: int, *, e
 
 
 @pytest.mark.parametrize("technique", ["forward", "clustered", "deferred_plus"])
-def test_an_edited_scene_looks_as_one_that_is_built_anew(drawing_device: rhi.Device, technique: str) -> None:
+def test_an_edited_scene_looks_as_one_that_is_built_anew(drawing_device: Device, technique: str) -> None:
     compare(drawing_device, technique, "frustum", 48, every=8)
 
 
 @pytest.mark.parametrize("algorithm", [name for name in ALGORITHMS if name != "auto"])
-def test_each_algorithm_follows_edits(gl: rhi.Device, algorithm: str) -> None:
+def test_each_algorithm_follows_edits(gl: Device, algorithm: str) -> None:
     need_algorithm(gl, algorithm)
     compare(gl, "forward", algorithm, 40, every=8, seed=2)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("technique", sorted(TECHNIQUES))
-def test_two_thousand_edits_look_and_cost_as_a_scene_that_is_built_anew(
-    drawing_device: rhi.Device, technique: str
-) -> None:
+def test_two_thousand_edits_look_and_cost_as_a_scene_that_is_built_anew(drawing_device: Device, technique: str) -> None:
     compare(drawing_device, technique, "frustum", 2000, every=50, seed=3)
 
 
 @pytest.mark.parametrize("algorithm", ["none", "frustum"])
-def test_an_edited_scene_costs_as_much_as_one_that_is_built_anew(null: rhi.Device, algorithm: str) -> None:
+def test_an_edited_scene_costs_as_much_as_one_that_is_built_anew(null: Device, algorithm: str) -> None:
     compare(null, "forward", algorithm, 400, every=40, seed=4)
 
 
-def test_a_hidden_object_needs_nothing(null: rhi.Device) -> None:
+def test_a_hidden_object_needs_nothing(null: Device) -> None:
     """Neither effects nor shadow maps: the floor is all that receives shadows, glass all that is blended."""
     builder = begin()
     glass = builder.add_node(translation((0, 1, 0)))
@@ -171,7 +168,7 @@ def test_a_hidden_object_needs_nothing(null: rhi.Device) -> None:
             assert ("it reaches nothing visible" in skipped) == (drawn == 0)
 
 
-def test_an_edit_uploads_the_rows_that_it_changes(null: rhi.Device) -> None:
+def test_an_edit_uploads_the_rows_that_it_changes(null: Device) -> None:
     builder = begin()
     nodes = builder.add_nodes(translation(np.random.default_rng(1).uniform(-4, 4, (5000, 3))), dynamic=True)
     builder.add_objects(nodes, 1, 1)

@@ -52,19 +52,22 @@ def destroyed(device: Device, since: int) -> list[int]:
     return sorted(command.values[0] for command in device.stream[since:].filter(Op.DESTROY) if command.values[0] in own)
 
 
-@pytest.mark.parametrize("kind", MADE)
-def test_what_nobody_holds_is_destroyed(recording: Device, kind: str) -> None:
+@pytest.fixture
+def since(recording: Device) -> int:
+    """Where a test begins in the stream: what was dropped before it is destroyed."""
     recording.finish()
-    since = len(recording.stream)
+    return len(recording.stream)
+
+
+@pytest.mark.parametrize("kind", MADE)
+def test_what_nobody_holds_is_destroyed(recording: Device, since: int, kind: str) -> None:
     make(recording, kind)
     recording.finish()
     assert destroyed(recording, since) == created(recording, since) != []
 
 
 @pytest.mark.parametrize("kind", MADE)
-def test_what_somebody_holds_stays(recording: Device, kind: str) -> None:
-    recording.finish()
-    since = len(recording.stream)
+def test_what_somebody_holds_stays(recording: Device, since: int, kind: str) -> None:
     held = make(recording, kind)
     gc.collect()
     recording.finish()
@@ -73,17 +76,14 @@ def test_what_somebody_holds_stays(recording: Device, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["texture", "buffer", "mesh", "query"])
-def test_what_was_destroyed_before_is_destroyed_once(recording: Device, kind: str) -> None:
-    recording.finish()
-    since = len(recording.stream)
+def test_what_was_destroyed_before_is_destroyed_once(recording: Device, since: int, kind: str) -> None:
     make(recording, kind).destroy()
     recording.finish()
     assert destroyed(recording, since) == created(recording, since)
 
 
-def test_another_thread_may_drop_a_resource(recording: Device) -> None:
-    recording.finish()
-    since, held = len(recording.stream), [recording.texture((4, 4), Format.RGBA8)]
+def test_another_thread_may_drop_a_resource(recording: Device, since: int) -> None:
+    held = [recording.texture((4, 4), Format.RGBA8)]
     thread = threading.Thread(target=held.clear)
     thread.start()
     thread.join()
@@ -92,9 +92,7 @@ def test_another_thread_may_drop_a_resource(recording: Device) -> None:
     assert destroyed(recording, since) == created(recording, since)
 
 
-def test_the_garbage_collector_may_drop_a_resource(recording: Device) -> None:
-    recording.finish()
-    since = len(recording.stream)
+def test_the_garbage_collector_may_drop_a_resource(recording: Device, since: int) -> None:
     circle: list[object] = [recording.buffer(np.zeros(4))]
     circle.append(circle)
     del circle
@@ -103,10 +101,8 @@ def test_the_garbage_collector_may_drop_a_resource(recording: Device) -> None:
     assert destroyed(recording, since) == created(recording, since)
 
 
-def test_creations_destroy_what_was_dropped_in_a_program_without_frames(recording: Device) -> None:
+def test_creations_destroy_what_was_dropped_in_a_program_without_frames(recording: Device, since: int) -> None:
     """They wait for two lots of 64 MiB at most, so of 600 buffers of 1 MiB at least 400 are gone at the end."""
-    recording.finish()
-    since = len(recording.stream)
     for _ in range(600):
         recording.buffer(1 << 18, np.dtype("u4"))
     assert len(destroyed(recording, since)) >= 400

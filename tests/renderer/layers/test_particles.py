@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import rhi
 from renderer.content import load_scene
 from renderer.content.fountains import DROPS
 from renderer.layers.particles import FoggedParticles, Particle, Particles, find_particles
@@ -13,7 +12,7 @@ from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.visibility import FrustumCulling, NoCulling
-from rhi import Op
+from rhi import Device, Op
 from rhi.shading import compile_shader
 from tests.renderer.conftest import open_device
 
@@ -28,7 +27,7 @@ def hall() -> Scene:
 class Catch:
     """A layer that keeps the particles of a frame."""
 
-    def render(self, device: rhi.Device, frame: object) -> None:
+    def render(self, device: Device, frame: object) -> None:
         self.parts = list(find_particles(frame))  # type: ignore[arg-type]
         self.frame = frame
 
@@ -36,7 +35,7 @@ class Catch:
         pass
 
 
-def test_a_particle_is_where_the_drop_is(null: rhi.Device, hall: Scene) -> None:
+def test_a_particle_is_where_the_drop_is(null: Device, hall: Scene) -> None:
     catch = Catch()
     camera = hall.views["overview"]
     with Renderer(null, hall, visibility=NoCulling(hall), size=(64, 36)) as renderer:
@@ -64,9 +63,7 @@ def test_a_particle_is_where_the_drop_is(null: rhi.Device, hall: Scene) -> None:
     assert np.median(np.abs(moved - along)[calm]) < 1e-5
 
 
-def test_all_particles_are_one_draw_and_one_upload_and_1000_frames_create_nothing(
-    null: rhi.Device, hall: Scene
-) -> None:
+def test_all_particles_are_one_draw_and_one_upload_and_1000_frames_create_nothing(null: Device, hall: Scene) -> None:
     catch, particles = Catch(), Particles(null)
     with Renderer(null, hall, visibility=NoCulling(hall), size=(64, 36)) as renderer:
         renderer.layers.append(catch)
@@ -87,7 +84,7 @@ def test_all_particles_are_one_draw_and_one_upload_and_1000_frames_create_nothin
     particles.destroy()
 
 
-def test_fountains_that_are_not_drawn_have_no_particles(null: rhi.Device, hall: Scene) -> None:
+def test_fountains_that_are_not_drawn_have_no_particles(null: Device, hall: Scene) -> None:
     particles = Particles(null)
     counts = []
     with Renderer(null, hall, visibility=FrustumCulling(hall), size=(64, 36)) as renderer:
@@ -101,7 +98,7 @@ def test_fountains_that_are_not_drawn_have_no_particles(null: rhi.Device, hall: 
     particles.destroy()
 
 
-def test_a_scene_without_simulations_has_no_particles(null: rhi.Device) -> None:
+def test_a_scene_without_simulations_has_no_particles(null: Device) -> None:
     city = load_scene("city:blocks=2")
     particles = Particles(null)
     with Renderer(null, city, visibility=NoCulling(city), size=(64, 36)) as renderer:

@@ -7,7 +7,6 @@ import pytest
 from depth_textures import put_depths
 from occlusion_scenes import draw_with, look, make_boxes
 
-import rhi
 from renderer.renderer import Renderer
 from renderer.scene import Depth
 from renderer.shaders import ViewConstants
@@ -15,6 +14,7 @@ from renderer.visibility import DepthPyramidCulling
 from renderer.visibility.gpu.depth_pyramid import CompareBoxes, make_levels
 from renderer.visibility.gpu.farthest_depth import FarthestDepth, of_direction
 from renderer.visibility.gpu.occludees import Occludee
+from rhi import Device
 from rhi.shading import uint
 
 
@@ -29,9 +29,7 @@ def reduce_once(depths: np.ndarray, direction: Depth) -> np.ndarray:
 
 @pytest.mark.parametrize("direction", Depth)
 @pytest.mark.parametrize("size", [(1, 1), (3, 2), (4, 4), (5, 4), (16, 17), (65, 3), (255, 131), (1023, 767)])
-def test_each_level_holds_the_farthest_of_its_pixels(
-    device: rhi.Device, size: tuple[int, int], direction: Depth
-) -> None:
+def test_each_level_holds_the_farthest_of_its_pixels(device: Device, size: tuple[int, int], direction: Depth) -> None:
     depths = np.random.default_rng(sum(size)).random(size[::-1], np.float32)
     pyramid = FarthestDepth(device, size)
     pyramid.build(device, put_depths(device, depths), direction)
@@ -44,7 +42,7 @@ def test_each_level_holds_the_farthest_of_its_pixels(
     pyramid.destroy()
 
 
-def test_a_pixel_of_sky_is_sky_on_every_level(device: rhi.Device) -> None:
+def test_a_pixel_of_sky_is_sky_on_every_level(device: Device) -> None:
     depths = np.full((23, 41), 0.7, np.float32)
     depths[22, 40] = 0.0
     pyramid = FarthestDepth(device, (41, 23))
@@ -56,7 +54,7 @@ def test_a_pixel_of_sky_is_sky_on_every_level(device: rhi.Device) -> None:
     pyramid.destroy()
 
 
-def test_a_level_alone_is_made_where_one_is_wanted(null: rhi.Device) -> None:
+def test_a_level_alone_is_made_where_one_is_wanted(null: Device) -> None:
     assert FarthestDepth(null, (960, 540), levels=1).sizes == [(960, 540), (240, 135)]
     assert FarthestDepth(null, (3, 3)).sizes == [(3, 3), (1, 1)]
     assert FarthestDepth(null, (1, 1)).sizes == [(1, 1), (1, 1)]
@@ -64,9 +62,7 @@ def test_a_level_alone_is_made_where_one_is_wanted(null: rhi.Device) -> None:
 
 @pytest.mark.parametrize("direction", Depth)
 @pytest.mark.parametrize("size", [(1, 1), (63, 34), (1023, 767)])
-def test_a_box_shows_if_it_shows_at_full_resolution(
-    device: rhi.Device, size: tuple[int, int], direction: Depth
-) -> None:
+def test_a_box_shows_if_it_shows_at_full_resolution(device: Device, size: tuple[int, int], direction: Depth) -> None:
     rng, count = np.random.default_rng(5), 400
     width, height = size
     coarse = rng.random((height // 30 + 1, width // 30 + 1), np.float32)
@@ -109,7 +105,7 @@ def test_a_box_shows_if_it_shows_at_full_resolution(
         resource.destroy()
 
 
-def test_what_is_seen_again_and_again_is_on_the_first_list(device: rhi.Device) -> None:
+def test_what_is_seen_again_and_again_is_on_the_first_list(device: Device) -> None:
     scene = make_boxes([(0.0, 0.0, -5.0), (0.0, 0.0, -9.0)], [(1.0, 1.0, 1.0), (6.0, 6.0, 1.0)])
     algorithm, camera = DepthPyramidCulling(scene, device), look((0.0, 0.0, 0.0), (0.0, 0.0, -5.0))
     lists = []

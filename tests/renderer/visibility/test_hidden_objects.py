@@ -13,6 +13,7 @@ from renderer.content.shapes import box
 from renderer.frame.hidden import PATIENCE
 from renderer.lab.exam.scenes import look, make_flag
 from renderer.scene import Scene, SceneBuilder, make_height_field, rotation
+from rhi import Device
 from rhi.math import multiply, scaling, translation
 
 LATE = (*DEVICE, "conditional")
@@ -43,9 +44,7 @@ def make_scene(*, shadow: bool = False) -> Scene:
 
 @pytest.mark.parametrize("name", [*WAITING, *LATE])
 @pytest.mark.parametrize(("what", "shadow"), [("simulation", False), ("tessellation", False), ("tessellation", True)])
-def test_what_is_hidden_dispatches_nothing_and_takes_no_step(
-    null: rhi.Device, name: str, what: str, shadow: bool
-) -> None:
+def test_what_is_hidden_dispatches_nothing_and_takes_no_step(null: Device, name: str, what: str, shadow: bool) -> None:
     """Cloth and terrain; it is seen again from frame 30 on, as of frame 31 if the device decides, or 32 where
     conditions open a node first. Shadows need triangles."""
     scene, wall = (make_flag(), 1) if what == "simulation" else (make_scene(shadow=shadow), WALL)
@@ -66,9 +65,7 @@ def test_what_is_hidden_dispatches_nothing_and_takes_no_step(
 
 @pytest.mark.parametrize("unseen", [False, True])
 @pytest.mark.parametrize("name", LATE)
-def test_what_comes_out_from_behind_a_wall_is_as_of_its_frame(
-    drawing_device: rhi.Device, name: str, unseen: bool
-) -> None:
+def test_what_comes_out_from_behind_a_wall_is_as_of_its_frame(drawing_device: Device, name: str, unseen: bool) -> None:
     """Terrain fills its box, and shows with it: so it may be late in a walk. All is where the wall vanishes."""
     need_algorithm(drawing_device, name)
     scene, behind = make_scene(), [6.0] * 15

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 from frames import make_boxes
 
-import rhi
 from renderer import techniques
 from renderer.lab.measure.light_evaluations import Counted, count_light_evaluations, find_count
 from renderer.renderer import Renderer
 from renderer.scene import AlphaMode, Camera, Scene, scaling, translation
 from renderer.visibility import NoCulling
+from rhi import Device
 
 SIZE = (64, 48)
 PIXELS = SIZE[0] * SIZE[1]
@@ -29,9 +29,7 @@ def walls(*distances: float, points: int = 0, spots: int = 0, reach: float = 100
     return builder.build()
 
 
-def count(
-    device: rhi.Device, scene: Scene, technique: techniques.Technique, size: tuple[int, int] = SIZE
-) -> int | None:
+def count(device: Device, scene: Scene, technique: techniques.Technique, size: tuple[int, int] = SIZE) -> int | None:
     with Renderer(device, scene, technique=technique, visibility=NoCulling(scene), size=size) as renderer:
         return count_light_evaluations(renderer, scene.views["eye"])
 
@@ -42,7 +40,7 @@ def test_the_techniques_of_the_papers_can_be_counted() -> None:
 
 
 @pytest.mark.parametrize("name", COUNTED)
-def test_each_pixel_looks_at_each_light_that_reaches_all_of_them(drawing_device: rhi.Device, name: str) -> None:
+def test_each_pixel_looks_at_each_light_that_reaches_all_of_them(drawing_device: Device, name: str) -> None:
     pixels = SHRUNK if name == "inferred" else PIXELS
     assert count(drawing_device, walls(5.0, points=3), techniques.TECHNIQUES[name]()) == 3 * pixels
     assert count(drawing_device, walls(5.0, points=2, spots=3), techniques.TECHNIQUES[name]()) == 5 * pixels
@@ -50,9 +48,7 @@ def test_each_pixel_looks_at_each_light_that_reaches_all_of_them(drawing_device:
 
 
 @pytest.mark.parametrize("name", COUNTED)
-def test_a_small_light_is_looked_at_where_it_may_reach_and_by_forward_shading_everywhere(
-    gl: rhi.Device, name: str
-) -> None:
+def test_a_small_light_is_looked_at_where_it_may_reach_and_by_forward_shading_everywhere(gl: Device, name: str) -> None:
     size = (256, 192)  # of 4 × 3 tiles of clusters
     number = count(gl, walls(5.0, points=1, reach=1.2), techniques.TECHNIQUES[name](), size)
     assert number is not None
@@ -62,7 +58,7 @@ def test_a_small_light_is_looked_at_where_it_may_reach_and_by_forward_shading_ev
         assert 0 < number < size[0] * size[1]
 
 
-def test_a_light_of_an_object_behind_is_looked_at_if_it_is_drawn_first(gl: rhi.Device) -> None:
+def test_a_light_of_an_object_behind_is_looked_at_if_it_is_drawn_first(gl: Device) -> None:
     """Objects are drawn front to back by their farthest corners: that of the near, thick wall is the farther one."""
     thick, thin = translation((0, 0, -10)) @ scaling((40, 40, 10)), translation((0, 0, -8)) @ scaling((40, 40, 0.1))
     builder = make_boxes(thick, thin)
@@ -76,7 +72,7 @@ def test_a_light_of_an_object_behind_is_looked_at_if_it_is_drawn_first(gl: rhi.D
 @pytest.mark.parametrize("make", [techniques.Forward, techniques.Clustered, techniques.ForwardMultipass])
 @pytest.mark.parametrize(("alpha", "each"), [(0.0, 0), (1.0, 1)])
 def test_what_a_mask_leaves_out_looks_at_no_light(
-    gl: rhi.Device, make: type[techniques.Forward], alpha: float, each: int
+    gl: Device, make: type[techniques.Forward], alpha: float, each: int
 ) -> None:
     scene = walls(5.0, points=1)
     scene.materials["alpha_mode"], scene.materials["base_color"][:, 3] = AlphaMode.MASK, alpha
@@ -84,19 +80,19 @@ def test_what_a_mask_leaves_out_looks_at_no_light(
 
 
 @pytest.mark.parametrize(("points", "each"), [(8, 8), (9, 10)])
-def test_a_pixel_with_more_indices_than_fit_looks_at_its_objects_list(gl: rhi.Device, points: int, each: int) -> None:
+def test_a_pixel_with_more_indices_than_fit_looks_at_its_objects_list(gl: Device, points: int, each: int) -> None:
     """One more light reaches the wall at a single place, so it is on the list of the object."""
     scene = walls(5.0, points=points)
     scene.lights.add_point((15.0, 0.0, -4.9), 1.0)
     assert count(gl, scene, techniques.LightIndexed()) == each * PIXELS
 
 
-def test_more_than_a_half_float_can_count_are_counted(gl: rhi.Device) -> None:
+def test_more_than_a_half_float_can_count_are_counted(gl: Device) -> None:
     assert count(gl, walls(5.0, points=2501), techniques.TiledDeferred()) == 2501 * PIXELS
 
 
 @pytest.mark.parametrize("make", [techniques.Deferred, techniques.LightPrePass])
-def test_masked_volumes_leave_out_what_is_before_them(gl: rhi.Device, make: type[techniques.Deferred]) -> None:
+def test_masked_volumes_leave_out_what_is_before_them(gl: Device, make: type[techniques.Deferred]) -> None:
     scene = walls(5.0)
     scene.lights.add_point((0, 0, -6.0), 1.2)  # behind the wall's face, which it touches
     scene.lights.add_point((0, 0, -6.5), 1.2)  # behind it
@@ -104,15 +100,15 @@ def test_masked_volumes_leave_out_what_is_before_them(gl: rhi.Device, make: type
 
 
 @pytest.mark.parametrize("technique", [techniques.Forward(samples=4), techniques.Smoothed(techniques.Forward())])
-def test_what_is_not_known_how_to_count_is_not_counted(gl: rhi.Device, technique: techniques.Technique) -> None:
+def test_what_is_not_known_how_to_count_is_not_counted(gl: Device, technique: techniques.Technique) -> None:
     assert count(gl, walls(5.0, points=1), technique) is None
 
 
-def test_a_device_that_draws_nothing_counts_nothing(null: rhi.Device) -> None:
+def test_a_device_that_draws_nothing_counts_nothing(null: Device) -> None:
     assert count(null, walls(5.0, points=1), techniques.Forward()) is None
 
 
-def test_counting_leaves_the_renderer_as_it_was(gl: rhi.Device) -> None:
+def test_counting_leaves_the_renderer_as_it_was(gl: Device) -> None:
     scene, technique = walls(5.0, points=1), techniques.Deferred()
     with Renderer(gl, scene, technique=technique, visibility=NoCulling(scene), size=SIZE) as renderer:
         before = renderer.render(scene.views["eye"]).image.read()
@@ -121,7 +117,7 @@ def test_counting_leaves_the_renderer_as_it_was(gl: rhi.Device) -> None:
         assert (renderer.render(scene.views["eye"]).image.read() == before).all()
 
 
-def test_a_counted_technique_has_its_own_passes_and_one_more(null: rhi.Device) -> None:
+def test_a_counted_technique_has_its_own_passes_and_one_more(null: Device) -> None:
     scene = walls(5.0, points=1)
     with Renderer(
         null, scene, technique=Counted(techniques.Deferred()), visibility=NoCulling(scene), size=SIZE

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import rhi
 from renderer.content import load_scene
 from renderer.frame import Frame
 from renderer.layers.canvas import Canvas, Font, srgb
@@ -20,7 +19,7 @@ from renderer.layers.overlay.panels import Box, draw_graph, draw_legend, draw_ma
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene
 from renderer.visibility import AutoCulling, CullingWalk, FrustumCulling, NoCulling, WalkOutcome, make_visibility
-from rhi import Format, Op, TimerNode
+from rhi import Device, Format, Op, TimerNode
 from tests.renderer.conftest import open_device
 
 SIZE = (960, 540)
@@ -34,7 +33,7 @@ def scene() -> Scene:
 class Catch:
     """A layer that keeps the frame."""
 
-    def render(self, device: rhi.Device, frame: Frame) -> None:
+    def render(self, device: Device, frame: Frame) -> None:
         self.frame = frame
 
     def destroy(self) -> None:
@@ -61,7 +60,7 @@ def find_value(texts: list[str], name: str) -> str:
     return texts[number + 1].split("\n")[texts[number].split("\n").index(name)]
 
 
-def test_an_overlay_is_two_draws_and_1000_frames_create_and_grow_nothing(null: rhi.Device, scene: Scene) -> None:
+def test_an_overlay_is_two_draws_and_1000_frames_create_and_grow_nothing(null: Device, scene: Scene) -> None:
     camera = scene.paths["ground"].camera(600)
     catch, overlay = Catch(), Overlay(null)
     with Renderer(null, scene, visibility=FrustumCulling(scene), size=SIZE) as renderer:
@@ -92,9 +91,7 @@ def test_an_overlay_is_two_draws_and_1000_frames_create_and_grow_nothing(null: r
     assert blocks[1] - blocks[0] < 350  # of 700 frames; a number that is kept in each would be 700
 
 
-def test_the_counters_are_those_of_the_frame_without_its_layers(
-    null: rhi.Device, scene: Scene, shown: list[str]
-) -> None:
+def test_the_counters_are_those_of_the_frame_without_its_layers(null: Device, scene: Scene, shown: list[str]) -> None:
     camera = scene.paths["ground"].camera(600)
     with Renderer(null, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
         overlay = Overlay(null)
@@ -112,7 +109,7 @@ def test_the_counters_are_those_of_the_frame_without_its_layers(
     assert statistics.upload_bytes < 20 * len(scene.objects) + 64
 
 
-def test_statistics_of_a_frame_are_the_same_with_and_without_layers(null: rhi.Device, scene: Scene) -> None:
+def test_statistics_of_a_frame_are_the_same_with_and_without_layers(null: Device, scene: Scene) -> None:
     camera = scene.paths["ground"].camera(600)
     with Renderer(null, scene, visibility=FrustumCulling(scene), size=SIZE) as renderer:
         renderer.render(camera)
@@ -126,7 +123,7 @@ def test_statistics_of_a_frame_are_the_same_with_and_without_layers(null: rhi.De
 
 
 def test_the_overlay_covers_its_panels_and_changes_no_other_pixel(
-    drawing_device: rhi.Device, scene: Scene, shown: list[str]
+    drawing_device: Device, scene: Scene, shown: list[str]
 ) -> None:
     camera = scene.paths["ground"].camera(600)
     with Renderer(drawing_device, scene, visibility=FrustumCulling(scene), size=SIZE) as renderer:
@@ -151,7 +148,7 @@ def test_the_overlay_covers_its_panels_and_changes_no_other_pixel(
 
 @pytest.mark.parametrize(("size", "most"), [((640, 360), 0.25), ((900, 640), 0.12), ((960, 500), 0.12)])
 def test_the_overlay_covers_a_quarter_of_a_small_picture(
-    drawing_device: rhi.Device, scene: Scene, shown: list[str], size: tuple[int, int], most: float
+    drawing_device: Device, scene: Scene, shown: list[str], size: tuple[int, int], most: float
 ) -> None:
     camera = scene.paths["ground"].camera(600)
     with Renderer(
@@ -169,7 +166,7 @@ def test_the_overlay_covers_a_quarter_of_a_small_picture(
 
 @pytest.mark.parametrize(("size", "panels"), [((901, 501), 2), ((900, 501), 1), ((901, 500), 1)])
 def test_a_map_is_shown_over_images_with_room_for_it(
-    null: rhi.Device, scene: Scene, shown: list[str], size: tuple[int, int], panels: int
+    null: Device, scene: Scene, shown: list[str], size: tuple[int, int], panels: int
 ) -> None:
     with Renderer(null, scene, visibility=FrustumCulling(scene), size=size) as renderer:
         overlay = Overlay(null)
@@ -179,7 +176,7 @@ def test_a_map_is_shown_over_images_with_room_for_it(
     assert sum("objects from above" in text for text in shown) == panels - 1
 
 
-def draw_panels(device: rhi.Device, scale: int) -> np.ndarray:
+def draw_panels(device: Device, scale: int) -> np.ndarray:
     """Return the panels with values that don't change."""
     rng = np.random.default_rng(5)
     times = rng.uniform(1.0, 60.0, 100)
@@ -216,7 +213,7 @@ def test_panels_are_the_same_on_gl_and_cl(scale: int) -> None:
 
 
 @pytest.mark.parametrize(("count", "more"), [(12, ""), (13, "\n... 1 more"), (40, "\n... 28 more")])
-def test_a_large_timer_tree_is_cut_off(null: rhi.Device, shown: list[str], count: int, more: str) -> None:
+def test_a_large_timer_tree_is_cut_off(null: Device, shown: list[str], count: int, more: str) -> None:
     leaves = [TimerNode(f"event {number}", 1.0, 2.0) for number in range(1, count)]
     canvas = Canvas(null, Font.load())
     height = draw_timers(canvas, Box(0, 0, 280, 0), [TimerNode("frame", 9.0, 9.0, leaves)], 90, 1)
@@ -225,7 +222,7 @@ def test_a_large_timer_tree_is_cut_off(null: rhi.Device, shown: list[str], count
     assert height == canvas.font.line_height * (12 + bool(more))
 
 
-def test_the_graph_shows_each_frame_as_high_as_its_time(gl: rhi.Device) -> None:
+def test_the_graph_shows_each_frame_as_high_as_its_time(gl: Device) -> None:
     frames, own = np.array([10.0, 50.0, 200.0]), np.array([0.0, 25.0, 200.0])
     canvas = Canvas(gl, Font.load())
     with gl.texture((40, 120), Format.RGBA16F) as image:
@@ -265,9 +262,7 @@ def test_the_ground_of_a_city_leaves_out_the_land_around_it(scene: Scene) -> Non
     assert (upper[small] <= high).all()
 
 
-def test_a_camera_that_sees_nothing_and_an_image_smaller_than_the_panels_are_fine(
-    null: rhi.Device, scene: Scene
-) -> None:
+def test_a_camera_that_sees_nothing_and_an_image_smaller_than_the_panels_are_fine(null: Device, scene: Scene) -> None:
     away = Camera.look_at((0, 5000, 0), (0, 6000, 0))
     with Renderer(null, scene, visibility=FrustumCulling(scene), size=(40, 30)) as renderer:
         overlay = Overlay(null, scale=2)
@@ -277,7 +272,7 @@ def test_a_camera_that_sees_nothing_and_an_image_smaller_than_the_panels_are_fin
         overlay.destroy()
 
 
-def test_auto_is_named_with_its_choice(null: rhi.Device, scene: Scene) -> None:
+def test_auto_is_named_with_its_choice(null: Device, scene: Scene) -> None:
     with Renderer(null, scene, size=(40, 30)) as renderer:
         assert isinstance(renderer.visibility, AutoCulling)
         renderer.render(scene.paths["ground"].camera(600))
@@ -285,7 +280,7 @@ def test_auto_is_named_with_its_choice(null: rhi.Device, scene: Scene) -> None:
     assert name_algorithm(make_visibility("none", scene, null)) == "NoCulling"
 
 
-def draw_ground(gl: rhi.Device, walk: CullingWalk) -> np.ndarray:
+def draw_ground(gl: Device, walk: CullingWalk) -> np.ndarray:
     """Return a map of 100 × 100 texels, of which two at its edges are left free."""
     canvas, camera = Canvas(gl, Font.load()), Camera.look_at((-900, 0, 900), (-1000, 0, 1000))
     with gl.texture((100, 100), Format.RGBA8) as image:
@@ -298,13 +293,13 @@ def draw_ground(gl: rhi.Device, walk: CullingWalk) -> np.ndarray:
 
 
 @pytest.mark.parametrize("outcome", list(WalkOutcome))
-def test_every_outcome_has_its_color_on_the_map(gl: rhi.Device, outcome: WalkOutcome) -> None:
+def test_every_outcome_has_its_color_on_the_map(gl: Device, outcome: WalkOutcome) -> None:
     corners = np.array([(10.0, 0.0, 10.0)])
     rows, columns = np.nonzero(draw_ground(gl, CullingWalk(False, corners, corners + 20.0, np.array([outcome], "u1"))))
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (11, 30, 11, 30)
 
 
-def test_of_too_many_boxes_the_map_shows_the_largest(gl: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_too_many_boxes_the_map_shows_the_largest(gl: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(panels, "MOST_BOXES", 2)
     corners, sides = np.array([(x, 0.0, 10.0) for x in (10.0, 30.0, 50.0, 70.0)]), np.array([4.0, 9.0, 5.0, 8.0])
     walk = CullingWalk(False, corners, corners + sides[:, None], np.full(4, WalkOutcome.HIDDEN, np.uint8))

@@ -14,7 +14,7 @@ from renderer.lights.culling.cells import CellGrid, slice_start
 from renderer.lights.culling.cone_tests import bounding_sphere
 from renderer.lights.culling.grid import CellLists, LightGrid
 from renderer.scene import POINT, SPOT, Camera, Depth, Lights, Orthographic, Perspective, Projection
-from rhi import Format, ValidationError
+from rhi import Device, Format, ValidationError
 from rhi.shading import evaluate
 
 SIZE = (333, 187)
@@ -89,7 +89,7 @@ def as_pairs(lists: CellLists, lights: Lights) -> np.ndarray:
 
 
 @pytest.fixture
-def make(device: rhi.Device) -> Iterator[Callable[..., LightGrid]]:
+def make(device: Device) -> Iterator[Callable[..., LightGrid]]:
     made: list[LightGrid] = []
 
     def make_grid(**options: object) -> LightGrid:
@@ -101,7 +101,7 @@ def make(device: rhi.Device) -> Iterator[Callable[..., LightGrid]]:
         grid.destroy()
 
 
-def collect(grid: LightGrid, device: rhi.Device, camera: Camera, lights: Lights, **options: object) -> CellLists:
+def collect(grid: LightGrid, device: Device, camera: Camera, lights: Lights, **options: object) -> CellLists:
     grid.collect(device, camera, SIZE, lights, **options)
     return grid.read()
 
@@ -109,7 +109,7 @@ def collect(grid: LightGrid, device: rhi.Device, camera: Camera, lights: Lights,
 @pytest.mark.parametrize("slices", [1, 12])
 @pytest.mark.parametrize("lens", LENSES)
 def test_cells_list_the_lights_whose_spheres_reach_them(
-    device: rhi.Device, make: Callable[..., LightGrid], lens: str, slices: int
+    device: Device, make: Callable[..., LightGrid], lens: str, slices: int
 ) -> None:
     lights, camera = make_lights(), look(LENSES[lens])
     grid = make(tile=16 if slices == 1 else 32, slices=slices, sphere_test="exact", cone_test="sphere")
@@ -123,7 +123,7 @@ def test_cells_list_the_lights_whose_spheres_reach_them(
 
 
 def test_the_same_lists_are_made_with_the_pre_filter_in_a_tenth_of_the_tests(
-    device: rhi.Device, make: Callable[..., LightGrid]
+    device: Device, make: Callable[..., LightGrid]
 ) -> None:
     lights, camera = make_lights(1024, 0), look(LENSES["perspective"])
     lights.point["range"] *= 0.3
@@ -135,14 +135,14 @@ def test_the_same_lists_are_made_with_the_pre_filter_in_a_tenth_of_the_tests(
     assert 6 * 3 * 1024 < lists[1].tests < 0.1 * lists[0].tests
 
 
-def test_lists_are_the_same_in_every_run(device: rhi.Device, make: Callable[..., LightGrid]) -> None:
+def test_lists_are_the_same_in_every_run(device: Device, make: Callable[..., LightGrid]) -> None:
     lights, camera, grid = make_lights(300, 100), look(LENSES["perspective"]), make(capacity=100_000)
     first, second = (collect(grid, device, camera, lights) for _ in range(2))
     for name in ("begins", "points_ends", "ends", "lights"):
         assert (getattr(first, name) == getattr(second, name)).all()
 
 
-def test_cones_are_tested_after_their_spheres(device: rhi.Device, make: Callable[..., LightGrid]) -> None:
+def test_cones_are_tested_after_their_spheres(device: Device, make: Callable[..., LightGrid]) -> None:
     lights, camera = make_lights(40, 300), look(LENSES["perspective"])
     kept = {}
     for name in ("sphere", "tight"):
@@ -153,7 +153,7 @@ def test_cones_are_tested_after_their_spheres(device: rhi.Device, make: Callable
     assert kept["tight"].sum() < 0.9 * kept["sphere"].sum()
 
 
-def test_a_grid_has_no_lists_without_lights(device: rhi.Device, make: Callable[..., LightGrid]) -> None:
+def test_a_grid_has_no_lists_without_lights(device: Device, make: Callable[..., LightGrid]) -> None:
     lists = collect(make(), device, look(LENSES["perspective"]), Lights())
     assert lists.pairs == 0
     assert len(lists.ends) == 21 * 12
@@ -162,7 +162,7 @@ def test_a_grid_has_no_lists_without_lights(device: rhi.Device, make: Callable[.
 
 @pytest.mark.parametrize(("points", "spots"), [(1, 0), (0, 1), (32, 32), (33, 31), (31, 33), (2100, 2100)])
 def test_any_number_of_lights_is_listed(
-    device: rhi.Device, make: Callable[..., LightGrid], points: int, spots: int
+    device: Device, make: Callable[..., LightGrid], points: int, spots: int
 ) -> None:
     lights, camera = make_lights(points, spots), look(LENSES["perspective"])
     for rows in (lights.point, lights.spot):
@@ -177,7 +177,7 @@ def test_any_number_of_lights_is_listed(
 # -- overflow ------------------------------------------------------------------------------------------------------
 
 
-def test_full_lists_are_in_the_masks_and_grow(device: rhi.Device, make: Callable[..., LightGrid]) -> None:
+def test_full_lists_are_in_the_masks_and_grow(device: Device, make: Callable[..., LightGrid]) -> None:
     lights, camera = make_lights(), look(LENSES["perspective"])
     whole = collect(make(capacity=100_000), device, camera, lights)
     for less in (0, 1, whole.pairs - 1):
@@ -195,9 +195,7 @@ def test_full_lists_are_in_the_masks_and_grow(device: rhi.Device, make: Callable
         assert grid.overflows == (2 if less else 0)
 
 
-def test_room_follows_the_number_of_cells_unless_it_was_said(
-    device: rhi.Device, make: Callable[..., LightGrid]
-) -> None:
+def test_room_follows_the_number_of_cells_unless_it_was_said(device: Device, make: Callable[..., LightGrid]) -> None:
     lights, camera = make_lights(), look(LENSES["perspective"])
     for options, rooms in (({}, [64 * 4, 64 * 16]), ({"capacity": 300}, [300, 300])):
         grid = make(tile=16, **options)
@@ -210,9 +208,7 @@ def test_room_follows_the_number_of_cells_unless_it_was_said(
 
 
 @pytest.mark.parametrize("size", [(1366, 768), (1680, 1050), (1, 1)])
-def test_a_grid_fits_every_resolution(
-    device: rhi.Device, make: Callable[..., LightGrid], size: tuple[int, int]
-) -> None:
+def test_a_grid_fits_every_resolution(device: Device, make: Callable[..., LightGrid], size: tuple[int, int]) -> None:
     """A light that just reaches each corner's pixel is on the list of the cell that the pixel finds."""
     lens = Perspective(aspect=size[0] / size[1], far=60.0)
     camera, lights = look(lens), Lights()
@@ -229,7 +225,7 @@ def test_a_grid_fits_every_resolution(
 
 
 def test_a_grid_follows_the_images_size_and_the_number_of_lights(
-    device: rhi.Device, make: Callable[..., LightGrid]
+    device: Device, make: Callable[..., LightGrid]
 ) -> None:
     camera, grid = look(LENSES["perspective"]), make(capacity=100_000)
     for size, points, spots in (((333, 187), 90, 0), ((640, 360), 40, 60), ((64, 64), 300, 10), ((333, 187), 90, 0)):
@@ -254,7 +250,7 @@ def project_depths(lens: Projection, z: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("lens", LENSES)
 def test_no_surface_is_lit_by_fewer_lights_than_reach_it(
-    device: rhi.Device, make: Callable[..., LightGrid], lens: str, masked: bool, slices: int
+    device: Device, make: Callable[..., LightGrid], lens: str, masked: bool, slices: int
 ) -> None:
     camera, lights, rng = look(LENSES[lens]), make_lights(200, 60), np.random.default_rng(6)
     y, x = np.mgrid[: SIZE[1], : SIZE[0]]
@@ -296,7 +292,7 @@ def find_places(lens: Projection, pixels: np.ndarray, ahead: np.ndarray) -> np.n
 
 
 def test_a_light_between_the_surfaces_of_a_tile_is_dropped_by_the_mask(
-    device: rhi.Device, make: Callable[..., LightGrid]
+    device: Device, make: Callable[..., LightGrid]
 ) -> None:
     camera, lights = look(LENSES["perspective"]), Lights()
     for depth in (4.0, 20.0, 40.0):
@@ -313,7 +309,7 @@ def test_a_light_between_the_surfaces_of_a_tile_is_dropped_by_the_mask(
     texture.destroy()
 
 
-def test_lists_can_be_made_in_a_recorded_command_buffer(device: rhi.Device, make: Callable[..., LightGrid]) -> None:
+def test_lists_can_be_made_in_a_recorded_command_buffer(device: Device, make: Callable[..., LightGrid]) -> None:
     lights, camera, grid = make_lights(), look(LENSES["perspective"]), make(capacity=100_000)
     expected = collect(grid, device, camera, lights)
     grid.lists.clear()
@@ -323,7 +319,7 @@ def test_lists_can_be_made_in_a_recorded_command_buffer(device: rhi.Device, make
     assert (grid.read().lights == expected.lights).all()
 
 
-def test_a_test_of_another_name_is_refused(device: rhi.Device) -> None:
+def test_a_test_of_another_name_is_refused(device: Device) -> None:
     for name in ("sphere_test", "cone_test", "block_test"):
         with pytest.raises(ValidationError, match="lights-unknown-test"):
             LightGrid(device, **{name: "hybrit"})

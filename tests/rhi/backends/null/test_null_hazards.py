@@ -31,6 +31,11 @@ def kinds(backend):
     return [hazard.kind for hazard in backend.hazards]
 
 
+@pytest.fixture
+def backend():
+    return make_backend()
+
+
 def with_program(backend, *bindings):
     backend.create_program(PROGRAM, hand_made_program("p", *bindings))
     backend.bind_program(PROGRAM)
@@ -98,8 +103,7 @@ def test_a_read_that_waits_frees_everything_before_it(read):
 
 
 @pytest.mark.parametrize(("begin", "size"), [(0, 20), (20, 4), (28, 20), (16, 16), (0, 64)])
-def test_a_read_of_what_the_gpu_writes_is_found_to_the_byte(begin, size):
-    backend = make_backend()
+def test_a_read_of_what_the_gpu_writes_is_found_to_the_byte(backend, begin, size):
     backend.create_buffer(900, descriptors.BufferDescriptor(64, BufferUsage.READBACK))
     backend.copy_buffer(STATIC, 0, 900, 16, 16)
     backend.read_buffer(900, 0, 16)
@@ -163,8 +167,7 @@ def test_every_command_that_touches_memory_counts(use):
     ],
     ids=["arguments of two draws", "from layers", "to layers"],
 )
-def test_all_rows_of_a_command_count(use, expected):
-    backend = make_backend()
+def test_all_rows_of_a_command_count(backend, use, expected):
     backend.create_texture(
         TEXTURE, descriptors.TextureDescriptor((1, 2), Format.RGBA8, descriptors.TextureKind.D2_ARRAY, layers=3)
     )
@@ -260,8 +263,7 @@ def test_a_write_before_the_indices_are_known_is_found_when_they_are():
     assert hazard.happened
 
 
-def test_a_suspect_counts_only_for_the_buffer_it_was_written_to():
-    backend = make_backend()
+def test_a_suspect_counts_only_for_the_buffer_it_was_written_to(backend):
     backend.create_buffer(7, descriptors.BufferDescriptor(256, BufferUsage.STREAM))
     streams = tuple(
         descriptors.VertexStream(buffer, offset, 8, False, ()) for buffer, offset in ((STREAM, 0), (7, 128))
@@ -324,8 +326,7 @@ def test_an_indirect_draw_of_nothing_reads_nothing(count, instances):
 # -- queries and resources -----------------------------------------------------------------------------------
 
 
-def test_a_query_that_is_open_or_never_begun_is_not_to_be_read():
-    backend = make_backend()
+def test_a_query_that_is_open_or_never_begun_is_not_to_be_read(backend):
     backend.create_query(1, descriptors.QueryKind.OCCLUSION)
     assert backend.read_query(1) is None
     backend.begin_query(1)
@@ -363,8 +364,7 @@ def test_destroying_what_the_gpu_may_still_use_is_found():
         assert kinds(backend) == [KINDS.DESTROYED_IN_USE] * (not waits)
 
 
-def test_writing_to_what_was_destroyed_is_found():
-    backend = make_backend()
+def test_writing_to_what_was_destroyed_is_found(backend):
     backend.destroy(STREAM)
     backend.write_buffer(STREAM, 0, bytes(16))
     (hazard,) = backend.hazards
@@ -372,8 +372,7 @@ def test_writing_to_what_was_destroyed_is_found():
     assert hazard.happened
 
 
-def test_memory_that_only_the_cpu_has_touched_is_in_nobodys_use():
-    backend = make_backend()
+def test_memory_that_only_the_cpu_has_touched_is_in_nobodys_use(backend):
     draw(backend)
     backend.write_buffer(STREAM, 0, bytes(16))
     backend.destroy(STREAM)
@@ -390,8 +389,7 @@ def test_all_that_a_draw_uses_is_in_use(resource):
     assert [(h.kind, h.resource) for h in backend.hazards] == [(KINDS.DESTROYED_IN_USE, resource)]
 
 
-def test_a_target_is_in_use_until_its_pass_has_ended():
-    backend = make_backend()
+def test_a_target_is_in_use_until_its_pass_has_ended(backend):
     backend.create_texture(TEXTURE, descriptors.TextureDescriptor((4, 4), Format.RGBA8))
     backend.begin_pass(descriptors.PassDescriptor((4, 4), (descriptors.Attachment(TEXTURE),)))
     finish(backend)

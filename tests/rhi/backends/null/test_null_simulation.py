@@ -20,6 +20,11 @@ from rhi.contract.states import CullMode, Scissor, StateChange, Viewport
 CPU, GPU = Lane.CPU, Lane.GPU
 
 
+@pytest.fixture
+def backend():
+    return make_backend()
+
+
 # -- clocks and submission -------------------------------------------------------------------------------
 
 
@@ -50,8 +55,7 @@ def test_options_of_the_wrong_type_are_refused(option):
         rhi.create_device("null", **option)
 
 
-def test_every_call_takes_the_cpu_its_time_and_other_work_what_it_says():
-    backend = make_backend()
+def test_every_call_takes_the_cpu_its_time_and_other_work_what_it_says(backend):
     before = backend.now
     draw(backend)
     draw(backend)
@@ -70,15 +74,13 @@ CREATIONS = {
 
 
 @pytest.mark.parametrize("create", CREATIONS.values(), ids=CREATIONS)
-def test_making_anything_takes_a_call(create):
-    backend = make_backend()
+def test_making_anything_takes_a_call(backend, create):
     before = backend.now
     create(backend)
     assert backend.now - before == 10
 
 
-def test_a_read_of_readback_memory_takes_a_call_and_does_not_wait_for_the_gpu():
-    backend = make_backend()
+def test_a_read_of_readback_memory_takes_a_call_and_does_not_wait_for_the_gpu(backend):
     backend.create_buffer(900, BufferDescriptor(16, descriptors.BufferUsage.READBACK))
     backend.copy_buffer(STATIC, 0, 900, 0, 16)
     backend.signal(1)
@@ -90,8 +92,7 @@ def test_a_read_of_readback_memory_takes_a_call_and_does_not_wait_for_the_gpu():
     assert backend.now - before > 10  # a read of other memory waits
 
 
-def test_a_fence_completes_when_the_work_before_it_is_done_and_not_earlier():
-    backend = make_backend()
+def test_a_fence_completes_when_the_work_before_it_is_done_and_not_earlier(backend):
     draw(backend)
     backend.signal(1)
     submitted = backend.now
@@ -101,8 +102,7 @@ def test_a_fence_completes_when_the_work_before_it_is_done_and_not_earlier():
     assert backend.completed() == 1
 
 
-def test_commands_do_not_start_before_they_are_submitted():
-    backend = make_backend()
+def test_commands_do_not_start_before_they_are_submitted(backend):
     draw(backend)
     backend.spend(1_000_000)
     assert backend.statistics.draws == 0
@@ -122,8 +122,7 @@ def test_a_full_batch_is_submitted_by_itself():
     assert backend.statistics.draws == 4
 
 
-def test_a_wait_stalls_the_cpu_until_the_gpu_is_there():
-    backend = make_backend()
+def test_a_wait_stalls_the_cpu_until_the_gpu_is_there(backend):
     draw(backend, 5)
     backend.signal(1)
     submitted = backend.now
@@ -134,8 +133,7 @@ def test_a_wait_stalls_the_cpu_until_the_gpu_is_there():
     assert (stall.start, stall.end, stall.name) == (submitted + 10, backend.now, "wait(1)")
 
 
-def test_a_wait_for_what_is_done_does_not_stall():
-    backend = make_backend()
+def test_a_wait_for_what_is_done_does_not_stall(backend):
     draw(backend)
     backend.signal(1)
     backend.spend(5000)
@@ -143,8 +141,7 @@ def test_a_wait_for_what_is_done_does_not_stall():
     assert backend.timeline.total(CPU, Activity.STALLED) == 0
 
 
-def test_a_wait_that_is_too_short_says_so_and_has_taken_its_time():
-    backend = make_backend()
+def test_a_wait_that_is_too_short_says_so_and_has_taken_its_time(backend):
     draw(backend, 5)
     backend.signal(1)
     before = backend.now
@@ -154,8 +151,7 @@ def test_a_wait_that_is_too_short_says_so_and_has_taken_its_time():
     assert backend.wait(1, 4e-6)
 
 
-def test_a_read_waits_for_everything_before_it():
-    backend = make_backend()
+def test_a_read_waits_for_everything_before_it(backend):
     backend.write_buffer(STATIC, 0, b"abcd")
     draw(backend, 3)
     before = backend.now
@@ -163,8 +159,7 @@ def test_a_read_waits_for_everything_before_it():
     assert backend.now == before + 10 + 100 + 3000 + 7
 
 
-def test_the_gpu_starves_between_two_submissions():
-    backend = make_backend()
+def test_the_gpu_starves_between_two_submissions(backend):
     draw(backend)
     backend.signal(1)
     backend.wait(1, 1.0)
@@ -200,8 +195,7 @@ def test_stop_and_wait_alternates_and_asking_later_overlaps():
     assert asking_later.end < waiting.end * 0.6
 
 
-def test_timestamps_are_of_the_gpus_clock():
-    backend = make_backend()
+def test_timestamps_are_of_the_gpus_clock(backend):
     for query in (1, 2):
         backend.create_query(query, QueryKind.TIMESTAMP)
     backend.write_query(1)
@@ -212,8 +206,7 @@ def test_timestamps_are_of_the_gpus_clock():
     assert backend.read_query(2) - backend.read_query(1) == 4000
 
 
-def test_a_query_has_no_answer_before_its_time_and_never_an_older_one():
-    backend = make_backend()
+def test_a_query_has_no_answer_before_its_time_and_never_an_older_one(backend):
     backend.create_query(1, QueryKind.OCCLUSION)
     for instances in (1, 2):
         backend.begin_query(1)
@@ -224,8 +217,7 @@ def test_a_query_has_no_answer_before_its_time_and_never_an_older_one():
         assert backend.read_query(1) == instances * 1000
 
 
-def test_reading_a_query_submits_what_it_waits_for():
-    backend = make_backend()
+def test_reading_a_query_submits_what_it_waits_for(backend):
     backend.create_query(1, QueryKind.TIMESTAMP)
     backend.write_query(1)
     while backend.read_query(1) is None:
@@ -233,8 +225,7 @@ def test_reading_a_query_submits_what_it_waits_for():
 
 
 @pytest.mark.parametrize(("spent", "drawn"), [(0, 9), (1000, 3)])
-def test_memory_of_a_stream_buffer_is_free_only_when_the_gpu_has_read_it(spent, drawn):
-    backend = make_backend()
+def test_memory_of_a_stream_buffer_is_free_only_when_the_gpu_has_read_it(backend, spent, drawn):
     backend.write_buffer(STREAM, 0, words(3, 1, 0, 0, 0))
     backend.draw_indirect(PLAIN, Primitive.TRIANGLES, STREAM, 0, 1, 20, 0, 0)
     backend.signal(1)
@@ -244,8 +235,7 @@ def test_memory_of_a_stream_buffer_is_free_only_when_the_gpu_has_read_it(spent, 
     assert backend.indirect_draws[-1].draws["count"].tolist() == [drawn]
 
 
-def test_a_command_that_raises_is_taken_out_and_those_after_it_are_executed():
-    backend = make_backend()
+def test_a_command_that_raises_is_taken_out_and_those_after_it_are_executed(backend):
     backend.copy_buffer(999, 0, STATIC, 0, 4)
     backend.write_buffer(STATIC, 4, b"bbbb")
     backend.signal(1)
@@ -464,8 +454,7 @@ def test_the_model_is_linear_and_replaceable():
     assert backend.timeline.total(GPU, Activity.BUSY) == 2 * 500
 
 
-def test_memory_written_lies_in_the_queue_up_to_a_limit():
-    backend = make_backend()
+def test_memory_written_lies_in_the_queue_up_to_a_limit(backend):
     backend.create_buffer(5, BufferDescriptor(1 << 23))
     for _ in range(4):
         backend.write_buffer(5, 0, np.zeros(1 << 23, np.uint8))

@@ -27,11 +27,7 @@ class Turns(Shader):
         self.out[i] = n
 
 
-class Counted(Shader):
-    work_group = (N,)
-    most: Storage[int]
-    out: StorageRW[int]
-
+class Counted(Turns):
     def compute(self) -> None:
         i = global_id().x
         n = 0
