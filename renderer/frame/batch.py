@@ -95,7 +95,15 @@ class FrameBatch:
             self._buffer = self._device.buffer(room, DRAW, label="batch")
             self._draws, self._with_nothing = draws, np.append(draws, np.zeros(1, DRAW))
         if parts is not self._written:  # other passes and the second eye draw the same
-            self._write(self._buffer, parts)
+            self._counts = [-(-len(part) // _STEP) * _STEP for part in parts]
+            self._starts = np.cumsum([0, *self._counts]).tolist()
+            rows = np.full(self._starts.pop(), len(draws))
+            for part, start in zip(parts, self._starts, strict=True):
+                rows[start : start + len(part)] = part
+            if not np.array_equal(rows, self._rows):
+                self._buffer.write(self._with_nothing[rows])
+                self._rows = rows
+            self._written = parts
         buffer, counts, starts = self._buffer, self._counts, self._starts
 
         def issue_batch(encoder: Encoder) -> None:
@@ -106,19 +114,6 @@ class FrameBatch:
             issue(encoder, arguments)
 
         commands.execute((*key, buffer, *counts), issue_batch)
-
-    def _write(self, buffer: Buffer, parts: Sequence[NDArray[np.int64]]) -> None:
-        """Write the draws of parts, each of which begins at a place of `_starts`."""
-        nothing = len(self._with_nothing) - 1
-        self._counts = [-(-len(part) // _STEP) * _STEP for part in parts]
-        self._starts = np.cumsum([0, *self._counts]).tolist()
-        rows = np.full(self._starts.pop(), nothing)
-        for part, start in zip(parts, self._starts, strict=True):
-            rows[start : start + len(part)] = part
-        if not np.array_equal(rows, self._rows):
-            buffer.write(self._with_nothing[rows])
-            self._rows = rows
-        self._written = parts
 
     def destroy(self) -> None:
         """Destroy the buffer."""

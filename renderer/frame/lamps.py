@@ -29,6 +29,8 @@ EYES: Final = 2
 
 _GROUP: Final = 64
 
+Views = Sequence[UniformRange[ViewConstants]]
+"""The constants of views on a device."""
 Split = tuple[NDArray[np.float32], NDArray[np.float32]]
 """Doubles as pairs of floats, see `split_doubles`."""
 
@@ -128,13 +130,7 @@ class Lamps:
         point, spot = self._kinds
         return point.seen[eye], spot.seen[eye]
 
-    def update(
-        self,
-        lights: Lights,
-        reaching: tuple[bool, bool],
-        eyes: Sequence[Floats],
-        views: Sequence[UniformRange[ViewConstants]] = (),
-    ) -> None:
+    def update(self, lights: Lights, reaching: tuple[bool, bool], eyes: Sequence[Floats], views: Views = ()) -> None:
         """Make the lights relative to the positions (3,) of `eyes`.
 
         Args:
@@ -198,7 +194,7 @@ class Lamps:
         else:
             self.radii.destroy()
 
-    def _run(self, views: Sequence[UniformRange[ViewConstants]], *, is_new: bool) -> None:
+    def _run(self, views: Views, *, is_new: bool) -> None:
         """Run the kernels that place the lights for both eyes. What `is_new` is uploaded first."""
         if is_new:
             for kind in self._kinds:
@@ -208,7 +204,7 @@ class Lamps:
         if self._work:
             self._commands.dispatch(self._work)
 
-    def _list_work(self, views: Sequence[UniformRange[ViewConstants]]) -> list[Dispatch]:
+    def _list_work(self, views: Views) -> list[Dispatch]:
         """Return the kernels that place the lights: programs, numbers of groups, and bindings."""
         return [
             (

@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import cached_property
 from typing import Any, Final
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from renderer import rules, shaders
 from renderer.frame.hidden import HiddenObjects
 from renderer.frame.images import AS_GIVEN, SceneImages, TextureSettings
-from renderer.frame.lamps import Lamps
+from renderer.frame.lamps import Lamps, Views
 from renderer.frame.mirrors import (
     MirroredArray,
     MirroredValue,
@@ -395,7 +395,7 @@ class SceneResources:
         """Whether any point light reaches an object, and whether any spot light does."""
         return self._reaching
 
-    def update(self, *eyes: Camera, views: Sequence[UniformRange[shaders.ViewConstants]] = ()) -> None:
+    def update(self, *eyes: Camera, views: Views = ()) -> None:
         """Update the buffers to the scene, with lights for each of a frame's `eyes`; `look_from` chooses one. Of two
         eyes, `views` are the constants on the device."""
         scene, lights = self.scene, self.lights

@@ -40,16 +40,13 @@ class PlacedLamps(Lamps):
     def __init__(self, device: rhi.Device) -> None:
         super().__init__(device)
         self.views = [device.uniform(describe_view(np.zeros(3))) for _ in range(2)]
+        for view in self.views:
+            self._made.callback(view.destroy)
 
     def place(self, lights: Lights, eyes: Sequence[NDArray[np.float64]]) -> None:
         for view, eye in zip(self.views, eyes, strict=False):
             view.write(describe_view(eye))
         self.update(lights, BOTH, eyes, self.views)
-
-    def destroy(self) -> None:
-        for view in self.views:
-            view.destroy()
-        super().destroy()
 
 
 def describe_view(eye: NDArray[np.float64]) -> ViewConstants:

@@ -209,6 +209,16 @@ def test_the_second_eye_uploads_its_camera_and_no_lights(null: rhi.Device) -> No
         assert two == [2 * view] * 3
 
 
+def test_eyes_that_were_exchanged_see_lamps_where_they_are(gl: rhi.Device) -> None:
+    scene = load_scene("grid:count=9,lights=16")
+    camera = next(iter(scene.views.values()))
+    moved = replace(camera, position=camera.position + 0.5)
+    with open_renderer(gl, scene) as renderer, open_renderer(gl, scene) as fresh:
+        draw(renderer, camera, Stereo(RIG, "color"))
+        exchanged = draw(renderer, moved, Stereo(RIG, "side_by_side"))[1]  # another size has another right eye
+        assert np.array_equal(exchanged, draw(fresh, moved, Stereo(RIG, "side_by_side"))[1])
+
+
 def test_eyes_that_are_culled_by_queries_are_asked_one_by_one(null: rhi.Device, city: Scene) -> None:
     # The control: what one eye's queries say doesn't hold for the other.
     class Alone(Counted):
