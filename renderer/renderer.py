@@ -376,7 +376,7 @@ class Renderer:
         self.scene.refresh()
         self.simulator.slow_down(around, self._targets.size[1], self._animation_lag)
         eyes = [self._view] if pair is None or pair.stereo.is_reprojected else [self._view, pair.view]
-        resources.update(*(eye.camera for eye in eyes))
+        resources.update(*(eye.camera for eye in eyes), views=[eye.buffer for eye in eyes])
         resources.hidden.begin_frame(None if self.simulates_unseen or pair is not None else around)
         resources.expect(around, expected, self.simulator.diverging if self.simulates_unseen else None)
         needs = self._find_needs(around, self._seen.settle(around))

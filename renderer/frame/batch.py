@@ -52,6 +52,9 @@ class FrameBatch:
         self._draws: NDArray[Any] | None = None  # of which the buffer has `_rows`, in this order
         self._with_nothing = np.zeros(0, DRAW)  # the same, and a draw of nothing
         self._rows = np.zeros(0, np.int64)
+        self._written: Sequence[NDArray[np.int64]] | None = None  # the parts that these rows are of
+        self._counts: list[int] = []
+        self._starts: list[int] = []
         self._buffer: Buffer | None = None
         self._parts: tuple[NDArray[np.int64], bytes, list[NDArray[np.int64]]] | None = None
 
@@ -91,15 +94,17 @@ class FrameBatch:
             self.destroy()
             self._buffer = self._device.buffer(room, DRAW, label="batch")
             self._draws, self._with_nothing = draws, np.append(draws, np.zeros(1, DRAW))
-        counts = [-(-len(part) // _STEP) * _STEP for part in parts]
-        starts = np.cumsum([0, *counts]).tolist()
-        rows = np.full(starts.pop(), len(draws))
-        for part, start in zip(parts, starts, strict=True):
-            rows[start : start + len(part)] = part
-        if not np.array_equal(rows, self._rows):
-            self._buffer.write(self._with_nothing[rows])
-            self._rows = rows
-        buffer = self._buffer
+        if parts is not self._written:  # other passes and the second eye draw the same
+            self._counts = [-(-len(part) // _STEP) * _STEP for part in parts]
+            self._starts = np.cumsum([0, *self._counts]).tolist()
+            rows = np.full(self._starts.pop(), len(draws))
+            for part, start in zip(parts, self._starts, strict=True):
+                rows[start : start + len(part)] = part
+            if not np.array_equal(rows, self._rows):
+                self._buffer.write(self._with_nothing[rows])
+                self._rows = rows
+            self._written = parts
+        buffer, counts, starts = self._buffer, self._counts, self._starts
 
         def issue_batch(encoder: Encoder) -> None:
             arguments = [
@@ -112,7 +117,7 @@ class FrameBatch:
 
     def destroy(self) -> None:
         """Destroy the buffer."""
-        self._rows = np.zeros(0, np.int64)
+        self._rows, self._written = np.zeros(0, np.int64), None
         if self._buffer is not None:
             self._buffer.destroy()
             self._buffer = None

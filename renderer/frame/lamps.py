@@ -1,10 +1,10 @@
 """Point and spot lights on a device, with positions relative to each eye of a frame.
 
 One eye is given relative positions by the CPU, whenever it has moved. For two eyes positions are uploaded once, as
-pairs of floats, and only when lights change; a kernel subtracts both eyes' from them, and shaders of light read what it
-has written. For one eye a kernel would save an upload, but llvmpipe waits with it for the frame before, so
-the CPU could no longer record a frame while the last one is drawn. A device without kernels is given relative
-positions for both.
+pairs of floats, and only when lights change; a kernel subtracts both eyes' from them, which it takes from the constants
+of their views, and shaders of light read what it has written. For one eye a kernel would save an upload, but llvmpipe
+waits with it for the frame before, so the CPU could no longer record a frame while the last one is drawn. A device
+without kernels is given relative positions for both.
 """
 
 from __future__ import annotations
@@ -16,19 +16,21 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame.mirrors import MirroredArray, MirroredTable, MirroredValue, split_doubles
+from renderer.frame.mirrors import MirroredArray, MirroredTable, split_doubles
 from renderer.scene.arrays import Floats
 from renderer.scene.lights import Lights
-from renderer.shaders import PointLight, SpotLight
-from renderer.visibility.repeated import RepeatedCommands
-from rhi import Device, Encoder, Format
-from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, function, global_id, vec3
+from renderer.shaders import PointLight, SpotLight, ViewConstants
+from renderer.visibility.repeated import Dispatch, RepeatedCommands
+from rhi import Device, Format
+from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, UniformRange, function, global_id, vec3
 
 EYES: Final = 2
 """The largest number of eyes of a frame."""
 
 _GROUP: Final = 64
 
+Views = Sequence[UniformRange[ViewConstants]]
+"""The constants of views on a device."""
 Split = tuple[NDArray[np.float32], NDArray[np.float32]]
 """Doubles as pairs of floats, see `split_doubles`."""
 
@@ -46,18 +48,18 @@ def subtract_exactly(place: ExactPlace, eye: ExactPlace) -> vec3:
     return (place.high - eye.high) + (place.low - eye.low)
 
 
-class EyePlaces(Struct):
-    """The positions of both eyes."""
-
-    left: ExactPlace
-    right: ExactPlace
+@function
+def place_for(place: ExactPlace, view: ViewConstants) -> vec3:
+    """Return a position relative to the eye of a view."""
+    return subtract_exactly(place, ExactPlace(high=view.eye_high, low=view.eye_low))
 
 
 class PlacePoints(Shader):
     """Makes the positions of point lights relative to both eyes."""
 
     work_group = (_GROUP,)
-    eyes: Uniform[EyePlaces]
+    left_view: Uniform[ViewConstants]
+    right_view: Uniform[ViewConstants]
     places: Storage[ExactPlace]
     left: StorageRW[PointLight]
     right: StorageRW[PointLight]
@@ -65,15 +67,16 @@ class PlacePoints(Shader):
     def compute(self) -> None:
         i = global_id().x
         if i < len(self.places):
-            self.left[i].position = subtract_exactly(self.places[i], self.eyes.left)
-            self.right[i].position = subtract_exactly(self.places[i], self.eyes.right)
+            self.left[i].position = place_for(self.places[i], self.left_view)
+            self.right[i].position = place_for(self.places[i], self.right_view)
 
 
 class PlaceSpots(Shader):
     """Makes the positions of spot lights relative to both eyes."""
 
     work_group = (_GROUP,)
-    eyes: Uniform[EyePlaces]
+    left_view: Uniform[ViewConstants]
+    right_view: Uniform[ViewConstants]
     places: Storage[ExactPlace]
     left: StorageRW[SpotLight]
     right: StorageRW[SpotLight]
@@ -81,8 +84,8 @@ class PlaceSpots(Shader):
     def compute(self) -> None:
         i = global_id().x
         if i < len(self.places):
-            self.left[i].position = subtract_exactly(self.places[i], self.eyes.left)
-            self.right[i].position = subtract_exactly(self.places[i], self.eyes.right)
+            self.left[i].position = place_for(self.places[i], self.left_view)
+            self.right[i].position = place_for(self.places[i], self.right_view)
 
 
 class _Kind:
@@ -106,7 +109,7 @@ class Lamps:
     def __init__(self, device: Device) -> None:
         self._device = device
         self._runs = False  # whether kernels place the lights
-        self._work: list[tuple[Any, int, dict[str, Any]]] = []
+        self._work: list[Dispatch] = []
         self._kinds = (
             _Kind(device, PointLight, PlacePoints, "point lights"),
             _Kind(device, SpotLight, PlaceSpots, "spot lights"),
@@ -116,7 +119,6 @@ class Lamps:
                 made.callback(kind.destroy)
             self.radii = MirroredTable(device, Format.RG32F, "source radii")
             made.callback(self.radii.destroy)
-            self._eyes: MirroredValue[EyePlaces] | None = None  # made for kernels
             self._commands = RepeatedCommands(device, "")
             made.callback(self._stop_kernels)
             self._made = made.pop_all()
@@ -128,18 +130,19 @@ class Lamps:
         point, spot = self._kinds
         return point.seen[eye], spot.seen[eye]
 
-    def update(self, lights: Lights, reaching: tuple[bool, bool], eyes: Sequence[Floats]) -> None:
+    def update(self, lights: Lights, reaching: tuple[bool, bool], eyes: Sequence[Floats], views: Views = ()) -> None:
         """Make the lights relative to the positions (3,) of `eyes`.
 
         Args:
             reaching: whether any point light is needed, and whether any spot light is.
+            views: the constants of two eyes on the device.
         """
         kinds = tuple(
             some if is_needed else some[:0]
             for some, is_needed in zip((lights.point, lights.spot), reaching, strict=True)
         )
         runs = self._device.capabilities.compute and len(eyes) > 1
-        state = runs, reaching, lights.contents[1:]
+        state = runs, reaching, lights.contents[1:], *(views if runs else ())
         is_new = state != self._state
         if is_new:
             if self._runs and not runs:
@@ -153,7 +156,7 @@ class Lamps:
         self._placed |= {eye: eyes[eye].tobytes() for eye in moved}
         if self._runs:
             if moved:
-                self._run(eyes, is_new=is_new)
+                self._run(views, is_new=is_new)
         else:
             for eye in moved:
                 for kind in self._kinds:
@@ -165,9 +168,6 @@ class Lamps:
         """Destroy what two eyes need and one doesn't."""
         self._commands.forget()
         self._work = []
-        if self._eyes is not None:
-            self._eyes.destroy()
-            self._eyes = None
         for kind in self._kinds:
             kind.places.destroy()
             for seen in kind.seen[1:]:
@@ -194,36 +194,25 @@ class Lamps:
         else:
             self.radii.destroy()
 
-    def _run(self, eyes: Sequence[Floats], *, is_new: bool) -> None:
+    def _run(self, views: Views, *, is_new: bool) -> None:
         """Run the kernels that place the lights for both eyes. What `is_new` is uploaded first."""
         if is_new:
             for kind in self._kinds:
                 for seen in kind.seen:
                     seen.write(kind.packed)
-        if not any(len(kind.packed) for kind in self._kinds):
-            return
-        left, right = map(_place, eyes)
-        places = EyePlaces(left=left, right=right)
-        if self._eyes is None:
-            self._eyes = MirroredValue(self._device, places)
-        if is_new:
-            self._work = self._list_work(self._eyes)
-        self._eyes.write(places)
-        key = tuple(one for _, _, bindings in self._work for one in bindings.values())
-        self._commands.execute(key, self._issue)
+            self._work = self._list_work(views)
+        if self._work:
+            self._commands.dispatch(self._work)
 
-    def _issue(self, encoder: Encoder) -> None:
-        for program, groups, bindings in self._work:
-            encoder.dispatch(program, groups, **bindings)
-
-    def _list_work(self, eyes: MirroredValue[EyePlaces]) -> list[tuple[Any, int, dict[str, Any]]]:
+    def _list_work(self, views: Views) -> list[Dispatch]:
         """Return the kernels that place the lights: programs, numbers of groups, and bindings."""
         return [
             (
                 self._device.program(kind.shader),
                 -(-len(kind.packed) // _GROUP),
                 {
-                    "eyes": eyes.buffer,
+                    "left_view": views[0],
+                    "right_view": views[1],
                     "places": kind.places.buffer,
                     "left": kind.seen[0].buffer,
                     "right": kind.seen[1].buffer,
@@ -246,8 +235,3 @@ def subtract_places(places: Split, eye: Floats) -> NDArray[np.float32]:
     eye_high, eye_low = split_doubles(eye)
     relative: NDArray[np.float32] = (high - eye_high) + (low - eye_low)
     return relative
-
-
-def _place(position: Floats) -> ExactPlace:
-    high, low = split_doubles(position)
-    return ExactPlace(high=high, low=low)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from renderer import rules, shaders
 from renderer.frame.hidden import HiddenObjects
 from renderer.frame.images import AS_GIVEN, SceneImages, TextureSettings
-from renderer.frame.lamps import Lamps
+from renderer.frame.lamps import Lamps, Views
 from renderer.frame.mirrors import (
     MirroredArray,
     MirroredValue,
@@ -395,8 +395,9 @@ class SceneResources:
         """Whether any point light reaches an object, and whether any spot light does."""
         return self._reaching
 
-    def update(self, *eyes: Camera) -> None:
-        """Update the buffers to the scene, with lights for each of a frame's `eyes`; `look_from` chooses one."""
+    def update(self, *eyes: Camera, views: Views = ()) -> None:
+        """Update the buffers to the scene, with lights for each of a frame's `eyes`; `look_from` chooses one. Of two
+        eyes, `views` are the constants on the device."""
         scene, lights = self.scene, self.lights
         following = scene.objects.following_rows  # others that move are simulated before they are drawn
         self._transform(following)
@@ -411,7 +412,7 @@ class SceneResources:
             has_others = self._follow_materials()
         self.objects.write(self._rows, None if self._list_lights() or has_others else following)
         self.places.write(self._places, None if has_others else following)
-        self._lamps.update(lights, self._reaching, [eye.position for eye in eyes])
+        self._lamps.update(lights, self._reaching, [eye.position for eye in eyes], views)
         self.look_from(0)
         self.ambient.write(_ambient(scene))
 

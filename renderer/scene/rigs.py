@@ -15,7 +15,7 @@ A parallel lens sees what is beside the eye's axis at any distance, so its paral
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
@@ -43,7 +43,7 @@ _CORNERS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 _AHEAD: Final = np.array([1.0, 1.0, -1.0])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Skewed:
     """A lens with a skewed axis: d metres along the view, the middle of its image is d · `skew` to the right of where
     `lens` has it."""
@@ -56,11 +56,12 @@ class Skewed:
         """The direction of depth."""
         return self.lens.depth
 
-    @property
+    @cached_property
     def matrix(self) -> Floats:
         """The matrix (4, 4) float64 from view space to clip space."""
         m = self.lens.matrix.copy()
         m[:, 2] += self.skew * m[:, 0]
+        m.setflags(write=False)
         return m
 
     def with_aspect(self, aspect: float) -> Skewed:

@@ -279,8 +279,7 @@ def dispatch_tiles(frame: Frame, lit: Texture, *bases: type[Any], own: Mapping[s
     """Run the compute shader with these bases for all tiles, with bindings of its own and its switches."""
     uploads = frame.view.workspace(_make_uploads)
     uploads.write(frame.camera, frame.targets.size, frame.resources.lights)
-    count = uploads.layout.count
     program: Any = frame.program(find_variant(frame, *bases, **find_contents(frame.needs), **switches))
     cones = uploads.cones if Effect.SPOT_LIGHTS in frame.needs.effects else {}
     own = {**own, "lit": lit.image(0), **uploads.bindings, **cones}
-    frame.device.dispatch(program, (count.x, count.y), **bind(frame, program, own))
+    frame.device.dispatch(program, uploads.count[:2], **bind(frame, program, own))

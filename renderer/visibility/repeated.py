@@ -6,10 +6,13 @@ commands. What changes from frame to frame, such as the camera, lies in buffers,
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from rhi import CommandBuffer, Device, Encoder, Region, StorageBuffer, Texture
+from rhi import CommandBuffer, Device, Encoder, Program, Region, StorageBuffer, Texture
+
+Dispatch = tuple[Program[...], int | tuple[int, ...], dict[str, Any]]
+"""A compute program, the number of its groups, and its bindings."""
 
 
 class RepeatedCommands:
@@ -40,6 +43,15 @@ class RepeatedCommands:
                 issue(commands)
             self._commands = commands
         self._device.submit(self._commands)
+
+    def dispatch(self, work: Sequence[Dispatch]) -> None:
+        """Execute dispatches, in order."""
+
+        def issue(encoder: Encoder) -> None:
+            for program, groups, bindings in work:
+                encoder.dispatch(program, groups, **bindings)
+
+        self.execute(tuple(one for *ran, given in work for one in (*ran, *given.values())), issue)
 
     def forget(self) -> None:
         """Drop what was recorded, since the resources that it uses may be destroyed."""

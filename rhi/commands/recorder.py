@@ -244,9 +244,18 @@ class Recorder(ForwardingBackend):
 
     def pass_on(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
         """Record a command that was called elsewhere, with its own call site, and forward it."""
-        self._write((int(op), *arguments, code, offset))
+        self.repeat(*self.prepare(op, arguments, code, offset))
+
+    def prepare(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> tuple[Any, ...]:
+        """Return the arguments with which `repeat` does what `pass_on` does, any number of times and in half the
+        time."""
+        return (int(op), *arguments, code, offset), *find_call(self.backend, op, arguments, code, offset)
+
+    def repeat(self, entry: tuple[Any, ...], call: Callable[..., object], arguments: tuple[Any, ...]) -> None:
+        """Record a command as the stream has it, and forward it."""
+        self._write(entry)
         try:
-            pass_on(self.backend, op, arguments, code, offset)
+            call(*arguments)
         except BaseException as error:
             self._fail(error)
             raise
@@ -274,8 +283,15 @@ class Recorder(ForwardingBackend):
 
 def pass_on(backend: Backend, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
     """Call a backend's command that was called elsewhere, with its call site if the backend has a `pass_on` method."""
+    call, given = find_call(backend, op, arguments, code, offset)
+    call(*given)
+
+
+def find_call(
+    backend: Backend, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int
+) -> tuple[Callable[..., object], tuple[Any, ...]]:
+    """Return the method that `pass_on` calls, and its arguments."""
     with_site = getattr(backend, "pass_on", None)
     if with_site is None:
-        getattr(backend, op.method)(*arguments)
-    else:
-        with_site(op, arguments, code, offset)
+        return getattr(backend, op.method), arguments
+    return with_site, (op, arguments, code, offset)

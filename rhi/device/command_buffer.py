@@ -338,7 +338,7 @@ class CommandBuffer(Encoder):
         backend = device.backend
         if isinstance(backend, Recorder):
             stream = self.stream
-            return [(backend.pass_on, stream.entry(index)) for index in range(len(stream))]
+            return [(backend.repeat, backend.prepare(*stream.entry(index))) for index in range(len(stream))]
         calls: list[PreparedCall] = []
         tests_alpha, program = False, 0
         methods: list[Callable[..., object]] = [getattr(backend, op.method) for op in Op]

@@ -481,7 +481,6 @@ class Device(Encoder):
     @overload
     def program(self, shader: ProgramDescriptor) -> Program[...]: ...
 
-    @_creates
     def program(self, shader: Any) -> Program[...]:
         """Create the program of a shader class or of a native program's descriptor; equal arguments share one.
 
@@ -494,14 +493,17 @@ class Device(Encoder):
                 "shader", shader, "a class derived from Shader, or a ProgramDescriptor"
             )
         program = self._programs.find(shader)
-        if program is None:
-            if isinstance(shader, ProgramDescriptor):
-                program = Program(self._core, shader)
-            else:
-                with self._core.refusals:
-                    descriptor = self._programs.compile(shader)
-                program = Program(self._core, descriptor, list_bindings(shader))
-            self._programs.add(shader, program)
+        return self._create_program(shader) if program is None else program
+
+    @_creates
+    def _create_program(self, shader: Any) -> Program[...]:
+        if isinstance(shader, ProgramDescriptor):
+            program: Program[...] = Program(self._core, shader)
+        else:
+            with self._core.refusals:
+                descriptor = self._programs.compile(shader)
+            program = Program(self._core, descriptor, list_bindings(shader))
+        self._programs.add(shader, program)
         return program
 
     # -- work --------------------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ from renderer.lights.culling.uploads import BufferSet, LightUploads, round_up
 from renderer.lights.culling.volumes import WORD
 from renderer.scene import Camera, Lights
 from renderer.shaders.prefix_sum import PrefixSum
-from rhi import Device, Encoder, Readback, StorageBuffer, Texture, UniformBuffer
+from rhi import Device, Encoder, Program, Readback, StorageBuffer, Texture, UniformBuffer
 from rhi.shading import uint
 
 _START: Final = 64
@@ -147,8 +147,8 @@ class LightGrid:
     @property
     def cells(self) -> int:
         """The number of cells of the last frame."""
-        count = self.layout.count
-        return count.x * count.y * count.z
+        columns, rows, slices = self._uploads.count
+        return columns * rows * slices
 
     @property
     def lists(self) -> StorageBuffer[int]:
@@ -168,23 +168,28 @@ class LightGrid:
         Args:
             depth: the depth of all that is lit through the lists; cells then end at the surfaces of their tile.
         """
+        for program, groups, bindings in self.prepare(camera, size, lights, depth):
+            encoder.dispatch(program, groups, **bindings)
+
+    def prepare(
+        self, camera: Camera, size: tuple[int, int], lights: Lights, depth: Texture | None = None
+    ) -> list[tuple[Program[...], int | tuple[int, ...], dict[str, Any]]]:
+        """Upload what the device needs to list the lights of a frame. Return the dispatches that do so, once: compute
+        programs, the numbers of their groups, and bindings."""
         self._learn()
         self._uploads.write(camera, size, lights)
         self._make_room()
-        buffers, blocks = self._buffers, (-(-self.layout.count.x // BLOCK), -(-self.layout.count.y // BLOCK))
+        columns, rows, slices = self._uploads.count
+        buffers, blocks = self._buffers, (-(-columns // BLOCK), -(-rows // BLOCK))
         features: tuple[type[CollectLights], ...] = self._counted
         given: dict[str, Any] = {name: buffers[name] for name in ("masks", "counts")}
         uploads = self._uploads.bindings
+        find: Any = FindTileMasks if CollectByMask in self._by_depth else FindTileDepths
+        work: list[tuple[Any, Any, dict[str, Any]]] = []
         if depth is not None:
             features += self._by_depth
             given["depths"] = buffers["depths"]
-            encoder.dispatch(
-                self.device.program(FindTileMasks if CollectByMask in self._by_depth else FindTileDepths),
-                blocks,
-                grid=self.parameters,
-                depth=depth,
-                depths=buffers["depths"],
-            )
+            work.append((find, blocks, {"grid": self.parameters, "depth": depth, "depths": buffers["depths"]}))
         if self._counted:
             buffers["tests"].write(np.zeros(1, np.uint32))
             given["tests"] = buffers["tests"]
@@ -192,22 +197,15 @@ class LightGrid:
         if len(lights.spot) and cone_test is not CONE_TESTS["sphere"]:
             features += (CollectSpots,)
             given |= self._uploads.cones
-        encoder.dispatch(
-            self.device.program(collect_variant(sphere_test, cone_test, block_test, features)),
-            (*blocks, self.layout.count.z),
-            **uploads,
-            **given,
-        )
-        encoder.dispatch(self.device.program(PrefixSum), 1, counts=buffers["counts"])
-        encoder.dispatch(
-            self.device.program(WriteLists),
-            self.cells // GROUP + 1,
-            lights=uploads["lights"],
-            masks=buffers["masks"],
-            sums=buffers["counts"],
-            lists=buffers["lists"],
-        )
+        variant = collect_variant(sphere_test, cone_test, block_test, features)
+        results = {"lights": uploads["lights"], "masks": buffers["masks"], "lists": buffers["lists"]}
+        work += [
+            (variant, (*blocks, slices), {**uploads, **given}),
+            (PrefixSum, 1, {"counts": buffers["counts"]}),
+            (WriteLists, self.cells // GROUP + 1, {**results, "sums": buffers["counts"]}),
+        ]
         self._unasked = self.capacity
+        return [(self.device.program(shader), groups, bindings) for shader, groups, bindings in work]
 
     def read(self) -> CellLists:
         """Return the lists of the last frame. Waits for the device."""
@@ -255,10 +253,10 @@ class LightGrid:
 
     def _make_room(self) -> None:
         """Make room for the results."""
-        cells, count = self.cells, self.layout.count
+        cells, (columns, rows, _) = self.cells, self._uploads.count
         self.capacity = max(self.capacity, self._start * cells)
         self._buffers.fit("masks", uint, round_up(cells * self._uploads.words))
         self._buffers.fit("counts", uint, cells + 1)
-        self._buffers.fit("depths", TileDepths, count.x * count.y)
+        self._buffers.fit("depths", TileDepths, columns * rows)
         self._buffers.fit("lists", int, 2 * cells + 1 + self.capacity)
         self._buffers.fit("tests", uint, 1)

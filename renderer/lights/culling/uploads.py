@@ -48,14 +48,15 @@ class LightUploads:
     """The grid of cells and the volumes of the lights of one frame at a time, on the device.
 
     Attributes:
-        layout: the grid. words, point_words: the number of words with a bit for each light, and of those before the
-            spot lights'.
+        layout: the grid. count: its columns, rows and slices.
+        words, point_words: the number of words with a bit for each light, and of those before the spot lights'.
     """
 
     def __init__(self, device: Device, *, tile: int, slices: int = 1, first_slice: float | None = None) -> None:
         """Cells are tiles of `tile` × `tile` pixels, divided into `slices` by depth (see `make_grid`)."""
         self.tile, self.slices, self.first_slice = tile, slices, first_slice
         self.layout: CellGrid = make_grid(Perspective(), (1, 1), tile, slices=slices)
+        self.count = 1, 1, slices
         self.words = self.point_words = 0
         self.parameters: UniformBuffer[CellGrid] = device.uniform(self.layout)
         self.counts: UniformBuffer[LightCounts] = device.uniform(LightCounts(words=0, point_words=0))
@@ -64,7 +65,11 @@ class LightUploads:
     def write(self, camera: Camera, size: tuple[int, int], lights: Lights) -> None:
         """Upload an image's grid, of `size` pixels, and the volumes of all point and spot lights."""
         volumes = find_volumes(lights, camera)
-        self.words, self.point_words = volumes.words, volumes.point_words
+        words = volumes.words, volumes.point_words
+        if words != (self.words, self.point_words):
+            self.words, self.point_words = words
+            self.counts.write(LightCounts(words=volumes.words, point_words=volumes.point_words))
+        self.count = -(-size[0] // self.tile), -(-size[1] // self.tile), self.slices
         self.layout = make_grid(
             camera.projection,
             size,
@@ -74,7 +79,6 @@ class LightUploads:
             reach=volumes.reach,
         )
         self.parameters.write(self.layout)
-        self.counts.write(LightCounts(words=volumes.words, point_words=volumes.point_words))
         spheres = self._buffers.fit("spheres", vec4, round_up(len(volumes.spheres)))
         if len(volumes.spheres):
             spheres.write(volumes.spheres.astype(np.float32))

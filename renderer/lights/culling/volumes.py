@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from renderer.lights.culling.cone_tests import Cone, bounding_sphere
 from renderer.scene import Camera, Lights
 from renderer.scene.arrays import Floats
+from renderer.scene.lights import SPOT
 from rhi.shading import evaluate
 
 WORD: Final = 32
@@ -47,21 +49,28 @@ def find_volumes(lights: Lights, camera: Camera) -> LightVolumes:
     def to_eye(positions: Floats) -> Floats:
         return np.asarray((positions - camera.position) @ axes.T)
 
-    points, spots = lights.point, lights.spot
+    points, spots, around = lights.point, lights.spot, _bound_cones(lights.spot.tobytes())
     cones = np.zeros(len(spots), Cone.dtype)
-    exact = {
-        "apex": to_eye(spots["position"]),
-        "range": spots["range"].astype(np.float64),
-        "axis": spots["direction"].astype(np.float64) @ axes.T,
-        "cosine": np.cos(spots["outer"]),  # in float32, as shaders have it
-    }
-    for name, values in exact.items():
-        cones[name] = values
-    around = evaluate(bounding_sphere, exact, dtype=np.float64)
+    cones["apex"], cones["axis"] = to_eye(spots["position"]), spots["direction"] @ axes.T
+    cones["range"], cones["cosine"] = spots["range"], np.cos(spots["outer"])
     point_words = -(-len(points) // WORD)
     spheres = np.full((WORD * (point_words - (-len(spots) // WORD)), 4), (0.0, 0.0, 0.0, -1.0))
     spheres[: len(points), :3] = to_eye(points["position"])
     spheres[: len(points), 3] = points["range"]
-    spheres[WORD * point_words :][: len(spots)] = around
+    last = spheres[WORD * point_words :][: len(spots)]
+    last[:, :3], last[:, 3] = to_eye(around[:, :3]), around[:, 3]
     ends = (spheres[:, 2] + spheres[:, 3])[spheres[:, 3] >= 0.0]
     return LightVolumes(spheres, cones, point_words, float(ends.max()) if len(ends) else -np.inf)
+
+
+@lru_cache(maxsize=4)
+def _bound_cones(spots: bytes) -> Floats:
+    """Return the spheres (s, 4) around the cones of spot lights in the world. They stay while eyes move."""
+    lights = np.frombuffer(spots, SPOT)
+    cones = {
+        "apex": lights["position"],
+        "range": lights["range"].astype(np.float64),
+        "axis": lights["direction"].astype(np.float64),
+        "cosine": np.cos(lights["outer"]),  # in float32, as shaders have it
+    }
+    return np.asarray(evaluate(bounding_sphere, cones, dtype=np.float64))

@@ -129,7 +129,8 @@ def list_pass(needs: Needs, cells: LightLists, *, depth: str | None = None) -> P
     def collect(frame: Frame) -> None:
         texture = None if depth is None else frame.targets[depth]
         grid = frame.view.workspace(cells)
-        grid.collect(frame.device, frame.camera, frame.targets.size, frame.resources.lights, texture)
+        work = grid.prepare(frame.camera, frame.targets.size, frame.resources.lights, texture)
+        frame.view.commands.next().dispatch(work)
 
     reads = () if depth is None else (depth,)
     return Pass("light lists", collect, explain_lamps(needs), reads=reads, writes=("light lists",))

@@ -12,6 +12,7 @@ from renderer.frame.passes import FARTHEST
 from renderer.scene import Camera, Depth
 from renderer.shaders.pixels import PixelRays
 from rhi import DepthFunction, Device, Mesh, UniformBuffer
+from rhi.math import find_distance
 
 Color = tuple[float, float, float, float]
 
@@ -52,10 +53,8 @@ def find_rays(camera: Camera, size: tuple[int, int]) -> PixelRays:
 
 def find_far(camera: Camera) -> float:
     """Return the distance of the far plane, or the largest float if there is none."""
-    planes = camera.frustum.planes
-    if len(planes) < 6:
-        return float(np.finfo(np.float32).max)
-    return float(planes[5] @ np.array([*camera.position, 1.0]))
+    far = find_distance(camera.projection.matrix, FARTHEST[camera.projection.depth])
+    return min(far, float(np.finfo(np.float32).max))
 
 
 def bind_rays(frame: Frame) -> UniformBuffer[PixelRays]:

@@ -8,6 +8,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +21,7 @@ from rhi.contract.descriptors import (
     Region,
     TextureDescriptor,
 )
+from rhi.contract.formats import Format
 from rhi.contract.texels import encode, halve
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_MEMORY
@@ -54,6 +57,12 @@ def _box(region: Region) -> tuple[slice, slice, slice]:
         slice(region.y, region.y + region.height),
         slice(region.x, region.x + region.width),
     )
+
+
+@lru_cache(maxsize=64)
+def _encode_once(format: Format, values: bytes) -> NDArray[np.generic]:
+    """Return what `encode` does for a texel of float64: targets are mostly cleared to the same few."""
+    return encode(format, np.frombuffer(values))
 
 
 def _fill(layer: NDArray[np.generic], texel: NDArray[np.generic]) -> None:
@@ -105,12 +114,13 @@ class Textures:
         self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int,
         y: int, layer: int,
     ) -> None:  # fmt: skip
-        region = source_region
-        target_region = Region(x, y, region.width, region.height, layer, region.layers)
+        region, box = source_region, _box(source_region)
+        end = layer + region.layers, y + region.height, x + region.width
+        target_box = slice(layer, end[0]), slice(y, end[1]), slice(x, end[2])
         read, written = self.textures[source], self.textures[target]
-        written.levels[target_level][_box(target_region)] = read.levels[source_level][_box(region)]
+        written.levels[target_level][target_box] = read.levels[source_level][box]
         if read.stencil:
-            written.stencil[target_level][_box(target_region)] = read.stencil[source_level][_box(region)]
+            written.stencil[target_level][target_box] = read.stencil[source_level][box]
 
     def resolve_texture(self, source: Id, target: Id) -> None:
         self.textures[target].levels[0][:] = self.textures[source].levels[0]
@@ -139,13 +149,13 @@ class Textures:
         texture = self.textures[attachment.texture]
         format = texture.descriptor.format
         values = np.array(attachment.clear, np.float64)[: format.channels]
-        _fill(texture.levels[attachment.level][attachment.layer], encode(format, values))
+        _fill(texture.levels[attachment.level][attachment.layer], _encode_once(format, values.tobytes()))
 
     def _clear_depth(self, attachment: DepthAttachment) -> None:
         texture = self.textures[attachment.texture]
         level, layer = attachment.level, attachment.layer
         if attachment.clear is not None:
             value = np.array([attachment.clear], np.float64)
-            _fill(texture.levels[level][layer], encode(texture.descriptor.format, value))
+            _fill(texture.levels[level][layer], _encode_once(texture.descriptor.format, value.tobytes()))
         if attachment.clear_stencil is not None and texture.stencil:
             texture.stencil[level][layer] = attachment.clear_stencil & 0xFF

@@ -1,4 +1,4 @@
-"""The constructor that is generated for a struct of scalars, vectors and 4×4 matrices.
+"""The constructor that is generated for a struct of scalars, vectors and matrices.
 
 - Checking and converting field by field costs some ten times the draw that the constants are for. The generated one
   unpacks all fields at once and packs them as a uniform block (std140) holds them: what `struct.pack` takes fits.
@@ -20,7 +20,6 @@ MISSING: Final = object()
 """The value of a field that was not given."""
 
 _CODES: Final = {"f4": "f", "i4": "i", "u4": "I"}
-_MATRIX: Final = (4, 4)
 _FLOAT: Final = np.dtype("<f4")
 _ERRORS: Final = (TypeError, ValueError, OverflowError, struct.error, Warning)
 """What unpacking and packing raise for values that need a closer look; warnings where a program makes them errors."""
@@ -41,7 +40,7 @@ def make_constructor(owner: type, type: StructType, defaults: Mapping[str, Any])
     for i, field in enumerate(type.fields):
         parts = [f"_{i}_{j}" for j in range(_count(field))]
         if isinstance(field.type, MatrixType):
-            unpack.append(f"            {parts[0]} = _bytes_of({field.name})")
+            unpack.append(f"            {parts[0]} = _bytes_of({field.name}, {field.type.size})")
         elif isinstance(field.type, VectorType):
             unpack.append(f"            {', '.join(parts)} = {field.name}")
         else:
@@ -69,24 +68,23 @@ def make_constructor(owner: type, type: StructType, defaults: Mapping[str, Any])
 
 
 def split_numbers(type: StructType, numbers: tuple[Any, ...]) -> Iterator[tuple[Field, Any]]:
-    """Yield each field with its part of a value's numbers: one, a tuple, or a (4, 4) array of float32."""
+    """Yield each field with its part of a value's numbers: one, a tuple, or a square array of float32."""
     start = 0
     for field in type.fields:
         part = numbers[start : start + _count(field)]
         start += len(part)
         if isinstance(field.type, VectorType):
             yield field, part
+        elif isinstance(field.type, MatrixType):
+            yield field, np.frombuffer(part[0], _FLOAT).reshape(-1, 4)[:, : field.type.size]
         else:
-            yield (
-                field,
-                np.frombuffer(part[0], _FLOAT).reshape(_MATRIX) if isinstance(field.type, MatrixType) else part[0],
-            )
+            yield field, part[0]
 
 
 def _is_simple(field: Field) -> bool:
     type = field.type
     if isinstance(type, MatrixType):
-        return type.size == 4  # smaller ones have padding in each row
+        return True
     scalar = type.scalar if isinstance(type, VectorType) else type
     return isinstance(scalar, ScalarType) and scalar is not BOOL
 
@@ -97,19 +95,21 @@ def _count(field: Field) -> int:
 
 
 def _format_of(type: StructType) -> str:
-    """Return the format for `struct` of a uniform block, in which a matrix is 64 bytes."""
+    """Return the format for `struct` of a uniform block, in which a row of a matrix is 16 bytes."""
     placement, text, end = place(type, Layout.STD140), "<", 0
     for field, offset in zip(type.fields, placement.offsets, strict=True):
         scalar = field.type.scalar if isinstance(field.type, VectorType) else field.type
-        part = _CODES[scalar.code] * _count(field) if isinstance(scalar, ScalarType) else "64s"
+        part = _CODES[scalar.code] * _count(field) if isinstance(scalar, ScalarType) else ""
+        part = f"{16 * field.type.size}s" if isinstance(field.type, MatrixType) else part
         text += f"{offset - end}x{part}"
         end = offset + struct.calcsize(f"<{part}")
     return f"{text}{placement.size - end}x"
 
 
-def _matrix_bytes(value: Any) -> bytes:
-    """Return the bytes of a 4×4 array, row by row."""
-    if value.__class__ is not np.ndarray or value.shape != _MATRIX:
+def _matrix_bytes(value: Any, size: int) -> bytes:
+    """Return the bytes of a square array, row by row."""
+    if value.__class__ is not np.ndarray or value.shape != (size, size):
         raise TypeError
-    data: bytes = value.astype(_FLOAT).tobytes()
-    return data
+    rows = np.zeros((size, 4), _FLOAT)
+    rows[:, :size] = value
+    return rows.tobytes()

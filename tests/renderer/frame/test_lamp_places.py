@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -11,7 +12,9 @@ from numpy.typing import NDArray
 
 import rhi
 from renderer.frame.lamps import ExactPlace, Lamps
+from renderer.frame.mirrors import split_doubles
 from renderer.scene import Lights
+from renderer.shaders import ViewConstants
 from rhi import Op
 from rhi.backends.null import NullBackend
 
@@ -29,6 +32,26 @@ def make_lights(at: tuple[float, float, float] = (0.0, 0.0, 0.0), count: int = 7
         add(where, *more, range=random.uniform(1.0, 9.0, count), color=random.uniform(0, 1, (count, 3)), **angles)
     lights.refresh()
     return lights
+
+
+class PlacedLamps(Lamps):
+    """Lamps with the constants of the views of two eyes."""
+
+    def __init__(self, device: rhi.Device) -> None:
+        super().__init__(device)
+        self.views = [device.uniform(describe_view(np.zeros(3))) for _ in range(2)]
+        for view in self.views:
+            self._made.callback(view.destroy)
+
+    def place(self, lights: Lights, eyes: Sequence[NDArray[np.float64]]) -> None:
+        for view, eye in zip(self.views, eyes, strict=False):
+            view.write(describe_view(eye))
+        self.update(lights, BOTH, eyes, self.views)
+
+
+def describe_view(eye: NDArray[np.float64]) -> ViewConstants:
+    high, low = split_doubles(eye)
+    return ViewConstants(relative_view_projection=np.eye(4), eye_high=high, eye_low=low)
 
 
 def read(lamps: Lamps, eye: int) -> list[NDArray[Any]]:
@@ -50,11 +73,11 @@ def check(lamps: Lamps, lights: Lights, eye: int, position: NDArray[np.float64],
 
 def test_each_eye_has_lamps_where_they_are_for_it(drawing_device: rhi.Device) -> None:
     """Also 100 km from the origin, where a float is 8 mm off: a unit in the last place of 50 m is 4e-6 m."""
-    lamps = Lamps(drawing_device)
+    lamps = PlacedLamps(drawing_device)
     for origin in ((0.0, 0.0, 0.0), (1e5, 20.0, -1e5)):
         lights = make_lights(origin)
         eyes = [np.add(origin, (side, 1.7, 0.3)) for side in (-0.0315, 0.0315)]
-        lamps.update(lights, BOTH, eyes)
+        lamps.place(lights, eyes)
         for eye, position in enumerate(eyes):
             check(lamps, lights, eye, position, 8e-6)
         apart = read(lamps, 0)[0]["position"] - read(lamps, 1)[0]["position"]
@@ -64,11 +87,11 @@ def test_each_eye_has_lamps_where_they_are_for_it(drawing_device: rhi.Device) ->
 
 def test_one_eye_sees_lamps_where_the_same_eye_of_two_does(drawing_device: rhi.Device) -> None:
     """To the bit, so pictures don't depend on which of the CPU and a kernel has placed the lamps."""
-    alone, both = Lamps(drawing_device), Lamps(drawing_device)
+    alone, both = Lamps(drawing_device), PlacedLamps(drawing_device)
     for origin in ((0.0, 0.0, 0.0), (0.3, 0.1, 700.7), (1e5, 20.0, -1e5)):
         lights = make_lights(origin, count=500)
         eyes = [np.add(origin, (side, 1.7, 0.3)) for side in (-0.0315, 0.0315)]
-        both.update(lights, BOTH, eyes)
+        both.place(lights, eyes)
         for eye, position in enumerate(eyes):
             alone.update(lights, BOTH, [position])
             for one, two in zip(read(alone, 0), read(both, eye), strict=True):
@@ -90,21 +113,22 @@ def test_a_device_without_kernels_is_given_relative_positions() -> None:
         lamps.destroy()
 
 
-def count(null: rhi.Device, lamps: Lamps, lights: Lights, *eyes: tuple[float, float, float]) -> tuple[int, int]:
-    """Return the bytes that are uploaded for eyes, and the kernels that are run."""
+def count(null: rhi.Device, lamps: PlacedLamps, lights: Lights, *eyes: tuple[float, float, float]) -> tuple[int, int]:
+    """Return the bytes that are uploaded besides the eyes' constants, and the kernels that are run."""
     before, begin = null.statistics.upload_bytes, len(null.stream)
     lights.refresh()
-    lamps.update(lights, BOTH, [np.array(eye) for eye in eyes])
-    return null.statistics.upload_bytes - before, len(null.stream[begin:].filter(Op.DISPATCH))
+    lamps.place(lights, [np.array(eye) for eye in eyes])
+    views = len(eyes) * ViewConstants.uniform_dtype.itemsize
+    return null.statistics.upload_bytes - before - views, len(null.stream[begin:].filter(Op.DISPATCH))
 
 
-def test_lights_are_uploaded_when_they_change_and_eyes_when_they_move(null: rhi.Device) -> None:
-    lamps, lights = Lamps(null), make_lights()
+def test_lights_are_uploaded_when_they_change_and_placed_when_eyes_move(null: rhi.Device) -> None:
+    lamps, lights = PlacedLamps(null), make_lights()
     left, right = (0.0, 1.0, 0.0), (0.1, 1.0, 0.0)
     count(null, lamps, lights, left, right)
     assert count(null, lamps, lights, left, right) == (0, 0)
-    assert count(null, lamps, lights, left, (0.2, 1.0, 0.0)) == (2 * PLACE, 2), "a kernel for each kind"
-    assert count(null, lamps, lights, (0.1, 1.0, 0.0), right) == (2 * PLACE, 2)
+    assert count(null, lamps, lights, left, (0.2, 1.0, 0.0)) == (0, 2), "a kernel for each kind"
+    assert count(null, lamps, lights, (0.1, 1.0, 0.0), right) == (0, 2)
     lights.point["position"][7] += 1.0
     assert count(null, lamps, lights, (0.1, 1.0, 0.0), right) == (PLACE, 2), "its place, once for both"
     lights.point["color"][7] *= 0.5
@@ -113,13 +137,13 @@ def test_lights_are_uploaded_when_they_change_and_eyes_when_they_move(null: rhi.
 
 
 def test_an_eye_that_was_closed_sees_what_has_changed(gl: rhi.Device) -> None:
-    lamps, lights = Lamps(gl), make_lights(count=3)
+    lamps, lights = PlacedLamps(gl), make_lights(count=3)
     eyes = [np.zeros(3), np.ones(3)]
-    lamps.update(lights, BOTH, eyes)
+    lamps.place(lights, eyes)
     lights.point["position"] += 1.0
     lights.refresh()
-    lamps.update(lights, BOTH, eyes[:1])
-    lamps.update(lights, BOTH, eyes)
+    lamps.place(lights, eyes[:1])
+    lamps.place(lights, eyes)
     check(lamps, lights, 1, eyes[1], 8e-6)
     lamps.destroy()
 

@@ -16,7 +16,6 @@ import rhi
 from renderer import scene as scenes
 from renderer.content import load_scene
 from renderer.content.shapes import box
-from renderer.frame.lamps import ExactPlace
 from renderer.layers.particles import Particles
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, StereoRig, scaling, translation
@@ -186,7 +185,7 @@ def test_both_eyes_are_culled_once_and_upload_once(null: rhi.Device, city: Scene
     assert two["draws"] == 2 * sum(map(len, two["visible"]))
 
 
-def test_the_second_eye_uploads_its_place_and_no_lights(null: rhi.Device) -> None:
+def test_the_second_eye_uploads_its_camera_and_no_lights(null: rhi.Device) -> None:
     for scene in (load_scene("grid:count=9"), load_scene("grid:count=9,lights=16")):
         camera = next(iter(scene.views.values()))
         path = [replace(camera, position=np.add(camera.position, (0.1 * i, 0.0, 0.0))) for i in range(4)]
@@ -198,7 +197,17 @@ def test_the_second_eye_uploads_its_place_and_no_lights(null: rhi.Device) -> Non
         one, two = uploads
         lamps, view = len(scene.lights.point), ViewConstants.dtype.itemsize
         assert one == [view + lamps * PointLight.dtype.itemsize] * 3
-        assert two == [2 * (view + (ExactPlace.uniform_dtype.itemsize if lamps else 0))] * 3
+        assert two == [2 * view] * 3
+
+
+def test_eyes_that_were_exchanged_see_lamps_where_they_are(gl: rhi.Device) -> None:
+    scene = load_scene("grid:count=9,lights=16")
+    camera = next(iter(scene.views.values()))
+    moved = replace(camera, position=camera.position + 0.5)
+    with open_renderer(gl, scene) as renderer, open_renderer(gl, scene) as fresh:
+        draw(renderer, camera, Stereo(RIG, "color"))
+        exchanged = draw(renderer, moved, Stereo(RIG, "side_by_side"))[1]  # another size has another right eye
+        assert np.array_equal(exchanged, draw(fresh, moved, Stereo(RIG, "side_by_side"))[1])
 
 
 def test_eyes_that_are_culled_by_queries_are_asked_one_by_one(null: rhi.Device, city: Scene) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from frames import EYE, draw, make_boxes, open_renderer, read_colors
@@ -33,13 +35,13 @@ def make_crowded(points: int, spots: int) -> Scene:
 def grids(monkeypatch: pytest.MonkeyPatch) -> list[LightGrid]:
     """The grids that made lists."""
     found: list[LightGrid] = []
-    collect = LightGrid.collect
+    prepare = LightGrid.prepare
 
-    def note(self: LightGrid, *args: object, **options: object) -> None:
+    def note(self: LightGrid, *args: Any, **options: Any) -> list[Any]:
         found.append(self)
-        collect(self, *args, **options)
+        return list(prepare(self, *args, **options))
 
-    monkeypatch.setattr(LightGrid, "collect", note)
+    monkeypatch.setattr(LightGrid, "prepare", note)
     return found
 
 

@@ -13,10 +13,12 @@ import rhi
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Perspective, Scene
+from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility import NoCulling, make_visibility
 from renderer.visibility.repeated import RepeatedCommands, clear
 from rhi import Op
 from rhi.backends.null import Activity, CostModel, Lane, NullBackend, SimulatedBackend, Simulation
+from rhi.shading import uint
 
 CAMERA = look((0.0, 0.0, 30.0), ORIGIN, near=0.1)
 
@@ -85,6 +87,17 @@ def test_commands_that_failed_are_issued_again(null: rhi.Device) -> None:
     repeated.execute(("a",), issued.append)
     assert isinstance(issued[-1], rhi.CommandBuffer)
     assert issued[-1] is not issued[-2]
+
+
+def test_dispatches_are_recorded_when_they_come_again_with_the_same_bindings(null: rhi.Device) -> None:
+    repeated, program, recorded = RepeatedCommands(null, ""), null.program(PrefixSum), []
+    one, other = (null.storage(uint, 4) for _ in range(2))
+    for counts in (one, one, one, other, other):
+        before = null.statistics.recorded_commands
+        repeated.dispatch([(program, 1, {"counts": counts})])
+        recorded.append(null.statistics.recorded_commands - before)
+    assert recorded[1] == recorded[4] > recorded[0] == recorded[2] == recorded[3] == 0
+    assert len(null.stream.filter(Op.DISPATCH)) == 5
 
 
 # -- culling on the device ---------------------------------------------------------------------------------

@@ -20,6 +20,8 @@ class Part(sl.Struct):
 class Plain(sl.Struct):
     scale: float
     view: sl.mat4
+    turn: sl.mat3
+    basis: sl.mat2
     offset: sl.vec3
     count: int
     bits: sl.uint
@@ -39,6 +41,8 @@ GOOD = {
         np.eye(4).tolist(),
         sl.mat4(2),
     ],
+    "turn": [np.arange(9.0).reshape(3, 3), np.eye(3, dtype="f4").T, np.eye(3).tolist(), sl.mat3(2)],
+    "basis": [np.arange(4.0).reshape(2, 2), np.arange(4).reshape(2, 2).T, sl.mat2(2)],
     "offset": [(1, 2, 3), [0.1, 0.2, 0.3], np.array([1, 2, 3]), sl.vec3(5), np.array([0.1, 2, 3], "f4")],
     "count": [-5, 3.0, np.int16(7), 2**31 - 1],
     "bits": [5, 2**32 - 1, sl.uint(3), 4.0],
@@ -47,6 +51,8 @@ GOOD = {
 BAD = {
     "scale": [1e39, "x", None, (1,), [1, 2], 1j, object(), np.zeros(2)],
     "view": [np.eye(3), 1.0, (1, 2), None, np.zeros((4, 4), "U1"), np.zeros(16)],
+    "turn": [np.eye(4), np.eye(2), 1.0, None, np.zeros((3, 3), "U1"), np.zeros(9)],
+    "basis": [np.eye(3), np.zeros((1, 2)), None],
     "offset": [(1, 2), (1, 2, 3, 4), 1.0, "xyz", None, (1, 2, 1e39), ((1,), (2,), (3,)), np.zeros((3, 1))],
     "count": [0.5, 2**31, "x", None, (1,)],
     "bits": [-1, 2**32, 0.5, None],
