@@ -40,7 +40,7 @@ def test_each_level_holds_the_farthest_of_its_pixels(
         expected = reduce_once(expected, direction)
         assert expected.shape == (height, width)
         assert (held[begin : begin + width * height].reshape(height, width) == expected).all()
-    assert pyramid.sizes[-1] == (1, 1)
+    assert max(pyramid.sizes[-1]) <= 16
     pyramid.destroy()
 
 
