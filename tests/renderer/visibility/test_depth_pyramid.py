@@ -62,6 +62,12 @@ def test_a_level_alone_is_made_where_one_is_wanted(null: rhi.Device) -> None:
     assert FarthestDepth(null, (1, 1)).sizes == [(1, 1), (1, 1)]
 
 
+def test_no_level_follows_one_of_16_texels_a_side(null: rhi.Device) -> None:
+    assert FarthestDepth(null, (64, 40)).sizes[1:] == [(16, 10)]
+    assert FarthestDepth(null, (65, 40)).sizes[1:] == [(17, 10), (5, 3)]
+    assert FarthestDepth(null, (40, 65)).sizes[1:] == [(10, 17), (3, 5)]
+
+
 @pytest.mark.parametrize("direction", Depth)
 @pytest.mark.parametrize("size", [(1, 1), (63, 34), (1023, 767)])
 def test_a_box_shows_if_it_shows_at_full_resolution(
