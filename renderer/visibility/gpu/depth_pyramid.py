@@ -21,7 +21,7 @@ from renderer.shaders import ViewConstants
 from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility.gpu.device_culling import DeviceCulling
 from renderer.visibility.gpu.draw_lists import CountKeys, WriteDraws, count_parts, with_parts
-from renderer.visibility.gpu.farthest_depth import SCALE, DownSample, DownSampleTexture, FarthestDepth, of_direction
+from renderer.visibility.gpu.farthest_depth import SCALE, STEPS, FarthestDepth, of_direction
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, FindOccludees, Occludee
 from renderer.visibility.scene_pass import ScenePass
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
@@ -186,7 +186,7 @@ def prepare_depth_pyramid(scene: Scene, device: Device, depth: Depth) -> Prepara
     """Begin to build all that the algorithm dispatches in a scene whose depth has this direction."""
     parts = count_parts(scene)
     shaders: list[type[Any]] = [FindSeen, with_parts(CountKeys, parts), PrefixSum, with_parts(WriteDraws, parts)]
-    shaders += [of_direction(shader, depth) for shader in (DownSampleTexture, DownSample, CompareBoxes)]
+    shaders += [of_direction(shader, depth) for shader in (*STEPS, CompareBoxes)]
     return device.prepare([DrawPlan(device.program(shader)) for shader in shaders])
 
 

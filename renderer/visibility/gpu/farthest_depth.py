@@ -4,6 +4,9 @@ A texel of level k covers 4ᵏ × 4ᵏ pixels, counted from the image's top left
 y) is in texel (x >> 2k, y >> 2k) of each level, whatever the image's size; the last texels cover fewer pixels. (The
 size of a mip level is rounded down, so its texels miss an edge of an image of odd size.) Level 0 is the depth texture
 itself.
+
+Level 1 takes two steps, four rows to one and then four columns to one: the first reads most, and reads whole rows in
+their order, which vector machines do several times as fast as every fourth pixel.
 """
 
 from __future__ import annotations
@@ -13,11 +16,14 @@ from typing import Any, Final
 
 import rhi.shading as sl
 from renderer.scene import Depth
-from rhi import Device, Encoder, StorageBuffer, Texture, UniformBuffer
+from rhi import Device, Encoder, Program, StorageBuffer, Texture, UniformBuffer
 
 SCALE: Final = 4
 """Number of texels of a level, in each direction, that one texel of the next level covers."""
 _GROUP: Final = 8
+
+_FEW: Final = 16
+"""No level follows one of so few texels a side: comparing with all of them costs less than another dispatch."""
 
 FAR: Final = {Depth.REVERSED: 0.0, Depth.STANDARD: 1.0}
 """The farthest depth: that of a pixel where nothing is drawn."""
@@ -33,12 +39,14 @@ class ReductionStep(sl.Struct):
 
 
 class DownSample(sl.Shader):
-    """Computes the farthest of 4 × 4 texels, or of fewer at an edge, from a level in the buffer."""
+    """Computes the farthest of `across` × `down` texels, or of fewer at an edge, from a level in the buffer."""
 
     work_group = (_GROUP, _GROUP)
     step: sl.Uniform[ReductionStep]
     farthest: sl.StorageRW[float]
     is_reversed = True
+    across = SCALE
+    down = SCALE
 
     def compute(self) -> None:
         at = sl.global_id().xy
@@ -47,9 +55,9 @@ class DownSample(sl.Shader):
             return
         last = self.step.source - 1
         found = 1.0 if self.is_reversed else 0.0
-        for y in range(SCALE):
-            for x in range(SCALE):
-                depth = self.fetch(sl.min(SCALE * at + sl.ivec2(x, y), last))
+        for y in range(self.down):
+            for x in range(self.across):
+                depth = self.fetch(sl.min(sl.ivec2(self.across * at.x + x, self.down * at.y + y), last))
                 found = sl.min(found, depth) if self.is_reversed else sl.max(found, depth)
         self.farthest[self.step.target_begin + at.y * size.x + at.x] = found
 
@@ -58,12 +66,27 @@ class DownSample(sl.Shader):
 
 
 class DownSampleTexture(DownSample):
-    """Computes the farthest of 4 × 4 pixels of the depth texture."""
+    """Computes the farthest of four pixels of each column of the depth texture."""
 
     depth: sl.Texture2D
+    across = 1
 
     def fetch(self, at: sl.ivec2) -> float:
         return self.depth.load(at).r
+
+
+class DownSampleRows(DownSample):
+    """Computes the farthest of four texels of each row of what `DownSampleTexture` has found."""
+
+    rows: sl.Storage[float]
+    down = 1
+
+    def fetch(self, at: sl.ivec2) -> float:
+        return self.rows[at.y * self.step.source.x + at.x]
+
+
+STEPS: Final = (DownSampleTexture, DownSampleRows, DownSample)
+"""The shaders of the first step, of the second, and of each later one."""
 
 
 @cache
@@ -85,10 +108,11 @@ class FarthestDepth:
     """
 
     def __init__(self, device: Device, size: tuple[int, int], levels: int | None = None) -> None:
-        """There are `levels` besides the image, or by default as many as it takes to reach one texel, at least 1."""
+        """There are `levels` besides the image, or by default as many as it takes to reach `_FEW` texels a side, at
+        least 1."""
         self.size = size
         self.sizes = [size]
-        while len(self.sizes) - 1 < (levels or 1) or (levels is None and self.sizes[-1] != (1, 1)):
+        while len(self.sizes) - 1 < (levels or 1) or (levels is None and max(self.sizes[-1]) > _FEW):
             width, height = self.sizes[-1]
             self.sizes.append((-(-width // SCALE), -(-height // SCALE)))
         self.begins, total = [-1], 0
@@ -97,29 +121,25 @@ class FarthestDepth:
             total += width * height
         self.farthest: StorageBuffer[float] = device.storage(float, total, label="farthest depths")
         self._device = device
+        self._rows = device.storage(float, size[0] * self.sizes[1][1], label="farthest depths of rows")
+        self._targets = [(size[0], self.sizes[1][1]), *self.sizes[1:]]
+        begins, sources = [0, 0, *self.begins[1:]], [size, *self._targets]
         self._steps: list[UniformBuffer[ReductionStep]] = [
-            device.uniform(
-                ReductionStep(
-                    source=self.sizes[level - 1],
-                    target=self.sizes[level],
-                    source_begin=self.begins[level - 1],
-                    target_begin=self.begins[level],
-                )
-            )
-            for level in range(1, len(self.sizes))
+            device.uniform(ReductionStep(source=source, target=target, source_begin=begin, target_begin=target_begin))
+            for source, target, begin, target_begin in zip(sources, self._targets, begins, begins[1:], strict=False)
         ]
 
     def build(self, encoder: Encoder, depth: Texture, direction: Depth) -> None:
         """Compute all levels from the image's depth. Must be called outside of passes."""
-        device = self._device
-        for level, step in enumerate(self._steps, 1):
-            groups = tuple(-(-length // _GROUP) for length in self.sizes[level])
-            reads: dict[str, Any] = {"depth": depth} if level == 1 else {}
-            shader = of_direction(DownSampleTexture if level == 1 else DownSample, direction)
-            encoder.dispatch(device.program(shader), groups, step=step, farthest=self.farthest, **reads)
+        last = {"farthest": self.farthest}
+        bindings: list[dict[str, Any]] = [{"depth": depth, "farthest": self._rows}, {"rows": self._rows, **last}, last]
+        for number, (step, target) in enumerate(zip(self._steps, self._targets, strict=True)):
+            groups = tuple(-(-length // _GROUP) for length in target)
+            kind = min(number, len(STEPS) - 1)
+            program: Program[...] = self._device.program(of_direction(STEPS[kind], direction))
+            encoder.dispatch(program, groups, step=step, **bindings[kind])
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        self.farthest.destroy()
-        for step in self._steps:
-            step.destroy()
+        for resource in (self.farthest, self._rows, *self._steps):
+            resource.destroy()

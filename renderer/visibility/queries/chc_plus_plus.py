@@ -5,7 +5,8 @@ CHC with everything in batches:
 - *i-queue*: previously invisible nodes are gathered until there are b of them; then the states are changed once and
   all are queried (6.4.2).
 - *v-queue*: previously visible leaves are drawn in any case. So they are queried only when there is nothing else to
-  do, and the results are read in the next frame (6.4.3).
+  do, and the results count in the next frame (6.4.3). If hidden nodes are about to be queried and waited for, the
+  leaves are queried in the same call: a call costs more than its queries.
 - *render queue*: objects to draw are gathered until a query needs them in the depth buffer (6.4.4).
 - *persistence*: a visible leaf is assumed to stay visible for n frames before it is queried again, the first time for
   a random number of frames, so that queries are spread over the frames (6.4.5).
@@ -72,8 +73,9 @@ class ChcPlusPlus(TreeCulling):
         self._i_queue: FixedQueue[int] = FixedQueue(room)  # nodes
         self._requery: FixedQueue[int] = FixedQueue(room)  # nodes of queries in which something was visible
         self._v_queue: FixedQueue[int] = FixedQueue(room)  # leaves
-        self._i_queries: FixedQueue[Asked] = FixedQueue(room)
+        self._i_queries: FixedQueue[tuple[Asked, int]] = FixedQueue(room)  # and how many are about hidden nodes
         self._v_queries: FixedQueue[Asked] = FixedQueue(room)
+        self._leaf_answers: FixedQueue[tuple[int, bool]] = FixedQueue(room)  # for leaves; they count in the next frame
         self._render_queue: FixedQueue[int] = FixedQueue(room)  # leaves
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
@@ -87,14 +89,14 @@ class ChcPlusPlus(TreeCulling):
                     continue
                 self._query_i_queue(scene_pass)
             elif self._i_queue or self._requery:
-                self._query_i_queue(scene_pass)
+                self._query_i_queue(scene_pass, self._take_v_queue())
             elif not pending:
                 break
             elif self._v_queue:
                 self._query_v_queue(scene_pass)
             else:
                 self._resolve(*pending.pop())
-            while pending and pending.front[0].is_finished:
+            while pending and pending.front[0][0].is_finished:
                 self._resolve(*pending.pop())
         self._draw_render_queue(scene_pass)
         if self._v_queue:
@@ -122,10 +124,13 @@ class ChcPlusPlus(TreeCulling):
         ):
             left.clear()
         while self._i_queries:  # left by a frame that raised
-            queries.release_set(self._i_queries.pop()[0])
+            (asked, groups), hidden = self._i_queries.pop()
+            self._release(asked, groups[hidden:])
 
     def _take_answers(self) -> None:
         """Read the results of earlier frames that are available."""
+        while self._leaf_answers:
+            self._note_leaf(*self._leaf_answers.pop())
         while self._v_queries and self._v_queries.front[0].is_finished:
             asked, leaves = self._v_queries.pop()
             for (leaf,), shows in zip(leaves, self._queries.read(asked), strict=False):
@@ -162,9 +167,13 @@ class ChcPlusPlus(TreeCulling):
             self._hidden_since[node] = frame
             self._open(node)
 
-    def _resolve(self, asked: QuerySet, groups: list[list[int]]) -> None:
-        """Read the results for previously invisible nodes; waits if they are not yet available."""
-        for nodes, shows in zip(groups, self._queries.read(asked), strict=False):
+    def _resolve(self, asked: Asked, hidden: int) -> None:
+        """Read the results for previously invisible nodes, and for leaves; waits if they are not yet available."""
+        queries, groups = asked
+        answers = self._queries.read(queries)
+        for (leaf,), shows in zip(groups[hidden:], answers[hidden:], strict=False):
+            self._leaf_answers.push((leaf, shows))
+        for nodes, shows in zip(groups[:hidden], answers, strict=False):
             if not shows:
                 continue
             if len(nodes) > 1:
@@ -188,10 +197,12 @@ class ChcPlusPlus(TreeCulling):
         else:
             self._frontier.open(node)
 
-    def _query_i_queue(self, scene_pass: ScenePass) -> None:
-        """Query all nodes in the i-queue in one call; nodes that are likely to stay hidden share a query."""
+    def _query_i_queue(self, scene_pass: ScenePass, leaves: Sequence[list[int]] = ()) -> None:
+        """Query all nodes in the i-queue, and `leaves`, in one call; nodes that are likely to stay hidden share a
+        query."""
         self._draw_render_queue(scene_pass)
-        self._i_queries.push(self._ask(self._group_i_queue()))
+        hidden = self._group_i_queue()
+        self._i_queries.push((self._ask([*hidden, *leaves]), len(hidden)))
         self._i_queue.clear()
         self._requery.clear()
 
@@ -237,10 +248,13 @@ class ChcPlusPlus(TreeCulling):
     def _release_leaves(self) -> None:
         """Discard the queries of leaves whose results are not yet read."""
         while self._v_queries:
-            asked, leaves = self._v_queries.pop()
-            self._queries.release_set(asked)
-            for (leaf,) in leaves:
-                self._is_queried[leaf] = 0
+            self._release(*self._v_queries.pop())
+
+    def _release(self, asked: QuerySet, leaves: list[list[int]]) -> None:
+        """Discard questions, `leaves` among them."""
+        self._queries.release_set(asked)
+        for (leaf,) in leaves:
+            self._is_queried[leaf] = 0
 
     def walk(self) -> CullingWalk:
         """Return the nodes that the last frame reached."""

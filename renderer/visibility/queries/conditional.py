@@ -112,9 +112,7 @@ class ConditionalCulling(ChcPlusPlus):
     def _give_up(self) -> None:
         """Forget the oldest questions."""
         (queries, groups), hidden = self._asked.pop()
-        self._queries.release_set(queries)
-        for (leaf,) in groups[hidden:]:
-            self._is_queried[leaf] = 0
+        self._release(queries, groups[hidden:])
 
     def _release_leaves(self) -> None:
         """Discard all questions in flight, also those about hidden nodes."""

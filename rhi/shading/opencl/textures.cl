@@ -667,7 +667,7 @@ static RHI_INLINE void rhi_gather_compare(
 }
 
 // Reads a texel; zeros outside the texture.
-static RHI_CALLED void rhi_load(rhi_texture t, rhi_description w, INT x, INT y, INT z, int number, UINT *r) {
+static RHI_CALLED void rhi_load_any(rhi_texture t, rhi_description w, INT x, INT y, INT z, int number, UINT *r) {
     int count = w[RHI_LEVEL_COUNT];
     rhi_description level = w + RHI_LEVELS + RHI_LEVEL_WORDS * clamp(number, 0, count - 1);
     INT i = rhi_within(x, level[RHI_WIDTH]), j = rhi_within(y, level[RHI_HEIGHT]), k = rhi_within(z, level[RHI_DEPTH]);
@@ -679,6 +679,32 @@ static RHI_CALLED void rhi_load(rhi_texture t, rhi_description w, INT x, INT y, 
 #endif
     rhi_texel(p, w, k * level[RHI_LAYER] + j * level[RHI_ROW] + i, r);
     _Pragma("unroll") for (int c = 0; c < 4; ++c) r[c] = SELECT((UINT)0u, r[c], inside);
+}
+
+// Gathers words, or loads them if they lie in a row.
+static RHI_INLINE UINT rhi_row32(rhi_texture p, INT i) {
+#ifdef RHI_LANES
+    if (!ANY(i - i.s0 != RHI_LANES)) return *(global const rhi_words *)((global const uint *)p + i.s0);
+#endif
+    return rhi_gather32(p, i);
+}
+
+// The same, inline for texels of one float, such as depth: a call takes as long as the read.
+static RHI_INLINE void rhi_load(rhi_texture t, rhi_description w, INT x, INT y, INT z, int number, UINT *r) {
+#ifndef RHI_BLOCK
+    if (w[RHI_TEXEL] == 4 && w[RHI_STORED] == RHI_SINGLE) {
+        int count = w[RHI_LEVEL_COUNT];
+        rhi_description level = w + RHI_LEVELS + RHI_LEVEL_WORDS * clamp(number, 0, count - 1);
+        INT i = rhi_within(x, level[RHI_WIDTH]), j = rhi_within(y, level[RHI_HEIGHT]), k = rhi_within(z, level[RHI_DEPTH]);
+        INT inside = BOTH(BOTH(i == x, j == y), k == z);
+        if (number < 0 || number >= count) inside = (INT)0;
+        r[0] = SELECT((UINT)0u, rhi_row32(rhi_start(t, level), k * level[RHI_LAYER] + j * level[RHI_ROW] + i), inside);
+        r[1] = r[2] = (UINT)0u;
+        r[3] = SELECT((UINT)0u, (UINT)0x3f800000u, inside);
+        return;
+    }
+#endif
+    rhi_load_any(t, w, x, y, z, number, r);
 }
 
 // Reads a texel from a different level in each lane.

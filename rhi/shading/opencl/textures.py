@@ -2,9 +2,10 @@
 
 - A texture is described by words in memory (sizes, format, filters, wraps; `rhi.shading.ir.texture_words`). They are
   uniform over the lanes: branches on them are real, and the text of a kernel doesn't depend on the bound textures.
-- Functions aren't inlined, so that a kernel contains each of them once however often it samples.
-- Two adjacent texels are one load; those of a whole block of pixels are a few (`blocks.cl`). Lanes that need different
-  mip levels are served level by level.
+- Functions aren't inlined, so that a kernel contains each of them once however often it samples; but for loads of
+  texels of one float, such as depth, which take less time than a call.
+- Two adjacent texels are one load, and so is a row of single floats; those of a whole block of pixels are a few
+  (`blocks.cl`). Lanes that need different mip levels are served level by level.
 """
 
 from __future__ import annotations

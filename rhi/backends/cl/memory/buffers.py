@@ -107,8 +107,11 @@ class Buffers:
 
     def read(self, buffer: Id, offset: int, size: int) -> bytes:
         memory = self._buffers[buffer]
-        if memory.read_in_place and memory.host is not None:
-            return memory.host[offset : offset + size].tobytes()
+        if self._context.shares_memory:  # a command that copies has to wake a thread of the device
+            if not memory.read_in_place:
+                self._queue.finish()
+            host: Any = memory.cl.hostbuf
+            return bytes(host[offset : offset + size])
         data = np.empty(size, np.uint8)
         if size:
             cl.enqueue_copy(self._queue, data, memory.cl, src_offset=offset)

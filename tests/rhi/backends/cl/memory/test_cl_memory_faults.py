@@ -240,7 +240,8 @@ def move(device: rhi.Device, keep: Keep) -> Results:
 
 
 class Commands:
-    """Lets OpenCL's commands fail once for each place that enqueues them, identified by the innermost three calls.
+    """Lets OpenCL's commands, and waits for all of them, fail once for each place that enqueues them, identified by the
+    innermost calls.
 
     Attributes:
         fail: whether the next command fails whose place hasn't failed yet.
@@ -254,9 +255,11 @@ class Commands:
         monkeypatch.setattr(planes, "_copy_box", partial(self._call, cl.enqueue_copy))
         for name in self.NAMES:
             monkeypatch.setattr(cl, name, partial(self._call, getattr(cl, name)))
+        finish: Callable[[cl.CommandQueue], None] = cl.CommandQueue.finish
+        monkeypatch.setattr(cl.CommandQueue, "finish", lambda queue: self._call(finish, queue))
 
     def _call(self, command: Callable[..., Any], queue: cl.CommandQueue, *arguments: Any, **named: Any) -> Any:
-        frames = [sys._getframe(depth) for depth in range(1, 4)]
+        frames = [sys._getframe(depth) for depth in range(1, 5)]
         place = tuple((frame.f_code.co_qualname, frame.f_lineno) for frame in frames)
         if self.fail and place not in self._failed:
             self._failed.add(place)

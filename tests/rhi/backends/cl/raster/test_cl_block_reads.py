@@ -12,6 +12,9 @@ from rhi import CullMode, Device, Format, SamplerDescriptor, TextureKind, Wrap
 SIZE = (36, 20)
 """That of the target: blocks of 4 × 4 pixels, all of them whole."""
 
+ROW = 64
+"""The elements in a row of what a compute shader reads."""
+
 Floats = NDArray[np.float32]
 
 
@@ -42,6 +45,22 @@ class Reading(sl.Shader):
         if self.places.is_filtered == 0:
             return self.image.load(sl.ivec3(sl.vec3(place, layer)))
         return self.image.sample_lod(sl.vec3(place / sl.vec2(self.image.size().xy), layer), 0.0)
+
+
+class RowReading(sl.Shader):
+    """Reads a texel for each element: `start + step x` in row y."""
+
+    work_group = (32,)
+    start: sl.Uniform[sl.ivec2]
+    step: sl.Uniform[int]
+    level: sl.Uniform[int]
+    image: sl.Texture2D
+    texels: sl.StorageRW[sl.vec4]
+
+    def compute(self) -> None:
+        at = sl.global_id().xy
+        texel = self.image.load(self.start + sl.ivec2(self.step * at.x, at.y), self.level)
+        self.texels[ROW * at.y + at.x] = texel
 
 
 def show(device: Device, image: object, *, is_filtered: int, **places: tuple[float, float]) -> Floats:
@@ -109,3 +128,31 @@ def test_a_load_is_the_texel_wherever_a_block_of_pixels_reads(device: Device, fo
         expected[inside, : format.channels] = texels[layer[inside], v[inside], u[inside]]
         read = show(device, image, is_filtered=0, start=start, across=across, down=down, layers=layers)
         np.testing.assert_allclose(read, expected, rtol=1e-6, err_msg=f"{start} {across} {down} {layers}")
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_a_load_is_the_texel_wherever_a_row_of_floats_reads(device: Device, level: int) -> None:
+    """Texels beside each other in a row are one load; beyond the edges, and in a level that isn't there, are zeros."""
+    image = device.texture((41, 23), Format.R32F, levels=2)
+    texels = [np.random.default_rng(1).random(size, np.float32) for size in ((23, 41), (11, 20), (0, 0))]
+    for number in (0, 1):
+        image.write(texels[number], level=number)
+    height, width = texels[level].shape
+    y, x = np.mgrid[:9, :ROW]
+    found, program = device.storage(sl.vec4, 9 * ROW), device.program(RowReading)
+    for start, step in (
+        ((0, 0), 1),
+        ((3, 8), 1),
+        ((-5, -2), 1),
+        ((33, 20), 1),
+        ((0, 3), 2),
+        ((39, 0), -1),
+        ((7, 0), 0),
+    ):
+        u, v = start[0] + step * x, start[1] + y
+        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        expected = np.zeros((9, ROW, 4), np.float32)
+        expected[inside, 0] = texels[level][v[inside], u[inside]]
+        expected[..., 3] = inside
+        device.dispatch(program, (ROW // 32, 9), start=start, step=step, level=level, image=image, texels=found)
+        np.testing.assert_array_equal(found.read().reshape(9, ROW, 4), expected, f"{start} {step}")
