@@ -32,7 +32,8 @@ class VisibilitySettings:
         occluder_pixels: how many pixels of the image, in width and height, are one for its occluders; 1 or more. Above
             1 what is seen through narrow gaps between them may be missing.
         pyramid_texels: the largest width and height, in texels of a depth pyramid, of what a box is compared with in
-            `depth_pyramid` and `software_depth`; 1 or more. Fewer are coarser, and hide less.
+            `depth_pyramid` and `software_depth`; 1 or more. Fewer are coarser, and hide less. In the last level, which
+            is at most 16 texels wide and high, there may be more.
     """
 
     batch: int = 50

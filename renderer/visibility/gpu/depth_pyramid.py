@@ -5,10 +5,10 @@
    are drawn; all visible objects are drawn first in the next frame.
 
 A box is tested by one invocation: it compares the box's nearest depth with the texels under the rectangle around its
-corners, in the finest level in which the rectangle is at most 8 texels wide and high, or as many as settings say. The
-box is visible unless it is behind all of them. The texels of the next coarser level are tested first: what is behind
-those is behind all of these. The rectangle is larger than the box, and the depth of its texels farther than that of the
-pixels, so more is drawn than if boxes were rasterised.
+corners, in the finest level in which the rectangle is at most 8 texels wide and high, or as many as settings say, or in
+the last level. The box is visible unless it is behind all of them. The texels of the next coarser level are tested
+first: what is behind those is behind all of these. The rectangle is larger than the box, and the depth of its texels
+farther than that of the pixels, so more is drawn than if boxes were rasterised.
 """
 
 from __future__ import annotations

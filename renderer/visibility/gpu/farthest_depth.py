@@ -16,14 +16,11 @@ from typing import Any, Final
 
 import rhi.shading as sl
 from renderer.scene import Depth
-from rhi import Device, Encoder, Program, StorageBuffer, Texture, UniformBuffer
+from rhi import Device, Encoder, Texture, UniformBuffer
 
 SCALE: Final = 4
 """Number of texels of a level, in each direction, that one texel of the next level covers."""
 _GROUP: Final = 8
-
-_FEW: Final = 16
-"""No level follows one of so few texels a side: comparing with all of them costs less than another dispatch."""
 
 FAR: Final = {Depth.REVERSED: 0.0, Depth.STANDARD: 1.0}
 """The farthest depth: that of a pixel where nothing is drawn."""
@@ -78,11 +75,7 @@ class DownSampleTexture(DownSample):
 class DownSampleRows(DownSample):
     """Computes the farthest of four texels of each row of what `DownSampleTexture` has found."""
 
-    rows: sl.Storage[float]
     down = 1
-
-    def fetch(self, at: sl.ivec2) -> float:
-        return self.rows[at.y * self.step.source.x + at.x]
 
 
 STEPS: Final = (DownSampleTexture, DownSampleRows, DownSample)
@@ -104,26 +97,26 @@ class FarthestDepth:
     Attributes:
         size: (width, height) of the image. sizes: (width, height) of each level, from the image on.
         begins: the first element of each level in `farthest`, -1 for the image.
-        farthest: the depths of all levels, row by row.
+        farthest: the depths of all levels, row by row, and behind them those of the first step.
     """
 
     def __init__(self, device: Device, size: tuple[int, int], levels: int | None = None) -> None:
-        """There are `levels` besides the image, or by default as many as it takes to reach `_FEW` texels a side, at
-        least 1."""
+        """There are `levels` besides the image, or by default as many as it takes to reach 16 texels a side, at least
+        1."""
         self.size = size
         self.sizes = [size]
-        while len(self.sizes) - 1 < (levels or 1) or (levels is None and max(self.sizes[-1]) > _FEW):
+        # No level follows one of 16 texels a side: comparing with all of them costs less than another dispatch.
+        while len(self.sizes) - 1 < (levels or 1) or (levels is None and max(self.sizes[-1]) > SCALE**2):
             width, height = self.sizes[-1]
             self.sizes.append((-(-width // SCALE), -(-height // SCALE)))
         self.begins, total = [-1], 0
         for width, height in self.sizes[1:]:
             self.begins.append(total)
             total += width * height
-        self.farthest: StorageBuffer[float] = device.storage(float, total, label="farthest depths")
-        self._device = device
-        self._rows = device.storage(float, size[0] * self.sizes[1][1], label="farthest depths of rows")
         self._targets = [(size[0], self.sizes[1][1]), *self.sizes[1:]]
-        begins, sources = [0, 0, *self.begins[1:]], [size, *self._targets]
+        begins, sources = [-1, total, *self.begins[1:]], [size, *self._targets]
+        self.farthest = device.storage(float, total + size[0] * self.sizes[1][1], label="farthest depths")
+        self._device = device
         self._steps: list[UniformBuffer[ReductionStep]] = [
             device.uniform(ReductionStep(source=source, target=target, source_begin=begin, target_begin=target_begin))
             for source, target, begin, target_begin in zip(sources, self._targets, begins, begins[1:], strict=False)
@@ -131,15 +124,13 @@ class FarthestDepth:
 
     def build(self, encoder: Encoder, depth: Texture, direction: Depth) -> None:
         """Compute all levels from the image's depth. Must be called outside of passes."""
-        last = {"farthest": self.farthest}
-        bindings: list[dict[str, Any]] = [{"depth": depth, "farthest": self._rows}, {"rows": self._rows, **last}, last]
         for number, (step, target) in enumerate(zip(self._steps, self._targets, strict=True)):
             groups = tuple(-(-length // _GROUP) for length in target)
-            kind = min(number, len(STEPS) - 1)
-            program: Program[...] = self._device.program(of_direction(STEPS[kind], direction))
-            encoder.dispatch(program, groups, step=step, **bindings[kind])
+            reads: dict[str, Any] = {} if number else {"depth": depth}
+            shader = of_direction(STEPS[min(number, len(STEPS) - 1)], direction)
+            encoder.dispatch(self._device.program(shader), groups, step=step, farthest=self.farthest, **reads)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        for resource in (self.farthest, self._rows, *self._steps):
+        for resource in (self.farthest, *self._steps):
             resource.destroy()

@@ -75,7 +75,7 @@ class ChcPlusPlus(TreeCulling):
         self._v_queue: FixedQueue[int] = FixedQueue(room)  # leaves
         self._i_queries: FixedQueue[tuple[Asked, int]] = FixedQueue(room)  # and how many are about hidden nodes
         self._v_queries: FixedQueue[Asked] = FixedQueue(room)
-        self._leaf_answers: FixedQueue[tuple[int, bool]] = FixedQueue(room)  # for leaves; they count in the next frame
+        self._answers: FixedQueue[tuple[int, bool]] = FixedQueue(room)  # for leaves; they count in the next frame
         self._render_queue: FixedQueue[int] = FixedQueue(room)  # leaves
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
@@ -129,8 +129,8 @@ class ChcPlusPlus(TreeCulling):
 
     def _take_answers(self) -> None:
         """Read the results of earlier frames that are available."""
-        while self._leaf_answers:
-            self._note_leaf(*self._leaf_answers.pop())
+        while self._answers:
+            self._note_leaf(*self._answers.pop())
         while self._v_queries and self._v_queries.front[0].is_finished:
             asked, leaves = self._v_queries.pop()
             for (leaf,), shows in zip(leaves, self._queries.read(asked), strict=False):
@@ -172,7 +172,7 @@ class ChcPlusPlus(TreeCulling):
         queries, groups = asked
         answers = self._queries.read(queries)
         for (leaf,), shows in zip(groups[hidden:], answers[hidden:], strict=False):
-            self._leaf_answers.push((leaf, shows))
+            self._answers.push((leaf, shows))
         for nodes, shows in zip(groups[:hidden], answers, strict=False):
             if not shows:
                 continue

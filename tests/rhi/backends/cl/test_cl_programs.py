@@ -86,26 +86,19 @@ def test_a_new_buffer_in_the_place_of_a_destroyed_one_is_bound(cl_kit: ClKit) ->
         cl_kit.backend.destroy(buffer)
 
 
-def test_only_arguments_that_change_are_set_again(cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Setting a number takes pyopencl 80 times as long as comparing it."""
+def test_only_numbers_that_change_are_set_again(cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Setting one takes pyopencl 80 times as long as comparing it."""
     program = cl_kit.program(describe_program(FILL))
-    buffers = [cl_kit.buffer(bytes(16)) for _ in range(4)]
-    cl_kit.backend.bind_storage(0, buffers[0], 0, 16)
-    cl_kit.dispatch(program, 4)
     given: list[object] = []
     set_arg: Callable[..., None] = cl.Kernel.set_arg
     monkeypatch.setattr(cl.Kernel, "set_arg", lambda kernel, *each: (given.append(each[1]), set_arg(kernel, *each)))
-    for buffer, size, numbers in (
-        (buffers[1], 16, []),
-        (buffers[2], 8, [2]),
-        (buffers[3], 8, []),
-        (buffers[3], 12, [3]),
-    ):
+    for count, numbers in ((4, [4]), (4, []), (2, [2]), (2, []), (3, [3])):
         given.clear()
-        cl_kit.backend.bind_storage(0, buffer, 0, size)
+        buffer = cl_kit.buffer(bytes(16))
+        cl_kit.backend.bind_storage(0, buffer, 0, 4 * count)
         cl_kit.dispatch(program, 4)
         assert [each for each in given if not isinstance(each, cl.Buffer)] == numbers
-    assert [cl_kit.words(each, 4) for each in buffers] == [[4, 5, 6, 7], [4, 5, 6, 7], [2, 3, 4, 5], [3, 4, 5, 6]]
+        assert cl_kit.words(buffer, 4) == [*range(count, count + 4)]
 
 
 def test_the_kernel_says_how_many_work_items_do_a_work_group(cl_kit: ClKit) -> None:
