@@ -11,7 +11,7 @@ What a buffer held before stays where no surface was drawn, and is shown, too.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from rhi import to_srgb
 from rhi.shading import evaluate
 
 Pixels = NDArray[np.uint8]
+_NORMALS: Final = {"surface": 1, "packed": 0}
+"""The words of a geometry buffer that are normals."""
 
 
 def picture_contents(name: str, texels: NDArray[Any]) -> Pixels:
@@ -32,8 +34,11 @@ def picture_contents(name: str, texels: NDArray[Any]) -> Pixels:
         texels: (h, w) or (h, w, channels), as `Texture.read` returns them.
     """
     channels = texels.reshape(*texels.shape[:2], -1)
-    if texels.dtype == np.uint32 and name.split()[-1] in ("surface", "packed"):
-        return _encode(0.5 + 0.5 * evaluate(decode_normal, channels[..., 0]))
+    if name == "surface" and channels.shape[2] == 1:  # a distance alone
+        return _shade(channels[..., 0].view(np.float32))
+    place = _NORMALS.get(name.split()[-1], channels.shape[2])
+    if texels.dtype == np.uint32 and place < channels.shape[2]:
+        return _encode(0.5 + 0.5 * evaluate(decode_normal, channels[..., place]))
     if texels.dtype == np.uint8 and channels.shape[2] >= 3:
         return np.ascontiguousarray(channels[..., :3])
     if texels.dtype.kind in "ui":

@@ -14,6 +14,7 @@ from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.parts.cell_lists import CLUSTERS, CellReader, bind_lists, by_cells, list_pass
 from renderer.techniques.parts.finish import finish_image
 from renderer.techniques.parts.geometry_buffer import (
+    EXACT_NORMAL,
     GeometryReader,
     find_contents,
     geometry_pass,
@@ -65,7 +66,7 @@ class GeometryResolve(BackgroundScreen, GeometryReader, ShadingShader):
         material = self.materials[int(row.x)]
         surface = self.read_surface(row, texel, place, sample, position)
         color = self.shade(surface, material)
-        color += self.local_light(surface, place, sl.uint_bits_to_float(texel.y))
+        color += self.local_light(surface, place, sl.uint_bits_to_float(texel.x))
         return self.finish(color, position)
 
     def local_light(self, surface: SurfacePoint, pixel: sl.ivec2, distance: float) -> sl.vec3:
@@ -79,26 +80,29 @@ class LitByLists(CellReader, GeometryResolve):
         return self.celllight(surface, distance)
 
 
-def volume_passes(needs: Needs, *, stencil: bool = False, light_bits: int = EXACT_BITS) -> tuple[Pass[Frame], ...]:
+def volume_passes(
+    needs: Needs, *, stencil: bool = False, light_bits: int = EXACT_BITS, normal_bits: int = EXACT_NORMAL
+) -> tuple[Pass[Frame], ...]:
     """Return the passes that draw a geometry buffer, light it by volumes, and make the image.
 
     Args:
         stencil: whether each light is masked in a stencil buffer, which takes two draws for each.
-        light_bits: the bits of a channel of the light that is added up.
+        light_bits: the bits of a channel of the light that is added up. normal_bits: those of each number of a normal.
     """
     reads = list_contents(needs)
-    lights, last = declare_lights(needs, ["light"], reads, partial(light_geometry, stencil=stencil), bits=light_bits)
+    light = partial(light_geometry, stencil=stencil, normal_bits=normal_bits)
+    lights, last = declare_lights(needs, ["light"], reads, light, bits=light_bits)
+    depth = Format.D32FS8 if stencil else DEPTH_FORMAT
+    run = partial(resolve, lights=last, normal_bits=normal_bits)
     return (
-        geometry_pass(needs, Format.D32FS8 if stencil else DEPTH_FORMAT),
+        geometry_pass(needs, depth, normal_bits=normal_bits),
         *lights,
-        resolve_pass(
-            needs, partial(resolve, lights=last), "lights surfaces by what reaches all of them", (*reads, *last)
-        ),
+        resolve_pass(needs, run, "lights surfaces by what reaches all of them", (*reads, *last)),
         *finish_image(needs, FORWARD),
     )
 
 
-def cluster_passes(needs: Needs, samples: int = 1) -> tuple[Pass[Frame], ...]:
+def cluster_passes(needs: Needs, samples: int = 1, normal_bits: int = EXACT_NORMAL) -> tuple[Pass[Frame], ...]:
     """Return the passes that draw a geometry buffer of so many samples, and light it by the lists of clusters; without
     lights to list, by what reaches all surfaces."""
     reads, has_lamps = list_samples(samples, *list_contents(needs)), bool(list_lamps(needs))
@@ -106,11 +110,11 @@ def cluster_passes(needs: Needs, samples: int = 1) -> tuple[Pass[Frame], ...]:
     because += " and by their clusters' lights" if has_lamps else ""
     return frame_samples(
         needs,
-        geometry_pass(needs, samples=samples),
+        geometry_pass(needs, samples=samples, normal_bits=normal_bits),
         *([list_pass(needs, CLUSTERS)] if has_lamps else []),
         resolve_pass(
             needs,
-            partial(light_clusters if has_lamps else resolve, samples=samples),
+            partial(light_clusters if has_lamps else resolve, samples=samples, normal_bits=normal_bits),
             because,
             (*reads, *(["light lists"] if has_lamps else [])),
         ),
@@ -119,24 +123,27 @@ def cluster_passes(needs: Needs, samples: int = 1) -> tuple[Pass[Frame], ...]:
     )
 
 
-def light_geometry(frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool, stencil: bool) -> None:
+def light_geometry(
+    frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool, stencil: bool, normal_bits: int
+) -> None:
     """Add the light of the point or spot lights in view to the light buffer."""
-    switches = find_contents(frame.needs)
+    switches = {**find_contents(frame.needs), "normal_bits": normal_bits}
     draw_volumes(frame, effect, LightingShader, targets, switches=switches, clears=clears, is_masked=stencil)
 
 
-def resolve(frame: Frame, *, lights: Sequence[str] = (), samples: int = 1) -> None:
+def resolve(frame: Frame, *, lights: Sequence[str] = (), samples: int = 1, normal_bits: int = EXACT_NORMAL) -> None:
     """Make the image: shade each pixel of the geometry buffer and add the light that was collected, if any was.
 
     Args:
         lights: the name of the contents with the collected light, the last of its passes; empty without any.
     """
     own = {"light": frame.targets[lights[0]]} if lights else {}
-    resolve_geometry(frame, GeometryResolve, own, samples=samples, has_light=bool(lights))
+    switches = {"has_light": bool(lights), "normal_bits": normal_bits}
+    resolve_geometry(frame, GeometryResolve, own, samples=samples, **switches)
 
 
 def resolve_geometry(
-    frame: Frame, shader: type[GeometryResolve], own: Mapping[str, Any], *, samples: int = 1, **switches: bool
+    frame: Frame, shader: type[GeometryResolve], own: Mapping[str, Any], *, samples: int = 1, **switches: int
 ) -> None:
     """Make the image with a shader, bindings of its own, and its switches."""
     contents = find_contents(frame.needs) | switches
@@ -148,6 +155,6 @@ def resolve_geometry(
         draw_full_screen(frame, bases, frame.image, given, switches={**contents, "samples": samples})
 
 
-def light_clusters(frame: Frame, *, samples: int = 1) -> None:
+def light_clusters(frame: Frame, *, samples: int, normal_bits: int) -> None:
     """Make the image: shade each pixel of the geometry buffer by the light of everything and of its cluster."""
-    resolve_geometry(frame, LitByLists, bind_lists(frame, CLUSTERS), samples=samples)
+    resolve_geometry(frame, LitByLists, bind_lists(frame, CLUSTERS), samples=samples, normal_bits=normal_bits)
