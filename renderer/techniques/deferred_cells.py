@@ -234,15 +234,14 @@ class TiledDeferred:
         `ClusteredDeferred` without lights to test."""
         if not list_lamps(needs):
             return cluster_passes(needs, self.samples, self.normal_bits)
-        samples, bits = self.samples, self.normal_bits
-        reads = list_samples(samples, *list_contents(needs))
-        geometry = geometry_pass(needs, samples=samples, normal_bits=bits)
+        samples, reads = self.samples, list_samples(self.samples, *list_contents(needs))
+        geometry = geometry_pass(needs, samples=samples, normal_bits=self.normal_bits)
         name, shader = ("light", TiledLighting) if samples == 1 else ("lit", SampledTiles)
-        run = partial(light_tiles, name=name, shader=shader, samples=samples, normal_bits=bits)
+        run = partial(light_tiles, name=name, shader=shader, samples=samples)
         light = Pass("tiles", run, explain_lamps(needs), reads, (Target(name, LIGHT_FORMAT),))
         if samples == 1:
-            add = partial(resolve, lights=(name,), normal_bits=bits)
-            shown = resolve_pass(needs, add, "lights surfaces by what reaches all of them", (*reads, name))
+            add, because = partial(resolve, lights=(name,)), "lights surfaces by what reaches all of them"
+            shown = resolve_pass(needs, add, because, (*reads, name))
         else:
             shown = resolve_pass(needs, _show, "shows what was shaded", (name,))
         return frame_samples(needs, geometry, light, shown, samples=samples)
@@ -280,7 +279,7 @@ def dispatch_tiles(frame: Frame, lit: Texture, *bases: type[Any], own: Mapping[s
     uploads = frame.view.workspace(_make_uploads)
     uploads.write(frame.camera, frame.targets.size, frame.resources.lights)
     count = uploads.layout.count
-    program: Any = frame.program(find_variant(frame, *bases, **find_contents(frame.needs), **switches))
+    program: Any = frame.program(find_variant(frame, *bases, **find_contents(frame), **switches))
     cones = uploads.cones if Effect.SPOT_LIGHTS in frame.needs.effects else {}
     own = {**own, "lit": lit.image(0), **uploads.bindings, **cones}
     frame.device.dispatch(program, (count.x, count.y), **bind(frame, program, own))

@@ -37,7 +37,7 @@ class TechniqueSettings:
         specular_channels: 1 or 3, of `light_pre_pass`.
         light_bits: 16 or 32, the bits of a channel of light that `forward_multipass`, `deferred`, `light_pre_pass` and
             `inferred` add up; 16 on devices that can't blend 32.
-        normal_bits: 8, 16 or 24, the bits of each of the two numbers that `deferred`, `tiled_deferred` and
+        normal_bits: 8 or 16, the bits of each of the two numbers that `deferred`, `tiled_deferred` and
             `clustered_deferred` store of a normal.
         all_lights: whether `forward` looks at all lights of the scene for each fragment, instead of its object's list.
         stencil: whether `deferred` and `light_pre_pass` mask each light in a stencil buffer. depth_first: whether

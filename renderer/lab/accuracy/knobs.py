@@ -373,7 +373,7 @@ KNOBS: Final[dict[str, Knob]] = {
             "bits of each of the two numbers of a normal in a geometry buffer",
             "technique.normal_bits",
             _same(*NORMAL_BITS),
-            "8 show rings in a highlight for a word of five less, and 24 hardly a level of one more",
+            "8 shift highlights by half a degree, for a word of four or five less",
             truth=CENTRED,
             within={**_FORWARD, "technique.name": "deferred"},
         ),

@@ -11,7 +11,7 @@ What a buffer held before stays where no surface was drawn, and is shown, too.
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,6 @@ from rhi import to_srgb
 from rhi.shading import evaluate
 
 Pixels = NDArray[np.uint8]
-_NORMALS: Final = {"surface": 1, "packed": 0}
-"""The words of a geometry buffer that are normals."""
 
 
 def picture_contents(name: str, texels: NDArray[Any]) -> Pixels:
@@ -36,9 +34,8 @@ def picture_contents(name: str, texels: NDArray[Any]) -> Pixels:
     channels = texels.reshape(*texels.shape[:2], -1)
     if name == "surface" and channels.shape[2] == 1:  # a distance alone
         return _shade(channels[..., 0].view(np.float32))
-    place = _NORMALS.get(name.split()[-1], channels.shape[2])
-    if texels.dtype == np.uint32 and place < channels.shape[2]:
-        return _encode(0.5 + 0.5 * evaluate(decode_normal, channels[..., place]))
+    if texels.dtype == np.uint32 and name.split()[-1] in ("surface", "packed"):
+        return _encode(0.5 + 0.5 * evaluate(decode_normal, channels[..., 0 if name == "packed" else 1]))
     if texels.dtype == np.uint8 and channels.shape[2] >= 3:
         return np.ascontiguousarray(channels[..., :3])
     if texels.dtype.kind in "ui":

@@ -135,13 +135,11 @@ def find_count(technique: techniques.Technique) -> Pass[Frame] | None:
         case techniques.LightIndexed():
             return _declare_fragments(BY_INDICES, after_depth=True)
         case techniques.ClusteredDeferred(samples=1):
-            run = partial(_count_pixels, normal_bits=technique.normal_bits)
-            return _declare(run, "light lists", "surface", "material", "depth")
+            return _declare(_count_pixels, "light lists", "surface", "material", "depth")
         case techniques.DeferredPlus(samples=1):
             return _declare(_count_places, "light lists", "depth")
         case techniques.TiledDeferred(samples=1):
-            run = partial(_count_tiles, normal_bits=technique.normal_bits)
-            return _declare(run, "surface", "material", "depth", format=LIGHT_FORMAT)
+            return _declare(_count_tiles, "surface", "material", "depth", format=LIGHT_FORMAT)
         case techniques.Deferred() | techniques.LightPrePass():
             return _declare(partial(_count_volumes, stencil=technique.stencil, depth="depth"), "depth")
         case techniques.Inferred():
@@ -187,9 +185,9 @@ def _count_fragments(frame: Frame, *, lighting: Lighting, after_depth: bool) -> 
     frame.draw_visible(counting)
 
 
-def _count_pixels(frame: Frame, *, normal_bits: int) -> None:
+def _count_pixels(frame: Frame) -> None:
     targets, shader = frame.targets, (CountedLights, LitByLists)
-    own, switches = bind_lists(frame, CLUSTERS), {**find_contents(frame.needs), "normal_bits": normal_bits}
+    own, switches = bind_lists(frame, CLUSTERS), find_contents(frame)
     depth = targets["depth"]
     draw_full_screen(frame, shader, targets[EVALUATIONS], own, depth=depth, clear=_NONE, switches=switches)
 
@@ -198,8 +196,8 @@ def _count_places(frame: Frame) -> None:
     draw_full_screen(frame, PlacedLights, frame.targets[EVALUATIONS], bind_lists(frame, CLUSTERS))
 
 
-def _count_tiles(frame: Frame, *, normal_bits: int) -> None:
-    dispatch_tiles(frame, frame.targets[EVALUATIONS], CountedLights, TiledLighting, normal_bits=normal_bits)
+def _count_tiles(frame: Frame) -> None:
+    dispatch_tiles(frame, frame.targets[EVALUATIONS], CountedLights, TiledLighting)
 
 
 def _count_volumes(frame: Frame, *, stencil: bool, depth: str) -> None:

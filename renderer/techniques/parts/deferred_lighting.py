@@ -90,14 +90,13 @@ def volume_passes(
         light_bits: the bits of a channel of the light that is added up. normal_bits: those of each number of a normal.
     """
     reads = list_contents(needs)
-    light = partial(light_geometry, stencil=stencil, normal_bits=normal_bits)
-    lights, last = declare_lights(needs, ["light"], reads, light, bits=light_bits)
-    depth = Format.D32FS8 if stencil else DEPTH_FORMAT
-    run = partial(resolve, lights=last, normal_bits=normal_bits)
+    lights, last = declare_lights(needs, ["light"], reads, partial(light_geometry, stencil=stencil), bits=light_bits)
     return (
-        geometry_pass(needs, depth, normal_bits=normal_bits),
+        geometry_pass(needs, Format.D32FS8 if stencil else DEPTH_FORMAT, normal_bits=normal_bits),
         *lights,
-        resolve_pass(needs, run, "lights surfaces by what reaches all of them", (*reads, *last)),
+        resolve_pass(
+            needs, partial(resolve, lights=last), "lights surfaces by what reaches all of them", (*reads, *last)
+        ),
         *finish_image(needs, FORWARD),
     )
 
@@ -114,7 +113,7 @@ def cluster_passes(needs: Needs, samples: int = 1, normal_bits: int = EXACT_NORM
         *([list_pass(needs, CLUSTERS)] if has_lamps else []),
         resolve_pass(
             needs,
-            partial(light_clusters if has_lamps else resolve, samples=samples, normal_bits=normal_bits),
+            partial(light_clusters if has_lamps else resolve, samples=samples),
             because,
             (*reads, *(["light lists"] if has_lamps else [])),
         ),
@@ -123,30 +122,27 @@ def cluster_passes(needs: Needs, samples: int = 1, normal_bits: int = EXACT_NORM
     )
 
 
-def light_geometry(
-    frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool, stencil: bool, normal_bits: int
-) -> None:
+def light_geometry(frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool, stencil: bool) -> None:
     """Add the light of the point or spot lights in view to the light buffer."""
-    switches = {**find_contents(frame.needs), "normal_bits": normal_bits}
+    switches = find_contents(frame)
     draw_volumes(frame, effect, LightingShader, targets, switches=switches, clears=clears, is_masked=stencil)
 
 
-def resolve(frame: Frame, *, lights: Sequence[str] = (), samples: int = 1, normal_bits: int = EXACT_NORMAL) -> None:
+def resolve(frame: Frame, *, lights: Sequence[str] = (), samples: int = 1) -> None:
     """Make the image: shade each pixel of the geometry buffer and add the light that was collected, if any was.
 
     Args:
         lights: the name of the contents with the collected light, the last of its passes; empty without any.
     """
     own = {"light": frame.targets[lights[0]]} if lights else {}
-    switches = {"has_light": bool(lights), "normal_bits": normal_bits}
-    resolve_geometry(frame, GeometryResolve, own, samples=samples, **switches)
+    resolve_geometry(frame, GeometryResolve, own, samples=samples, has_light=bool(lights))
 
 
 def resolve_geometry(
-    frame: Frame, shader: type[GeometryResolve], own: Mapping[str, Any], *, samples: int = 1, **switches: int
+    frame: Frame, shader: type[GeometryResolve], own: Mapping[str, Any], *, samples: int = 1, **switches: bool
 ) -> None:
     """Make the image with a shader, bindings of its own, and its switches."""
-    contents = find_contents(frame.needs) | switches
+    contents = find_contents(frame) | switches
     if samples == 1:
         depth, clear = frame.targets["depth"], frame.background
         draw_full_screen(frame, shader, frame.image, own, depth=depth, clear=clear, switches=contents)
@@ -155,6 +151,6 @@ def resolve_geometry(
         draw_full_screen(frame, bases, frame.image, given, switches={**contents, "samples": samples})
 
 
-def light_clusters(frame: Frame, *, samples: int, normal_bits: int) -> None:
+def light_clusters(frame: Frame, *, samples: int = 1) -> None:
     """Make the image: shade each pixel of the geometry buffer by the light of everything and of its cluster."""
-    resolve_geometry(frame, LitByLists, bind_lists(frame, CLUSTERS), samples=samples, normal_bits=normal_bits)
+    resolve_geometry(frame, LitByLists, bind_lists(frame, CLUSTERS), samples=samples)

@@ -17,9 +17,8 @@ depth either: where standard depth is 0.3 m wrong, a position is still exact.
 Shadows are looked up by the normal that maps don't bend. Found by the distances of the pixels around, it would be
 wrong at edges and take four more loads for each light of a pixel; stored, it is in the texel that is loaded anyway.
 
-Normals may have 2 × 8 or 2 × 24 bits instead (`normal_bits`). The smaller ones lie beside the row of the material, in
-the upper half of its word, so `surface` has a word less. The larger ones take two words of an RGBA32UI, the second and
-the fourth.
+Normals may have 2 × 8 bits instead (`normal_bits`). They lie beside the row of the material, in the upper half of its
+word, so `surface` has a word less, or two with the normal without maps: R32UI, or RG32UI.
 
 A texel's colour is stored as its square root. Its 10 bits are then 4 times as fine as an image's own 8, which a bright
 light on a dark texel needs. What isn't covered keeps what the buffer held: passes over the whole image leave out the
@@ -40,13 +39,12 @@ from renderer.techniques.parts.scene_shader import ReflectingShader, SceneShader
 from renderer.techniques.parts.variants import name_samples, scene_pass
 from rhi import Format, refuse
 
-NORMAL_BITS: Final = (8, 16, 24)
+NORMAL_BITS: Final = (8, 16)
 """The bits that each of the two numbers of a normal may have."""
 EXACT_NORMAL: Final = 16
-"""The bits with which hardly a picture shows that normals were stored."""
-_COARSE: Final = (1 << 7) - 1
-_FINE: Final = (1 << 23) - 1
-"""The steps from 0 to 1 of a number of 8 bits, and of 24."""
+"""The bits with which hardly a picture shows that normals were stored: 24 have the same errors."""
+_STEPS: Final = 127
+"""The steps from 0 to 1 of a number of 8 bits."""
 MOST_MATERIALS: Final = 1 << 16
 """The number of materials that 16 bits can tell apart."""
 
@@ -62,7 +60,7 @@ def find_surface_format(needs: Needs, normal_bits: int = EXACT_NORMAL) -> Format
     """Return the format of `surface`."""
     if normal_bits == 8:
         return Format.RG32UI if needs.has_planes else Format.R32UI
-    return Format.RGBA32UI if needs.has_planes or normal_bits == 24 else Format.RG32UI
+    return Format.RGBA32UI if needs.has_planes else Format.RG32UI
 
 
 @sl.function
@@ -120,7 +118,7 @@ class DetailedTexels(sl.Struct):
 class SurfaceWriter(SceneShader):
     """The base of shaders that write `surface`."""
 
-    normal_bits = EXACT_NORMAL
+    has_small_normals = False
     rays: sl.Uniform[PixelRays]
 
     def encode_surface(self, at: SurfaceInput, normal: sl.vec3) -> sl.uvec4:
@@ -129,11 +127,8 @@ class SurfaceWriter(SceneShader):
         plane = sl.uint(0)
         if self.has_planes:
             plane = encode_normal(self.find_plane(at, normal))
-        if self.normal_bits == 8:
+        if self.has_small_normals:
             return sl.uvec4(distance, plane, sl.uint(0), sl.uint(0))
-        if self.normal_bits == 24:
-            code = sl.uvec2(encode_octahedral(normal, float(_FINE)) + _FINE)
-            return sl.uvec4(distance, code.x, plane, code.y)
         return sl.uvec4(distance, encode_normal(normal), plane, sl.uint(0))
 
 
@@ -154,8 +149,8 @@ class GeometryShader(SurfaceWriter):
         word = sl.uint(row)
         if self.has_texels:
             texel = encode_texel(described.color.rgb)
-        if self.normal_bits == 8:
-            code = sl.uvec2(encode_octahedral(described.normal, float(_COARSE)) + _COARSE)
+        if self.has_small_normals:
+            code = sl.uvec2(encode_octahedral(described.normal, float(_STEPS)) + _STEPS)
             word = word | code.x << 16 | code.y << 24
         return sl.uvec4(word, texel, sl.uint(0), sl.uint(0))
 
@@ -186,12 +181,13 @@ def find_formats(needs: Needs, normal_bits: int = EXACT_NORMAL) -> dict[str, For
     return formats | ({"details": Format.RG32UI if has_emissive else Format.R32UI} if has_details else {})
 
 
-def find_contents(needs: Needs) -> dict[str, bool]:
-    """Return the switches of a `GeometryReader` that say what the geometry buffer holds."""
-    formats = find_formats(needs)
+def find_contents(frame: Frame) -> dict[str, bool]:
+    """Return the switches of a `GeometryReader` that say what the geometry buffer of a frame holds."""
+    formats, surface = find_formats(frame.needs), frame.targets.find("surface") or frame.targets["surface samples"]
     texels, details = formats["material"] is Format.RG32UI, formats.get("details")
     emissive = details is Format.RG32UI
-    return {"has_texels": texels, "has_details": details is not None, "has_emissive_texels": emissive}
+    contents = {"has_texels": texels, "has_details": details is not None, "has_emissive_texels": emissive}
+    return contents | {"has_small_normals": surface.format is find_surface_format(frame.needs, 8)}
 
 
 class SurfaceReader(PixelShader):
@@ -200,7 +196,7 @@ class SurfaceReader(PixelShader):
     lean = True
     is_shrunk = False
     has_planes = False
-    normal_bits = EXACT_NORMAL
+    has_small_normals = False
 
     rays: sl.Uniform[PixelRays]
     surface: sl.UintTexture2D
@@ -218,9 +214,8 @@ class SurfaceReader(PixelShader):
 
     def read_plane(self, texel: sl.uvec4, normal: sl.vec3) -> sl.vec3:
         """Return the normal that maps don't bend of the surface whose texel was loaded, given the `normal`."""
-        if not self.has_planes:
-            return normal
-        return decode_normal(texel.y if self.normal_bits == 8 else texel.z)
+        word = texel.y if self.has_small_normals else texel.z
+        return decode_normal(word) if self.has_planes else normal
 
 
 class GeometryReader(SurfaceReader, ReflectingShader):
@@ -240,16 +235,14 @@ class GeometryReader(SurfaceReader, ReflectingShader):
 
     def separate(self, texel: sl.uvec4) -> sl.uvec4:
         """Return a texel of `material` with a normal of 8 bits in words of its own."""
-        if self.normal_bits == 8:
+        if self.has_small_normals:
             return sl.uvec4(texel.x & 65535, texel.y, texel.x >> 16 & 255, texel.x >> 24)
         return texel
 
     def read_normal(self, row: sl.uvec4, texel: sl.uvec4) -> sl.vec3:
         """Return the normal whose texels of `material` and `surface` were loaded."""
-        if self.normal_bits == 8:
-            return decode_octahedral(sl.ivec2(row.zw) - _COARSE, float(_COARSE))
-        if self.normal_bits == 24:
-            return decode_octahedral(sl.ivec2(texel.yw) - _FINE, float(_FINE))
+        if self.has_small_normals:
+            return decode_octahedral(sl.ivec2(row.zw) - _STEPS, float(_STEPS))
         return decode_normal(texel.y)
 
     def load_details(self, place: sl.ivec2, sample: int) -> sl.uvec4:
@@ -299,8 +292,7 @@ def geometry_pass(
         if normal_bits == 8:
             check_materials(frame)
         shader = DetailedGeometry if "details" in formats else GeometryShader
-        color = [frame.targets[name] for name in names]
-        switches = {**find_contents(needs), "normal_bits": normal_bits}
+        color, switches = [frame.targets[name] for name in names], find_contents(frame)
         frame.draw_visible(scene_pass(frame, shader, color=color, depth=frame.targets[depth.name], switches=switches))
 
     targets = (Target(name, format, samples=samples) for name, format in zip(names, formats.values(), strict=True))

@@ -34,7 +34,7 @@ def test_a_texel_is_stored_finer_than_images_have_it() -> None:
 
 @pytest.mark.parametrize("make", [Deferred, TiledDeferred, ClusteredDeferred, partial(TiledDeferred, 4)])
 @pytest.mark.parametrize("bends", [False, True])
-def test_normals_of_8_bits_are_seen_to_be_rounded_and_others_are_those_of_rays(
+def test_normals_of_8_bits_are_seen_to_be_rounded_and_those_of_16_are_those_of_rays(
     drawing_device: rhi.Device, make: Any, bends: bool
 ) -> None:
     """A highlight on a face that fills the picture, with shadows and without: a map may bend its normal."""
@@ -46,6 +46,6 @@ def test_normals_of_8_bits_are_seen_to_be_rounded_and_others_are_those_of_rays(
     scene, eye, size = builder.build(), Camera.look_at((0, 0, 14), (0, 0, 0), projection=Perspective(0.5)), (64, 36)
     exact = Judge(scene).draw(eye, size)
     pictures = (draw(drawing_device, scene, make(normal_bits=bits), eye, size=size) for bits in NORMAL_BITS)
-    small, usual, large = (np.abs(picture - exact).max() for picture in pictures)
-    assert max(usual, large) < 1.0
+    small, usual = (np.abs(picture - exact).max() for picture in pictures)
+    assert usual < 1.0
     assert 3.0 < small < 20.0

@@ -47,6 +47,13 @@ def test_normals_are_decoded(name: str) -> None:
     assert np.abs(picture_contents(name, words)[0, 0].astype(int) - (188, 255, 188)).max() <= 1
 
 
+def test_a_surface_without_a_normal_is_a_distance() -> None:
+    distances = np.array([[1.0, 2.0, 3.0]], np.float32)
+    assert (
+        picture_contents("surface", distances.view(np.uint32)).tolist() == picture_contents("depth", distances).tolist()
+    )
+
+
 def test_equal_whole_numbers_have_equal_colours_and_neighbours_others() -> None:
     picture = picture_contents("material", np.array([[3, 3, 4, 2**32 - 1]], np.uint32)).astype(int)
     assert (picture[0, 0] == picture[0, 1]).all()
