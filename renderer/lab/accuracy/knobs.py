@@ -373,7 +373,7 @@ KNOBS: Final[dict[str, Knob]] = {
             "bits of each of the two numbers of a normal in a geometry buffer",
             "technique.normal_bits",
             _same(*NORMAL_BITS),
-            "8 shift highlights by half a degree, for a word of four or five less",
+            "8 shift a highlight by a third of a degree, for a word of four to six less",
             truth=CENTRED,
             within={**_FORWARD, "technique.name": "deferred"},
         ),

@@ -21,7 +21,7 @@ from renderer.techniques.parts.geometry_buffer import (
     list_contents,
 )
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, declare_lights, draw_volumes
-from renderer.techniques.parts.resolve import EXACT_BITS, resolve_pass
+from renderer.techniques.parts.resolve import resolve_pass
 from renderer.techniques.parts.samples import GeometrySamples, SampleMean, bind_samples, frame_samples, list_samples
 from renderer.techniques.parts.scene_shader import ShadingShader
 from renderer.techniques.parts.variants import FORWARD, draw_full_screen, list_lamps
@@ -80,9 +80,7 @@ class LitByLists(CellReader, GeometryResolve):
         return self.celllight(surface, distance)
 
 
-def volume_passes(
-    needs: Needs, *, stencil: bool = False, light_bits: int = EXACT_BITS, normal_bits: int = EXACT_NORMAL
-) -> tuple[Pass[Frame], ...]:
+def volume_passes(needs: Needs, *, stencil: bool, light_bits: int, normal_bits: int) -> tuple[Pass[Frame], ...]:
     """Return the passes that draw a geometry buffer, light it by volumes, and make the image.
 
     Args:

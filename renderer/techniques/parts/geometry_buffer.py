@@ -32,7 +32,7 @@ from typing import Final
 import rhi.shading as sl
 from renderer import rules
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
-from renderer.shaders.encodings import decode_normal, decode_octahedral, encode_normal, encode_octahedral
+from renderer.shaders.encodings import decode_normal, encode_normal, encode_octahedral
 from renderer.shaders.pixels import PixelRays, PixelShader, place_pixel
 from renderer.shaders.structs import Material, SurfaceInput, SurfaceParameters, SurfacePoint, SurfaceVarying
 from renderer.techniques.parts.scene_shader import ReflectingShader, SceneShader
@@ -43,8 +43,6 @@ NORMAL_BITS: Final = (8, 16)
 """The bits that each of the two numbers of a normal may have."""
 EXACT_NORMAL: Final = 16
 """The bits with which hardly a picture shows that normals were stored: 24 have the same errors."""
-_STEPS: Final = 127
-"""The steps from 0 to 1 of a number of 8 bits."""
 MOST_MATERIALS: Final = 1 << 16
 """The number of materials that 16 bits can tell apart."""
 
@@ -150,7 +148,7 @@ class GeometryShader(SurfaceWriter):
         if self.has_texels:
             texel = encode_texel(described.color.rgb)
         if self.has_small_normals:
-            code = sl.uvec2(encode_octahedral(described.normal, float(_STEPS)) + _STEPS)
+            code = sl.uvec2(encode_octahedral(described.normal, 127.0) + 127)
             word = word | code.x << 16 | code.y << 24
         return sl.uvec4(word, texel, sl.uint(0), sl.uint(0))
 
@@ -234,16 +232,11 @@ class GeometryReader(SurfaceReader, ReflectingShader):
         return self.separate(self.material.load(place))
 
     def separate(self, texel: sl.uvec4) -> sl.uvec4:
-        """Return a texel of `material` with a normal of 8 bits in words of its own."""
+        """Return a texel of `material` whose third word is a normal of 8 bits, as `encode_normal` stores it."""
         if self.has_small_normals:
-            return sl.uvec4(texel.x & 65535, texel.y, texel.x >> 16 & 255, texel.x >> 24)
+            code = sl.uvec2(texel.x >> 16 & 255, texel.x >> 24) * 258 + 1  # 127 of 254 is 32,767 of 65,534
+            return sl.uvec4(texel.x & 65535, texel.y, code.x | code.y << 16, sl.uint(0))
         return texel
-
-    def read_normal(self, row: sl.uvec4, texel: sl.uvec4) -> sl.vec3:
-        """Return the normal whose texels of `material` and `surface` were loaded."""
-        if self.has_small_normals:
-            return decode_octahedral(sl.ivec2(row.zw) - _STEPS, float(_STEPS))
-        return decode_normal(texel.y)
 
     def load_details(self, place: sl.ivec2, sample: int) -> sl.uvec4:
         """Return the texel of `details`: of a sample, if pixels have several."""
@@ -254,7 +247,7 @@ class GeometryReader(SurfaceReader, ReflectingShader):
     ) -> SurfacePoint:
         """Return the surface at a place of the buffer, whose texels of `material` and `surface` were loaded."""
         material = self.materials[int(row.x)]
-        normal = self.read_normal(row, texel)
+        normal = decode_normal(row.z if self.has_small_normals else texel.y)
         color = sl.vec3(1.0)
         metal = sl.vec2(material.metallic, material.roughness)
         occlusion = 1.0
@@ -279,26 +272,24 @@ class GeometryReader(SurfaceReader, ReflectingShader):
         return self.make_surface(position, self.read_plane(texel, normal), described, material)
 
 
-def geometry_pass(
-    needs: Needs, depth_format: Format = DEPTH_FORMAT, *, samples: int = 1, normal_bits: int = EXACT_NORMAL
-) -> Pass[Frame]:
+def geometry_pass(needs: Needs, depth: Format = DEPTH_FORMAT, *, samples: int = 1, normal_bits: int) -> Pass[Frame]:
     """Return the pass that draws the geometry buffer: `surface`, `material`, `details` if it has any, and `depth`. With
     several samples, `name_samples` names them."""
     formats = find_formats(needs, normal_bits)
     names = [name_samples(name, samples) for name in formats]
-    depth = Target(name_samples("depth", samples), depth_format, samples=samples)
+    target = Target(name_samples("depth", samples), depth, samples=samples)
 
     def draw(frame: Frame) -> None:
         if normal_bits == 8:
             check_materials(frame)
         shader = DetailedGeometry if "details" in formats else GeometryShader
         color, switches = [frame.targets[name] for name in names], find_contents(frame)
-        frame.draw_visible(scene_pass(frame, shader, color=color, depth=frame.targets[depth.name], switches=switches))
+        frame.draw_visible(scene_pass(frame, shader, color=color, depth=frame.targets[target.name], switches=switches))
 
     targets = (Target(name, format, samples=samples) for name, format in zip(names, formats.values(), strict=True))
     because = f"stores the nearest surface of each {'pixel' if samples == 1 else 'sample'}"
     reads = ("depth",) if samples > 1 else ()
-    return Pass("geometry", draw, because, reads=reads, writes=(*targets, depth))
+    return Pass("geometry", draw, because, reads=reads, writes=(*targets, target))
 
 
 def list_contents(needs: Needs) -> tuple[str, ...]:
