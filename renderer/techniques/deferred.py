@@ -16,7 +16,8 @@ from typing import Final
 
 from renderer.frame import Frame, Needs, Pass
 from renderer.techniques.parts.deferred_lighting import volume_passes
-from renderer.techniques.parts.resolve import EXACT_BITS, check_bits
+from renderer.techniques.parts.geometry_buffer import EXACT_NORMAL, NORMAL_BITS
+from renderer.techniques.parts.resolve import EXACT_BITS, SUM_FORMATS, check_bits
 
 
 class Deferred:
@@ -24,14 +25,16 @@ class Deferred:
 
     name: Final = "deferred"
 
-    def __init__(self, *, stencil: bool = False, light_bits: int = EXACT_BITS) -> None:
+    def __init__(self, *, stencil: bool = False, light_bits: int = EXACT_BITS, normal_bits: int = EXACT_NORMAL) -> None:
         """With `stencil`, each light is masked in a stencil buffer, which takes two draws for each. `light_bits` is 16
-        or 32: those of a channel of the light that is added up."""
-        check_bits(light_bits, "Deferred")
+        or 32: those of a channel of the light that is added up. `normal_bits` is 8 or 16: those of each of the two
+        numbers that are stored of a normal. With 8, a scene may have 65,536 materials (`technique-many-materials`)."""
+        check_bits(light_bits, SUM_FORMATS, "Deferred(light_bits=...)")
+        check_bits(normal_bits, NORMAL_BITS, "Deferred(normal_bits=...)")
         self.stencil = stencil
-        self.light_bits = light_bits
+        self.light_bits, self.normal_bits = light_bits, normal_bits
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `geometry`, `point lights` and `spot lights` if there are any in view, and `resolve`, and
         those of transparent surfaces."""
-        return volume_passes(needs, stencil=self.stencil, light_bits=self.light_bits)
+        return volume_passes(needs, stencil=self.stencil, light_bits=self.light_bits, normal_bits=self.normal_bits)

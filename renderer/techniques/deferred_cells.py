@@ -24,17 +24,18 @@ from renderer.lights.culling.uploads import LightUploads
 from renderer.lights.culling.volumes import WORD
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.parts.deferred_lighting import cluster_passes, resolve
-from renderer.techniques.parts.finish import finish_image
 from renderer.techniques.parts.geometry_buffer import (
+    EXACT_NORMAL,
+    NORMAL_BITS,
     GeometryReader,
     find_contents,
     geometry_pass,
     list_contents,
 )
-from renderer.techniques.parts.resolve import LIGHT_FORMAT, LitPixels, resolve_pass
+from renderer.techniques.parts.resolve import LIGHT_FORMAT, LitPixels, check_bits, resolve_pass
 from renderer.techniques.parts.samples import GeometrySamples, bind_samples, frame_samples, list_samples
 from renderer.techniques.parts.scene_shader import LampShader, ShadingShader
-from renderer.techniques.parts.variants import FORWARD, bind, draw_full_screen, explain_lamps, find_variant, list_lamps
+from renderer.techniques.parts.variants import bind, draw_full_screen, explain_lamps, find_variant, list_lamps
 from rhi import Texture
 
 TILE: Final = 16
@@ -201,7 +202,7 @@ class SampledTiles(GeometrySamples, TiledLighting, ShadingShader):
 
     def find_distance(self, sample: int) -> float:
         """Return the distance along the view of a sample's surface."""
-        return sl.max(sl.uint_bits_to_float(self.load_surface(self.find_pixel(), sample).y), 0.0)
+        return sl.max(sl.uint_bits_to_float(self.load_surface(self.find_pixel(), sample).x), 0.0)
 
     def find_surface(self, sample: int) -> SurfacePoint:
         """Return the surface of a sample."""
@@ -223,26 +224,26 @@ class TiledDeferred:
 
     name: Final = "tiled_deferred"
 
-    def __init__(self, samples: int = 1) -> None:
-        """Choose the number of samples per pixel, as for `Forward`."""
-        self.samples = samples
+    def __init__(self, samples: int = 1, *, normal_bits: int = EXACT_NORMAL) -> None:
+        """Choose the number of samples per pixel, as for `Forward`, and as for `Deferred` the bits of normals."""
+        check_bits(normal_bits, NORMAL_BITS, "TiledDeferred(normal_bits=...)")
+        self.samples, self.normal_bits = samples, normal_bits
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `geometry`, `tiles` and `resolve`, with several samples also `depth` before them; those of
         `ClusteredDeferred` without lights to test."""
         if not list_lamps(needs):
-            return cluster_passes(needs, self.samples)
-        samples = self.samples
-        reads, geometry = list_samples(samples, *list_contents(needs)), geometry_pass(needs, samples=samples)
+            return cluster_passes(needs, self.samples, self.normal_bits)
+        samples, reads = self.samples, list_samples(self.samples, *list_contents(needs))
+        geometry = geometry_pass(needs, samples=samples, normal_bits=self.normal_bits)
+        name, shader = ("light", TiledLighting) if samples == 1 else ("lit", SampledTiles)
+        run = partial(light_tiles, name=name, shader=shader, samples=samples)
+        light = Pass("tiles", run, explain_lamps(needs), reads, (Target(name, LIGHT_FORMAT),))
         if samples == 1:
-            light = Pass(
-                "tiles", light_tiles, explain_lamps(needs), reads=reads, writes=(Target("light", LIGHT_FORMAT),)
-            )
-            add, because = partial(resolve, lights=("light",)), "lights surfaces by what reaches all of them"
-            return geometry, light, resolve_pass(needs, add, because, (*reads, "light")), *finish_image(needs, FORWARD)
-        run = partial(light_samples, samples=samples)
-        light = Pass("tiles", run, explain_lamps(needs), reads=reads, writes=(Target("lit", LIGHT_FORMAT),))
-        shown = resolve_pass(needs, _show, "shows what was shaded", ("lit",))
+            add, because = partial(resolve, lights=(name,)), "lights surfaces by what reaches all of them"
+            shown = resolve_pass(needs, add, because, (*reads, name))
+        else:
+            shown = resolve_pass(needs, _show, "shows what was shaded", (name,))
         return frame_samples(needs, geometry, light, shown, samples=samples)
 
 
@@ -251,24 +252,22 @@ class ClusteredDeferred:
 
     name: Final = "clustered_deferred"
 
-    def __init__(self, samples: int = 1) -> None:
-        """Choose the number of samples per pixel, as for `Forward`."""
-        self.samples = samples
+    def __init__(self, samples: int = 1, *, normal_bits: int = EXACT_NORMAL) -> None:
+        """Choose the number of samples per pixel, as for `Forward`, and as for `Deferred` the bits of normals."""
+        check_bits(normal_bits, NORMAL_BITS, "ClusteredDeferred(normal_bits=...)")
+        self.samples, self.normal_bits = samples, normal_bits
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `geometry`, `light lists` and `resolve`, with several samples also `depth` before them;
         those of `Deferred` without lights to list."""
-        return cluster_passes(needs, self.samples)
+        return cluster_passes(needs, self.samples, self.normal_bits)
 
 
-def light_tiles(frame: Frame) -> None:
-    """Add up the light of point and spot lights in `light`."""
-    dispatch_tiles(frame, frame.targets["light"], TiledLighting)
-
-
-def light_samples(frame: Frame, *, samples: int) -> None:
-    """Shade the samples of all pixels, and store their means in `lit`."""
-    dispatch_tiles(frame, frame.targets["lit"], SampledTiles, own=bind_samples(frame), samples=samples)
+def light_tiles(frame: Frame, *, name: str, shader: type[TiledLighting], **switches: int) -> None:
+    """Add up the light of point and spot lights in the contents `name`, or shade the samples of all pixels, and store
+    their means there."""
+    own = bind_samples(frame) if shader is SampledTiles else {}
+    dispatch_tiles(frame, frame.targets[name], shader, own=own, **switches)
 
 
 def _show(frame: Frame) -> None:
@@ -279,7 +278,7 @@ def dispatch_tiles(frame: Frame, lit: Texture, *bases: type[Any], own: Mapping[s
     """Run the compute shader with these bases for all tiles, with bindings of its own and its switches."""
     uploads = frame.view.workspace(_make_uploads)
     uploads.write(frame.camera, frame.targets.size, frame.resources.lights)
-    program: Any = frame.program(find_variant(frame, *bases, **find_contents(frame.needs), **switches))
+    program: Any = frame.program(find_variant(frame, *bases, **find_contents(frame), **switches))
     cones = uploads.cones if Effect.SPOT_LIGHTS in frame.needs.effects else {}
     own = {**own, "lit": lit.image(0), **uploads.bindings, **cones}
     frame.device.dispatch(program, uploads.count[:2], **bind(frame, program, own))

@@ -111,7 +111,7 @@ class ForwardMultipass:
 
     def __init__(self, *, light_bits: int = EXACT_BITS) -> None:
         """`light_bits` is 16 or 32: those of a channel of the light that is added up."""
-        check_bits(light_bits, "ForwardMultipass")
+        check_bits(light_bits, SUM_FORMATS, "ForwardMultipass(light_bits=...)")
         self.light_bits = light_bits
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:

@@ -43,7 +43,7 @@ from renderer.techniques.parts.light_terms import (
     normals_pass,
 )
 from renderer.techniques.parts.light_volumes import declare_lights
-from renderer.techniques.parts.resolve import EXACT_BITS, check_bits
+from renderer.techniques.parts.resolve import EXACT_BITS, SUM_FORMATS, check_bits
 from renderer.techniques.parts.scene_shader import ForwardShader, SceneShader
 from renderer.techniques.parts.variants import FORWARD, Lighting, draw_full_screen, lit_pass, scene_pass
 from rhi import DepthFunction, DepthWrite, refuse
@@ -87,7 +87,7 @@ class ShrinkShader(BackgroundScreen):
         surface = self.surface.load(place)
         depth = self.depth.load(place).x
         if depth == self.rays.farthest:
-            surface.y = sl.float_bits_to_uint(-1e30)
+            surface.x = sl.float_bits_to_uint(-1e30)
         return ShrunkTexels(surface=surface, shininess=self.shininess.load(place).x, depth=depth)
 
 
@@ -173,7 +173,7 @@ class Inference(ForwardShader, SurfaceReader):
         """Return the weight of a texel: 1 if it is of the same surface, or else that of a stranger."""
         texel = self.surface.load(place)
         away = sl.abs(sl.dot(surface.normal, self.find_place(texel, place) - surface.position))
-        if away > _NEAR_PLANE * sl.length(surface.position) or sl.dot(surface.normal, decode_normal(texel.x)) < _ALIKE:
+        if away > _NEAR_PLANE * sl.length(surface.position) or sl.dot(surface.normal, decode_normal(texel.y)) < _ALIKE:
             return _STRANGER
         return 1.0
 
@@ -197,7 +197,7 @@ class Inferred:
         where each texel that they take is missing in the picture of what is behind them.
         """
         check_scale(scale, "Inferred")
-        check_bits(light_bits, "Inferred")
+        check_bits(light_bits, SUM_FORMATS, "Inferred(light_bits=...)")
         self.light_bits = light_bits
         self.scale = scale
         self.stippled = stippled

@@ -32,7 +32,7 @@ from renderer.techniques.parts.light_terms import (
     normals_pass,
 )
 from renderer.techniques.parts.light_volumes import declare_lights
-from renderer.techniques.parts.resolve import EXACT_BITS, check_bits
+from renderer.techniques.parts.resolve import EXACT_BITS, SUM_FORMATS, check_bits
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.variants import FORWARD, Lighting, lit_pass
 from rhi import Format, refuse
@@ -74,7 +74,7 @@ class LightPrePass:
         """`specular_channels` is 3 or 1. With `stencil`, each light is masked in a stencil buffer. `light_bits` is 16
         or 32: those of a channel of the terms that are added up."""
         check_channels(specular_channels, "LightPrePass")
-        check_bits(light_bits, "LightPrePass")
+        check_bits(light_bits, SUM_FORMATS, "LightPrePass(light_bits=...)")
         self.light_bits = light_bits
         self.specular_channels = specular_channels
         self.stencil = stencil

@@ -15,6 +15,7 @@ from renderer.techniques.inferred import check_scale
 from renderer.techniques.light_pre_pass import check_channels
 from renderer.techniques.parts.cell_lists import CLUSTERS, TILES, LightCells
 from renderer.techniques.parts.fxaa import Smoothed
+from renderer.techniques.parts.geometry_buffer import EXACT_NORMAL, NORMAL_BITS
 from renderer.techniques.parts.resolve import EXACT_BITS, SUM_FORMATS, check_bits
 from renderer.techniques.table import TECHNIQUES
 from renderer.techniques.technique import Technique
@@ -36,6 +37,8 @@ class TechniqueSettings:
         specular_channels: 1 or 3, of `light_pre_pass`.
         light_bits: 16 or 32, the bits of a channel of light that `forward_multipass`, `deferred`, `light_pre_pass` and
             `inferred` add up; 16 on devices that can't blend 32.
+        normal_bits: 8 or 16, the bits of each of the two numbers that `deferred`, `tiled_deferred` and
+            `clustered_deferred` store of a normal.
         all_lights: whether `forward` looks at all lights of the scene for each fragment, instead of its object's list.
         stencil: whether `deferred` and `light_pre_pass` mask each light in a stencil buffer. depth_first: whether
             `clustered` draws depth before. multi_pass: whether `deferred_plus` shades each material by draws of its
@@ -51,6 +54,7 @@ class TechniqueSettings:
     stippled: bool = True
     specular_channels: int = 3
     light_bits: int = EXACT_BITS
+    normal_bits: int = EXACT_NORMAL
     all_lights: bool = False
     stencil: bool = False
     depth_first: bool = False
@@ -69,7 +73,8 @@ class TechniqueSettings:
             refuse(rules.ONE_SAMPLE, "TechniqueSettings", f"{self.name} with samples={self.samples}")
         check_scale(self.scale, "TechniqueSettings")
         check_channels(self.specular_channels, "TechniqueSettings")
-        check_bits(self.light_bits, "TechniqueSettings")
+        check_bits(self.light_bits, SUM_FORMATS, "TechniqueSettings(light_bits=...)")
+        check_bits(self.normal_bits, NORMAL_BITS, "TechniqueSettings(normal_bits=...)")
         samples = self.samples if self.name == DeferredPlus.name else 1
         check_passes(self.multi_pass, self.binned, samples, "TechniqueSettings")
 

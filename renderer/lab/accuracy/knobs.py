@@ -21,6 +21,7 @@ from renderer.scene import Depth
 from renderer.scene.cloth.sheets import INTERVAL, SUB_STEPS
 from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter
+from renderer.techniques.parts.geometry_buffer import NORMAL_BITS
 from rhi import Filter
 from rhi.shading import Precision
 
@@ -366,6 +367,15 @@ KNOBS: Final[dict[str, Knob]] = {
             truth=FORWARD,
             within={**_FORWARD, "technique.name": "deferred"},
             demand=Demand.LAMPS,
+        ),
+        _picture(
+            "geometry_normals",
+            "bits of each of the two numbers of a normal in a geometry buffer",
+            "technique.normal_bits",
+            _same(*NORMAL_BITS),
+            "8 shift a highlight by a third of a degree, for a word of four to six less",
+            truth=CENTRED,
+            within={**_FORWARD, "technique.name": "deferred"},
         ),
         _picture(
             "light_cutoff",

@@ -32,8 +32,10 @@ def picture_contents(name: str, texels: NDArray[Any]) -> Pixels:
         texels: (h, w) or (h, w, channels), as `Texture.read` returns them.
     """
     channels = texels.reshape(*texels.shape[:2], -1)
+    if name == "surface" and channels.shape[2] == 1:  # a distance alone
+        return _shade(channels[..., 0].view(np.float32))
     if texels.dtype == np.uint32 and name.split()[-1] in ("surface", "packed"):
-        return _encode(0.5 + 0.5 * evaluate(decode_normal, channels[..., 0]))
+        return _encode(0.5 + 0.5 * evaluate(decode_normal, channels[..., 0 if name == "packed" else 1]))
     if texels.dtype == np.uint8 and channels.shape[2] >= 3:
         return np.ascontiguousarray(channels[..., :3])
     if texels.dtype.kind in "ui":

@@ -187,7 +187,7 @@ def _count_fragments(frame: Frame, *, lighting: Lighting, after_depth: bool) -> 
 
 def _count_pixels(frame: Frame) -> None:
     targets, shader = frame.targets, (CountedLights, LitByLists)
-    own, switches = bind_lists(frame, CLUSTERS), find_contents(frame.needs)
+    own, switches = bind_lists(frame, CLUSTERS), find_contents(frame)
     depth = targets["depth"]
     draw_full_screen(frame, shader, targets[EVALUATIONS], own, depth=depth, clear=_NONE, switches=switches)
 

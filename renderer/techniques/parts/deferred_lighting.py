@@ -14,13 +14,14 @@ from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.parts.cell_lists import CLUSTERS, CellReader, bind_lists, by_cells, list_pass
 from renderer.techniques.parts.finish import finish_image
 from renderer.techniques.parts.geometry_buffer import (
+    EXACT_NORMAL,
     GeometryReader,
     find_contents,
     geometry_pass,
     list_contents,
 )
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, declare_lights, draw_volumes
-from renderer.techniques.parts.resolve import EXACT_BITS, resolve_pass
+from renderer.techniques.parts.resolve import resolve_pass
 from renderer.techniques.parts.samples import GeometrySamples, SampleMean, bind_samples, frame_samples, list_samples
 from renderer.techniques.parts.scene_shader import ShadingShader
 from renderer.techniques.parts.variants import FORWARD, draw_full_screen, list_lamps
@@ -65,7 +66,7 @@ class GeometryResolve(BackgroundScreen, GeometryReader, ShadingShader):
         material = self.materials[int(row.x)]
         surface = self.read_surface(row, texel, place, sample, position)
         color = self.shade(surface, material)
-        color += self.local_light(surface, place, sl.uint_bits_to_float(texel.y))
+        color += self.local_light(surface, place, sl.uint_bits_to_float(texel.x))
         return self.finish(color, position)
 
     def local_light(self, surface: SurfacePoint, pixel: sl.ivec2, distance: float) -> sl.vec3:
@@ -79,17 +80,17 @@ class LitByLists(CellReader, GeometryResolve):
         return self.celllight(surface, distance)
 
 
-def volume_passes(needs: Needs, *, stencil: bool = False, light_bits: int = EXACT_BITS) -> tuple[Pass[Frame], ...]:
+def volume_passes(needs: Needs, *, stencil: bool, light_bits: int, normal_bits: int) -> tuple[Pass[Frame], ...]:
     """Return the passes that draw a geometry buffer, light it by volumes, and make the image.
 
     Args:
         stencil: whether each light is masked in a stencil buffer, which takes two draws for each.
-        light_bits: the bits of a channel of the light that is added up.
+        light_bits: the bits of a channel of the light that is added up. normal_bits: those of each number of a normal.
     """
     reads = list_contents(needs)
     lights, last = declare_lights(needs, ["light"], reads, partial(light_geometry, stencil=stencil), bits=light_bits)
     return (
-        geometry_pass(needs, Format.D32FS8 if stencil else DEPTH_FORMAT),
+        geometry_pass(needs, Format.D32FS8 if stencil else DEPTH_FORMAT, normal_bits=normal_bits),
         *lights,
         resolve_pass(
             needs, partial(resolve, lights=last), "lights surfaces by what reaches all of them", (*reads, *last)
@@ -98,7 +99,7 @@ def volume_passes(needs: Needs, *, stencil: bool = False, light_bits: int = EXAC
     )
 
 
-def cluster_passes(needs: Needs, samples: int = 1) -> tuple[Pass[Frame], ...]:
+def cluster_passes(needs: Needs, samples: int = 1, normal_bits: int = EXACT_NORMAL) -> tuple[Pass[Frame], ...]:
     """Return the passes that draw a geometry buffer of so many samples, and light it by the lists of clusters; without
     lights to list, by what reaches all surfaces."""
     reads, has_lamps = list_samples(samples, *list_contents(needs)), bool(list_lamps(needs))
@@ -106,7 +107,7 @@ def cluster_passes(needs: Needs, samples: int = 1) -> tuple[Pass[Frame], ...]:
     because += " and by their clusters' lights" if has_lamps else ""
     return frame_samples(
         needs,
-        geometry_pass(needs, samples=samples),
+        geometry_pass(needs, samples=samples, normal_bits=normal_bits),
         *([list_pass(needs, CLUSTERS)] if has_lamps else []),
         resolve_pass(
             needs,
@@ -121,7 +122,7 @@ def cluster_passes(needs: Needs, samples: int = 1) -> tuple[Pass[Frame], ...]:
 
 def light_geometry(frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool, stencil: bool) -> None:
     """Add the light of the point or spot lights in view to the light buffer."""
-    switches = find_contents(frame.needs)
+    switches = find_contents(frame)
     draw_volumes(frame, effect, LightingShader, targets, switches=switches, clears=clears, is_masked=stencil)
 
 
@@ -139,7 +140,7 @@ def resolve_geometry(
     frame: Frame, shader: type[GeometryResolve], own: Mapping[str, Any], *, samples: int = 1, **switches: bool
 ) -> None:
     """Make the image with a shader, bindings of its own, and its switches."""
-    contents = find_contents(frame.needs) | switches
+    contents = find_contents(frame) | switches
     if samples == 1:
         depth, clear = frame.targets["depth"], frame.background
         draw_full_screen(frame, shader, frame.image, own, depth=depth, clear=clear, switches=contents)

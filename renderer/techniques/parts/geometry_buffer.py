@@ -2,7 +2,7 @@
 
 | contents | format | bytes | what it holds |
 |---|---|---|---|
-| `surface` | RG32UI | 8 | the normal, octahedral in 2 × 16 bits; the distance along the view, a float32 |
+| `surface` | RG32UI | 8 | the distance along the view, a float32; the normal, octahedral in 2 × 16 bits |
 | `surface`, if shadows fall on normal maps | RGBA32UI | 16 | and the normal without maps; a word isn't used |
 | `material` | R32UI | 4 | the row of the material |
 | `material`, if the scene has images or maps | RG32UI | 8 | and the texel's colour, 3 × 10 bits |
@@ -17,6 +17,9 @@ depth either: where standard depth is 0.3 m wrong, a position is still exact.
 Shadows are looked up by the normal that maps don't bend. Found by the distances of the pixels around, it would be
 wrong at edges and take four more loads for each light of a pixel; stored, it is in the texel that is loaded anyway.
 
+Normals may have 2 × 8 bits instead (`normal_bits`). They lie beside the row of the material, in the upper half of its
+word, so `surface` has a word less, or two with the normal without maps: R32UI, or RG32UI.
+
 A texel's colour is stored as its square root. Its 10 bits are then 4 times as fine as an image's own 8, which a bright
 light on a dark texel needs. What isn't covered keeps what the buffer held: passes over the whole image leave out the
 background by a depth test (`draw_full_screen`).
@@ -24,18 +27,37 @@ background by a depth test (`draw_full_screen`).
 
 from __future__ import annotations
 
+from typing import Final
+
 import rhi.shading as sl
+from renderer import rules
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
-from renderer.shaders.encodings import decode_normal, encode_normal
+from renderer.shaders.encodings import decode_normal, encode_normal, encode_octahedral
 from renderer.shaders.pixels import PixelRays, PixelShader, place_pixel
 from renderer.shaders.structs import Material, SurfaceInput, SurfaceParameters, SurfacePoint, SurfaceVarying
 from renderer.techniques.parts.scene_shader import ReflectingShader, SceneShader
 from renderer.techniques.parts.variants import name_samples, scene_pass
-from rhi import Format
+from rhi import Format, refuse
+
+NORMAL_BITS: Final = (8, 16)
+"""The bits that each of the two numbers of a normal may have."""
+EXACT_NORMAL: Final = 16
+"""The bits with which hardly a picture shows that normals were stored: 24 have the same errors."""
+MOST_MATERIALS: Final = 1 << 16
+"""The number of materials that 16 bits can tell apart."""
 
 
-def find_surface_format(needs: Needs) -> Format:
+def check_materials(frame: Frame) -> None:
+    """Refuse a scene with more materials than 16 bits can tell apart."""
+    count = len(frame.resources.scene.materials)
+    if count > MOST_MATERIALS:
+        refuse(rules.MANY_MATERIALS, "render", f"{count:,} materials", f"at most {MOST_MATERIALS:,}")
+
+
+def find_surface_format(needs: Needs, normal_bits: int = EXACT_NORMAL) -> Format:
     """Return the format of `surface`."""
+    if normal_bits == 8:
+        return Format.RG32UI if needs.has_planes else Format.R32UI
     return Format.RGBA32UI if needs.has_planes else Format.RG32UI
 
 
@@ -94,15 +116,18 @@ class DetailedTexels(sl.Struct):
 class SurfaceWriter(SceneShader):
     """The base of shaders that write `surface`."""
 
+    has_small_normals = False
     rays: sl.Uniform[PixelRays]
 
     def encode_surface(self, at: SurfaceInput, normal: sl.vec3) -> sl.uvec4:
         """Return what `surface` holds; what its format has no room for is left out."""
-        distance = sl.dot(at.position, self.rays.forward)
+        distance = sl.float_bits_to_uint(sl.dot(at.position, self.rays.forward))
         plane = sl.uint(0)
         if self.has_planes:
             plane = encode_normal(self.find_plane(at, normal))
-        return sl.uvec4(encode_normal(normal), sl.float_bits_to_uint(distance), plane, sl.uint(0))
+        if self.has_small_normals:
+            return sl.uvec4(distance, plane, sl.uint(0), sl.uint(0))
+        return sl.uvec4(distance, encode_normal(normal), plane, sl.uint(0))
 
 
 class GeometryShader(SurfaceWriter):
@@ -114,14 +139,18 @@ class GeometryShader(SurfaceWriter):
         at = self.take(v)
         described = self.see(at)
         surface = self.encode_surface(at, described.normal)
-        return GeometryTexels(surface=surface, material=self.encode_material(at.material, described.color))
+        return GeometryTexels(surface=surface, material=self.encode_material(at.material, described))
 
-    def encode_material(self, row: int, color: sl.vec4) -> sl.uvec4:
+    def encode_material(self, row: int, described: SurfaceParameters) -> sl.uvec4:
         """Return what `material` holds."""
         texel = sl.uint(0)
+        word = sl.uint(row)
         if self.has_texels:
-            texel = encode_texel(color.rgb)
-        return sl.uvec4(sl.uint(row), texel, sl.uint(0), sl.uint(0))
+            texel = encode_texel(described.color.rgb)
+        if self.has_small_normals:
+            code = sl.uvec2(encode_octahedral(described.normal, 127.0) + 127)
+            word = word | code.x << 16 | code.y << 24
+        return sl.uvec4(word, texel, sl.uint(0), sl.uint(0))
 
 
 class DetailedGeometry(GeometryShader):
@@ -133,28 +162,30 @@ class DetailedGeometry(GeometryShader):
         details = encode_details(sl.vec2(described.metallic, described.roughness), described.occlusion)
         return DetailedTexels(
             surface=self.encode_surface(at, described.normal),
-            material=self.encode_material(at.material, described.color),
+            material=self.encode_material(at.material, described),
             details=sl.uvec4(details, encode_texel(described.emissive), sl.uint(0), sl.uint(0)),
         )
 
 
-def find_formats(needs: Needs) -> dict[str, Format]:
+def find_formats(needs: Needs, normal_bits: int = EXACT_NORMAL) -> dict[str, Format]:
     """Return the formats of the geometry buffer's contents but `depth`, which hold what the scene has and no more."""
     effects = needs.effects
     has_own = Effect.MATERIAL_SHADERS in effects  # which may say anything
     has_emissive = has_own or Effect.EMISSIVE_MAPS in effects
     has_details = has_emissive or not effects.isdisjoint((Effect.ROUGHNESS_MAPS, Effect.OCCLUSION_MAPS))
     has_texels = has_details or not effects.isdisjoint((Effect.IMAGES, Effect.VERTEX_COLORS))
-    formats = {"surface": find_surface_format(needs), "material": Format.RG32UI if has_texels else Format.R32UI}
+    material = Format.RG32UI if has_texels else Format.R32UI
+    formats = {"surface": find_surface_format(needs, normal_bits), "material": material}
     return formats | ({"details": Format.RG32UI if has_emissive else Format.R32UI} if has_details else {})
 
 
-def find_contents(needs: Needs) -> dict[str, bool]:
-    """Return the switches of a `GeometryReader` that say what the geometry buffer holds."""
-    formats = find_formats(needs)
+def find_contents(frame: Frame) -> dict[str, bool]:
+    """Return the switches of a `GeometryReader` that say what the geometry buffer of a frame holds."""
+    formats, surface = find_formats(frame.needs), frame.targets.find("surface") or frame.targets["surface samples"]
     texels, details = formats["material"] is Format.RG32UI, formats.get("details")
     emissive = details is Format.RG32UI
-    return {"has_texels": texels, "has_details": details is not None, "has_emissive_texels": emissive}
+    contents = {"has_texels": texels, "has_details": details is not None, "has_emissive_texels": emissive}
+    return contents | {"has_small_normals": surface.format is find_surface_format(frame.needs, 8)}
 
 
 class SurfaceReader(PixelShader):
@@ -163,6 +194,7 @@ class SurfaceReader(PixelShader):
     lean = True
     is_shrunk = False
     has_planes = False
+    has_small_normals = False
 
     rays: sl.Uniform[PixelRays]
     surface: sl.UintTexture2D
@@ -176,11 +208,12 @@ class SurfaceReader(PixelShader):
         pixel = sl.vec2(place) + 0.5
         if self.is_shrunk:
             pixel = find_shrunk(pixel, self.rays.size, self.surface.size())
-        return place_pixel(self.rays, pixel, sl.uint_bits_to_float(texel.y))
+        return place_pixel(self.rays, pixel, sl.uint_bits_to_float(texel.x))
 
     def read_plane(self, texel: sl.uvec4, normal: sl.vec3) -> sl.vec3:
         """Return the normal that maps don't bend of the surface whose texel was loaded, given the `normal`."""
-        return decode_normal(texel.z) if self.has_planes else normal
+        word = texel.y if self.has_small_normals else texel.z
+        return decode_normal(word) if self.has_planes else normal
 
 
 class GeometryReader(SurfaceReader, ReflectingShader):
@@ -196,7 +229,14 @@ class GeometryReader(SurfaceReader, ReflectingShader):
 
     def load_material(self, place: sl.ivec2, sample: int) -> sl.uvec4:
         """Return the texel of `material`: of a sample, if pixels have several."""
-        return self.material.load(place)
+        return self.separate(self.material.load(place))
+
+    def separate(self, texel: sl.uvec4) -> sl.uvec4:
+        """Return a texel of `material` whose third word is a normal of 8 bits, as `encode_normal` stores it."""
+        if self.has_small_normals:
+            code = sl.uvec2(texel.x >> 16 & 255, texel.x >> 24) * 258 + 1  # 127 of 254 is 32,767 of 65,534
+            return sl.uvec4(texel.x & 65535, texel.y, code.x | code.y << 16, sl.uint(0))
+        return texel
 
     def load_details(self, place: sl.ivec2, sample: int) -> sl.uvec4:
         """Return the texel of `details`: of a sample, if pixels have several."""
@@ -207,7 +247,7 @@ class GeometryReader(SurfaceReader, ReflectingShader):
     ) -> SurfacePoint:
         """Return the surface at a place of the buffer, whose texels of `material` and `surface` were loaded."""
         material = self.materials[int(row.x)]
-        normal = decode_normal(texel.x)
+        normal = decode_normal(row.z if self.has_small_normals else texel.y)
         color = sl.vec3(1.0)
         metal = sl.vec2(material.metallic, material.roughness)
         occlusion = 1.0
@@ -232,22 +272,24 @@ class GeometryReader(SurfaceReader, ReflectingShader):
         return self.make_surface(position, self.read_plane(texel, normal), described, material)
 
 
-def geometry_pass(needs: Needs, depth_format: Format = DEPTH_FORMAT, *, samples: int = 1) -> Pass[Frame]:
+def geometry_pass(needs: Needs, depth: Format = DEPTH_FORMAT, *, samples: int = 1, normal_bits: int) -> Pass[Frame]:
     """Return the pass that draws the geometry buffer: `surface`, `material`, `details` if it has any, and `depth`. With
     several samples, `name_samples` names them."""
-    formats = find_formats(needs)
+    formats = find_formats(needs, normal_bits)
     names = [name_samples(name, samples) for name in formats]
-    depth = Target(name_samples("depth", samples), depth_format, samples=samples)
+    target = Target(name_samples("depth", samples), depth, samples=samples)
 
     def draw(frame: Frame) -> None:
+        if normal_bits == 8:
+            check_materials(frame)
         shader = DetailedGeometry if "details" in formats else GeometryShader
-        color, switches = [frame.targets[name] for name in names], find_contents(needs)
-        frame.draw_visible(scene_pass(frame, shader, color=color, depth=frame.targets[depth.name], switches=switches))
+        color, switches = [frame.targets[name] for name in names], find_contents(frame)
+        frame.draw_visible(scene_pass(frame, shader, color=color, depth=frame.targets[target.name], switches=switches))
 
     targets = (Target(name, format, samples=samples) for name, format in zip(names, formats.values(), strict=True))
     because = f"stores the nearest surface of each {'pixel' if samples == 1 else 'sample'}"
     reads = ("depth",) if samples > 1 else ()
-    return Pass("geometry", draw, because, reads=reads, writes=(*targets, depth))
+    return Pass("geometry", draw, because, reads=reads, writes=(*targets, target))
 
 
 def list_contents(needs: Needs) -> tuple[str, ...]:

@@ -86,7 +86,7 @@ class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
         if not self.is_reached(position, light):
             return LightTerms(diffuse=sl.vec4(0.0), specular=sl.vec4(0.0), grazing=sl.vec4(0.0))
         incidence = self.find_incidence(position, light)
-        normal = decode_normal(texel.x)
+        normal = decode_normal(texel.y)
         surface = SurfacePoint(
             position=position,
             normal=normal,

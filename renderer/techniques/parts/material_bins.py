@@ -23,7 +23,7 @@ from renderer.frame import Frame, Pass
 from renderer.frame.mirrors import MirroredArray
 from renderer.shaders.pixels import PixelRays
 from renderer.shaders.prefix_sum import PrefixSum
-from renderer.techniques.parts.packed_geometry import MOST_MATERIALS
+from renderer.techniques.parts.geometry_buffer import MOST_MATERIALS
 from renderer.techniques.parts.variants import bind
 from rhi import Device, Program, StorageBuffer
 

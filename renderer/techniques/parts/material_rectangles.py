@@ -31,7 +31,7 @@ from renderer.shaders.encodings import material_depth
 from renderer.shaders.pixels import BackgroundScreen
 from renderer.shaders.structs import Material
 from renderer.techniques.parts.full_screen import make_triangle
-from renderer.techniques.parts.packed_geometry import MOST_MATERIALS
+from renderer.techniques.parts.geometry_buffer import MOST_MATERIALS
 from renderer.techniques.parts.variants import bind, find_variant, list_shaders
 from rhi import (
     CullMode,

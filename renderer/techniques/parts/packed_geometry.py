@@ -25,7 +25,6 @@ from functools import partial
 from typing import Final
 
 import rhi.shading as sl
-from renderer import rules
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.encodings import (
     TangentFrame,
@@ -43,13 +42,10 @@ from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.materials import MaterialShader
 from renderer.shaders.pixels import PixelRays, PixelShader, distance_at, nearness_of
 from renderer.shaders.structs import SurfaceInput, SurfaceVarying
-from renderer.techniques.parts.geometry_buffer import decode_texel, encode_texel
+from renderer.techniques.parts.geometry_buffer import check_materials, decode_texel, encode_texel
 from renderer.techniques.parts.scene_shader import SceneShader
 from renderer.techniques.parts.variants import name_samples, scene_pass
-from rhi import Format, refuse
-
-MOST_MATERIALS: Final = 1 << 16
-"""The number of materials that the buffer can tell apart."""
+from rhi import Format
 
 
 class PlainWords(sl.Struct):
@@ -241,9 +237,7 @@ def find_packed(needs: Needs, samples: int) -> dict[str, Format]:
 
 def draw_packed(frame: Frame, *, samples: int = 1) -> None:
     """Draw the visible objects to the packed geometry buffer."""
-    count = len(frame.resources.scene.materials)
-    if count > MOST_MATERIALS:
-        refuse(rules.MANY_MATERIALS, "render", f"{count:,} materials", f"at most {MOST_MATERIALS:,}")
+    check_materials(frame)
     shader: type[SceneShader] = PackedTextures if _has_textures(frame.needs) else PackedPlain
     if samples > 1:
         shader = PackedDistances

@@ -6,7 +6,7 @@ tones, and adds haze by the distance of the surface. A pixel without a surface i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Final
 
 from renderer import rules
@@ -50,10 +50,10 @@ class LitPixels(BackgroundScreen):
         return vec4(self.lit.load(ivec2(fragment_coordinate().xy)).rgb, 1.0)
 
 
-def check_bits(light_bits: int, call: str) -> None:
-    """Refuse a number of bits in which light can't be added up."""
-    if type(light_bits) is not int or light_bits not in SUM_FORMATS:
-        refuse(rules.BAD_TECHNIQUE, f"{call}(light_bits=...)", light_bits, "16 or 32")
+def check_bits(bits: int, known: Collection[int], call: str) -> None:
+    """Refuse a number of bits that isn't known."""
+    if type(bits) is not int or bits not in known:
+        refuse(rules.BAD_TECHNIQUE, call, bits, f"one of {', '.join(map(str, known))}")
 
 
 def resolve_pass(needs: Needs, run: Callable[[Frame], None], because: str, reads: tuple[str, ...]) -> Pass[Frame]:

@@ -94,7 +94,7 @@ class GeometrySamples(SampleReader, GeometryReader):
         return self.surface_samples.load(place, sample)
 
     def load_material(self, place: sl.ivec2, sample: int) -> sl.uvec4:
-        return self.material_samples.load(place, sample)
+        return self.separate(self.material_samples.load(place, sample))
 
     def load_details(self, place: sl.ivec2, sample: int) -> sl.uvec4:
         return self.details_samples.load(place, sample)

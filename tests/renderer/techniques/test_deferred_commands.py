@@ -19,6 +19,7 @@ from rhi import DepthFunction, DepthWrite, Op
 SIZE = (32, 16)
 DEFERRED = [Deferred(), Deferred(stencil=True)]
 PRE_PASS = [LightPrePass(), LightPrePass(stencil=True), LightPrePass(specular_channels=1)]
+STORING = [Deferred, techniques.TiledDeferred, techniques.ClusteredDeferred]
 ALL: list[Technique] = [*DEFERRED, *PRE_PASS, Inferred()]
 
 
@@ -114,7 +115,9 @@ def test_the_second_pass_of_a_light_pre_pass_draws_what_the_first_has_drawn_and_
         (Deferred(), "boxes", 0, 8 + 4 + 4 + 4),
         (Deferred(), "boxes", 1, 8 + 4 + 4 + 16 + 4),
         (Deferred(light_bits=16), "boxes", 1, 8 + 4 + 4 + 8 + 4),
+        (Deferred(normal_bits=8), "boxes", 1, 4 + 4 + 4 + 16 + 4),
         (Deferred(), "city:blocks=4", 1, 8 + 8 + 4 + 16 + 4),
+        (techniques.ClusteredDeferred(normal_bits=8), "city:blocks=4", 1, 4 + 8 + 4 + 4),
         (Deferred(stencil=True), "boxes", 1, 8 + 4 + 8 + 16 + 4),
         (LightPrePass(), "boxes", 0, 4 + 4),
         (LightPrePass(), "boxes", 1, 8 + 2 + 4 + 32 + 4),
@@ -149,6 +152,11 @@ def test_a_second_frame_uploads_the_rows_of_its_lamps(null: rhi.Device, techniqu
         *(partial(Inferred, scale=scale) for scale in (0.0, -0.5, 1.001, float("nan"))),
         *(partial(LightPrePass, specular_channels=channels) for channels in (0, 2, 4)),
         *(partial(kind, light_bits=bits) for kind in (Deferred, LightPrePass, Inferred) for bits in (8, 24, 64)),
+        *(
+            partial(kind, normal_bits=bits)
+            for kind in (*STORING, techniques.TechniqueSettings)
+            for bits in (7, 12, 24, 16.0)
+        ),
         partial(ForwardMultipass, light_bits=16.0),
         partial(techniques.TechniqueSettings, light_bits=8),
     ],

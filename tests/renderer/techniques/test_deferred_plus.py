@@ -16,11 +16,12 @@ from renderer.content import BUILT_IN, load_scene
 from renderer.lab.measure.plans import describe_plan
 from renderer.renderer import Renderer
 from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, TextureMap, make_geometry, scaling, translation
-from renderer.techniques import DeferredPlus, Forward
+from renderer.techniques import DeferredPlus, Forward, Technique, TiledDeferred
 from renderer.techniques.deferred_plus import PackedShading
+from renderer.techniques.parts.geometry_buffer import MOST_MATERIALS
 from renderer.techniques.parts.material_bins import PixelBins
 from renderer.techniques.parts.material_rectangles import MaterialRectangles
-from renderer.techniques.parts.packed_geometry import MOST_MATERIALS, PackedPlain, PackedTextures
+from renderer.techniques.parts.packed_geometry import PackedPlain, PackedTextures
 from renderer.techniques.settings import TechniqueSettings
 from renderer.visibility import FrustumCulling, TwoPassCulling
 from rhi import Op, Stage
@@ -91,11 +92,12 @@ def test_a_scene_without_images_or_lamps_binds_neither(null: rhi.Device) -> None
     assert not labels & {"point lights", "light rows", "rectangles"}
 
 
-def test_a_buffer_of_16_bits_refuses_more_materials(null: rhi.Device) -> None:
+@pytest.mark.parametrize("technique", [DeferredPlus(), TiledDeferred(normal_bits=8)])
+def test_a_buffer_of_16_bits_refuses_more_materials(null: rhi.Device, technique: Technique) -> None:
     scene = scatter(1)
     for count, is_refused in ((MOST_MATERIALS, False), (MOST_MATERIALS + 1, True)):
         scene.materials = np.repeat(scene.materials[:1], count)
-        with open_renderer(null, scene, DeferredPlus(), size=SIZE) as renderer:
+        with open_renderer(null, scene, technique, size=SIZE) as renderer:
             if is_refused:
                 with pytest.raises(rhi.ValidationError) as refusal:
                     renderer.render(EYE)

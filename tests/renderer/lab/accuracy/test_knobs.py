@@ -48,7 +48,8 @@ def test_no_technique_has_a_choice_that_settings_lack(name: str) -> None:
 def test_a_technique_has_the_settings_that_its_parameters_name(name: str) -> None:
     others = {"samples": 4, "tiles": CLUSTERS, "clusters": TILES, "scale": 0.25, "stippled": False,
               "specular_channels": 1, "all_lights": True, "stencil": True, "depth_first": True, "multi_pass": False,
-              "light_bits": 16, "binned": False}  # fmt: skip  # those of several samples: neither of the two
+              # Those of several samples: neither of the two.
+              "light_bits": 16, "normal_bits": 8, "binned": False}  # fmt: skip
     chosen = {one: others[one] for one in inspect.signature(TECHNIQUES[name]).parameters}
     made = TechniqueSettings(**{"name": name, **chosen}).make_one(name)
     assert vars(made) == vars(TECHNIQUES[name](**chosen))

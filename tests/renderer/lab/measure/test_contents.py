@@ -42,8 +42,16 @@ def test_colours_stay_and_light_is_mapped_to_tones() -> None:
 @pytest.mark.parametrize("name", ["surface", "small surface", "packed"])
 def test_normals_are_decoded(name: str) -> None:
     words = np.zeros((1, 1, 2), np.uint32)
-    words[..., 0] = evaluate(encode_normal, np.array([[[0.0, 1.0, 0.0]]], np.float32))
+    place = 0 if name == "packed" else 1
+    words[..., place] = evaluate(encode_normal, np.array([[[0.0, 1.0, 0.0]]], np.float32))
     assert np.abs(picture_contents(name, words)[0, 0].astype(int) - (188, 255, 188)).max() <= 1
+
+
+def test_a_surface_without_a_normal_is_a_distance() -> None:
+    distances = np.array([[1.0, 2.0, 3.0]], np.float32)
+    assert (
+        picture_contents("surface", distances.view(np.uint32)).tolist() == picture_contents("depth", distances).tolist()
+    )
 
 
 def test_equal_whole_numbers_have_equal_colours_and_neighbours_others() -> None:
