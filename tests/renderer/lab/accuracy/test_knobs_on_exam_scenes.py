@@ -50,6 +50,7 @@ EXCEPTIONS: Mapping[tuple[str, str], str] = {
     ("scale", "corners where w is negative"): EDGES,
     ("scale", "two faces in one plane"): EDGES,
     ("mip_bias", "terrain:cells=64,trees=8"): "from -1 on, what is sharper flickers more",
+    ("light_cutoff", "teleports"): "0.007 of a level, where filters of textures lose 5.6",
     ("light_test", "teleports"): "planes leave out lights beside large clusters that vertices keep; hybrid asks both",
     ("light_test", "glass"): "the same",
     ("depth", "a parallel projection whose near plane cuts boxes"): (
