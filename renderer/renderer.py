@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
 from time import perf_counter
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -452,12 +452,11 @@ class Renderer:
         return needs, self._plan(needs)
 
     def _find_needs(self, camera: Camera, seen: frozenset[str] | None = None) -> Needs:
-        options: dict[str, Any] = {
-            "reaches": self._resources.reaching,
-            "lights": self._resources.lights,
-            "last": self._needs,
-        }
-        self._needs = find_needs(self.scene, camera, blending=self.blending, glow=self.glow, seen=seen, **options)
+        resources = self._resources
+        self._needs = find_needs(
+            self.scene, camera, reaches=resources.reaching, blending=self.blending, glow=self.glow, seen=seen,
+            lights=resources.lights, last=self._needs,
+        )  # fmt: skip
         return self._needs
 
     def _plan(self, needs: Needs) -> Plan[Frame]:

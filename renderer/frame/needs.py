@@ -328,7 +328,7 @@ def _find_causes(scene: Scene, lights: Lights, last: SceneCauses | None) -> Scen
     lights.refresh()
     state = (
         scene.material_version, len(scene.materials), lights.contents, scene.haze > 0.0, scene.fog is None,
-        scene.glow is None, bool(scene.objects.casts_shadow.any()), len(scene.height_fields),
+        scene.glow is None, bool(scene.objects.casts_shadow.any()), tuple(scene.height_fields),
     )  # fmt: skip
     if last is not None and last.state == state:
         return last

@@ -39,7 +39,7 @@ DARK: Final = -2
 """The slots of lamps without maps: those that nothing blocks, and those for whose maps there is no room. The latter
 light nothing, so that no wall is lit through."""
 
-SMALL: Final = 64
+_SMALL: Final = 64
 """The width in texels of a lamp's map up to which shadows err towards dark."""
 
 _STEEPEST: Final = 0.005
@@ -308,7 +308,8 @@ class ShadowReceiver(ShadowReader):
         tilt = turn(rotation, normal)
         slope = sl.vec2(tilt.x, -tilt.y) * (self.lamps.bias.z * near / (plane * tile.w))
         share = self.find_lit_share(at, near * nearness, slope, tile.xy, tile.z)
-        if tile.z <= SMALL / 2.0:
+        if tile.z <= _SMALL / 2.0:
+            # An edge is drawn at most half a texel off, and filters reach 1.5: beyond it, 2/3 of them may be lit.
             share = sl.max(3.0 * share - 2.0, 0.0)
         return light * share
 

@@ -82,7 +82,7 @@ def move_objects(renderer: Renderer, random: Random) -> None:
 def change_settings(renderer: Renderer, random: Random) -> None:
     renderer.blending = random.choice([*Blending])
     renderer.precision = random.choice([*Precision])
-    renderer.glow = random.choice([EXACT_GLOW, GlowSettings(levels=2)])  # type: ignore[arg-type]
+    renderer.glow = (EXACT_GLOW, GlowSettings(levels=2))[int(random.integers(2))]
 
 
 def resize(renderer: Renderer, random: Random) -> None:
@@ -113,7 +113,7 @@ def compare(device: rhi.Device, technique: str, seed: int, *, frames: int = 40) 
     with open_renderer(device, scene, TECHNIQUES[technique](), visibility="frustum") as renderer:
         for number in range(frames):
             if number % 2:  # in the frames between only the camera moves
-                random.choice(EDITS)(renderer, random)  # type: ignore[arg-type]
+                EDITS[int(random.integers(len(EDITS)))](renderer, random)
             eye = Camera.look_at(random.uniform((-8, 1, -8), (8, 6, 8)), random.uniform(-8, 8, 3))
             if records:
                 device.stream.clear()

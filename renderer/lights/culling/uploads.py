@@ -48,7 +48,7 @@ class LightUploads:
     """The grid of cells and the volumes of the lights of one frame at a time, on the device.
 
     Attributes:
-        layout: the grid. count: its columns, rows and slices.
+        layout: the grid.
         words, point_words: the number of words with a bit for each light, and of those before the spot lights'.
     """
 
@@ -56,11 +56,16 @@ class LightUploads:
         """Cells are tiles of `tile` × `tile` pixels, divided into `slices` by depth (see `make_grid`)."""
         self.tile, self.slices, self.first_slice = tile, slices, first_slice
         self.layout: CellGrid = make_grid(Perspective(), (1, 1), tile, slices=slices)
-        self.count = 1, 1, slices
         self.words = self.point_words = 0
         self.parameters: UniformBuffer[CellGrid] = device.uniform(self.layout)
         self.counts: UniformBuffer[LightCounts] = device.uniform(LightCounts(words=0, point_words=0))
         self._buffers: Final = BufferSet(device, "light volumes")
+
+    @property
+    def count(self) -> tuple[int, int, int]:
+        """The columns, rows and slices of the grid."""
+        columns, rows, slices = self.layout.count
+        return columns, rows, slices
 
     def write(self, camera: Camera, size: tuple[int, int], lights: Lights) -> None:
         """Upload an image's grid, of `size` pixels, and the volumes of all point and spot lights."""
@@ -68,8 +73,7 @@ class LightUploads:
         words = volumes.words, volumes.point_words
         if words != (self.words, self.point_words):
             self.words, self.point_words = words
-            self.counts.write(LightCounts(words=volumes.words, point_words=volumes.point_words))
-        self.count = -(-size[0] // self.tile), -(-size[1] // self.tile), self.slices
+            self.counts.write(LightCounts(words=self.words, point_words=self.point_words))
         self.layout = make_grid(
             camera.projection,
             size,

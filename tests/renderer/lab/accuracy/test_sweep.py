@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -236,8 +237,8 @@ def test_lights_that_reach_a_point_are_counted_by_range_and_cone() -> None:
     camera = Camera.look_at(spot["position"], spot["position"] + spot["direction"])
     before, behind = away * np.asarray(spot["direction"], np.float64), -away * np.asarray(spot["direction"], np.float64)
     only = type("Lights", (), {"point": scene.lights.point[:0], "spot": scene.lights.spot[:1]})
-    stage = type("Stage", (), {"lights": only})
-    counts = [sweep.count_reached(stage, camera, place[None]) for place in (before, behind, 3.0 * before)]  # type: ignore[arg-type]
+    stage: Any = type("Stage", (), {"lights": only})
+    counts = [sweep.count_reached(stage, camera, place[None]) for place in (before, behind, 3.0 * before)]
     assert counts == [1, 0, 0]
 
 
