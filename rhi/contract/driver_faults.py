@@ -24,6 +24,16 @@ def limit_anisotropy(device: str, driver: str, most: float) -> tuple[float, tupl
     return (1.0, (_REASON,)) if walks and os.environ.get(_OPT_IN, "0") in ("", "0") else (most, ())
 
 
+def is_fourth_uniform_faulty(device: str) -> bool:
+    """Return whether no stage may read its fourth uniform buffer.
+
+    Mesa 22.3's lavapipe keeps the uniforms that conditions depend on in a table of 4 for each of 32 buffers, but steps
+    through it by 32. Those of a stage's fourth buffer, the fifth row, are written over the counts that follow the
+    table, and the next draw reads a buffer that isn't there. Later buffers meet nothing that is used.
+    """
+    return "llvmpipe" in device
+
+
 def list_block_faults(device: str) -> tuple[str, ...]:
     """Return why a device's compressed textures can't be used, if they can't."""
     return (_ZEROS,) if "SwiftShader" in device else ()

@@ -29,6 +29,7 @@ from rhi.backends.wgpu.textures import Textures
 from rhi.backends.wgpu.tools import Tools
 from rhi.contract import descriptors
 from rhi.contract.descriptors import Id
+from rhi.contract.driver_faults import is_fourth_uniform_faulty
 from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.states import StateChange
 
@@ -68,6 +69,7 @@ class WgpuBackend:
         self._queries = Queries(
             device, self._stream, mappings, "timestamp-query-inside-passes" in host.features
         )  # fmt: skip
+        self._has_pads = is_fourth_uniform_faulty(host.info["device"])
         self._programs: dict[Id, GpuProgram] = {}
         self._destroyers: dict[Id, Callable[[Id], None]] = {}
         self.bind_uniform = self._bindings.bind_uniform
@@ -120,7 +122,7 @@ class WgpuBackend:
         self._destroyers[sampler] = self._samplers.destroy
 
     def create_program(self, program: Id, descriptor: descriptors.ProgramDescriptor) -> None:
-        self._programs[program] = GpuProgram(self.device, program, descriptor)
+        self._programs[program] = GpuProgram(self.device, program, descriptor, has_pads=self._has_pads)
         self._destroyers[program] = self._destroy_program
 
     def _destroy_program(self, program: Id) -> None:

@@ -14,7 +14,7 @@ from rhi.backends.wgpu.textures import Textures
 from rhi.contract.backend import SAMPLE_COUNTS, Capabilities
 from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import TextureDescriptor, TextureKind
-from rhi.contract.driver_faults import limit_anisotropy, list_block_faults
+from rhi.contract.driver_faults import is_fourth_uniform_faulty, limit_anisotropy, list_block_faults
 from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, FLOAT32_FORMATS, ChannelKind, Format
 from rhi.contract.states import MAX_TARGETS
 
@@ -58,7 +58,8 @@ def query_capabilities(host: Host, textures: Textures) -> Capabilities:
         max_uniform_bytes=limits["max-uniform-buffer-binding-size"],
         max_storage_bytes=limits["max-storage-buffer-binding-size"],
         max_uniform_slots=min(
-            limits[f"max-uniform-buffers-{stage}"], limits["max-dynamic-uniform-buffers-per-pipeline-layout"]
+            limits[f"max-uniform-buffers-{stage}"] - is_fourth_uniform_faulty(info["device"]),
+            limits["max-dynamic-uniform-buffers-per-pipeline-layout"],
         ),
         max_storage_slots=min(limits[f"max-storage-buffers-{stage}"], _MOST_STORAGE),
         max_texture_slots=min(

@@ -2,6 +2,8 @@
 
 - Each kind of binding has a group: uniforms 0, storage 1, textures and samplers 2, images 3.
 - Uniforms have dynamic offsets, so a group depends on buffers and sizes only: draws that walk through a ring share it.
+- Uniform slots have even bindings. The odd ones are pads, buffers that no shader reads, where a driver can't read the
+  fourth of a stage (`is_fourth_uniform_faulty`).
 - A layout says whether a texture of floats is filtered. Depth that is read as floats isn't, nor are other formats on
   some devices, so a program has a layout for each set of slots with such textures.
 """
@@ -28,6 +30,8 @@ _VISIBILITY: Final = {
     Stage.COMPUTE: wgpu.ShaderStage.COMPUTE,
 }
 _DEPTH: Final = "@builtin(frag_depth)"
+_FAULTY: Final = 3
+"""How many uniform buffers a stage has before the one that some drivers can't read."""
 _ACCESS: Final = {"read": "read-only", "write": "write-only", "read_write": "read-write"}
 
 
@@ -52,9 +56,10 @@ class GpuProgram:
         written: the storage slots that it may write.
         pipelines: its pipelines, by all that they depend on.
         tests_alpha: whether its fragment stage has an alpha to test.
+        pads: the bindings of its pads, by the stages that count them.
     """
 
-    def __init__(self, device: GpuObject, program: Id, descriptor: ProgramDescriptor) -> None:
+    def __init__(self, device: GpuObject, program: Id, descriptor: ProgramDescriptor, *, has_pads: bool) -> None:
         self.id = program
         self.descriptor = descriptor
         self.modules: dict[Stage, GpuObject] = {}
@@ -76,9 +81,19 @@ class GpuProgram:
         self.written = tuple(s for s in self.storages if self._access.get((1, s)) == "read_write")
         self.written_images = tuple(s for s in self.images if self._access.get((3, s)) != "read")
         types = {slot: self.texture_type(slot) for slot in self.textures}
+        self.pads = self._place_pads() if has_pads else {}
         self.float_textures = tuple(
             s for s, type in types.items() if type.scalar is FLOAT and not (type.compare or type.samples)
         )
+
+    def _place_pads(self) -> dict[int, int]:
+        pads: dict[int, int] = {}
+        for stage in (_VISIBILITY[stage] for stage in self.modules):
+            read = [slot for slot in self.uniforms if self._find_stages(BindingKind.UNIFORM, 2 * slot) & stage]
+            if len(read) > _FAULTY:
+                binding = 2 * read[_FAULTY] - 1
+                pads[binding] = pads.get(binding, 0) | stage
+        return pads
 
     def _compile(self, stage: Stage) -> None:
         descriptor = self.descriptor
@@ -131,13 +146,18 @@ class GpuProgram:
                 found = self._layouts[unfiltered] = PipelineLayout(self._device, groups, unfiltered)
         return found
 
-    def _entry(self, kind: BindingKind, slot: int, **what: object) -> dict[str, Any]:
+    def _entry(self, kind: BindingKind, binding: int, **what: object) -> dict[str, Any]:
+        return {"binding": binding, "visibility": self._find_stages(kind, binding), **what}
+
+    def _find_stages(self, kind: BindingKind, binding: int) -> int:
         fallback = wgpu.ShaderStage.COMPUTE if Stage.COMPUTE in self.modules else wgpu.ShaderStage.FRAGMENT
-        return {"binding": slot, "visibility": self._visibility.get((SETS[kind], slot), fallback), **what}
+        return int(self._visibility.get((SETS[kind], binding), fallback))
 
     def _uniforms(self) -> list[dict[str, Any]]:
         buffer = {"type": "uniform", "has_dynamic_offset": True}
-        return [self._entry(BindingKind.UNIFORM, slot, buffer=buffer) for slot in self.uniforms]
+        read = [self._entry(BindingKind.UNIFORM, 2 * slot, buffer=buffer) for slot in self.uniforms]
+        pads = [{"binding": b, "visibility": v, "buffer": {"type": "uniform"}} for b, v in self.pads.items()]
+        return read + pads
 
     def _storages(self) -> list[dict[str, Any]]:
         return [

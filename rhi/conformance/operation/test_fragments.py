@@ -340,6 +340,56 @@ def test_a_vertex_stage_reads_storage(device: rhi.Device) -> None:
     assert_mask(back, np.arange(8)[None] != 3)
 
 
+class Digit(sl.Struct):
+    """Whether a digit is one, behind 16 other bytes."""
+
+    before: sl.vec4
+    is_one: float
+
+
+@sl.function
+def find_zero(zero: float) -> float:
+    """Return 0 for 0, after enough work that a compiler keeps a branch around it."""
+    found = zero
+    for _ in range(16):
+        found = sl.exp2(found) - 1.0
+    return found
+
+
+class SixConditions(Shaded):
+    """Shows a number of six binary digits, each in a uniform buffer of its own. Red must be 0."""
+
+    d0: sl.Uniform[Digit]
+    d1: sl.Uniform[Digit]
+    d2: sl.Uniform[Digit]
+    d3: sl.Uniform[Digit]
+    d4: sl.Uniform[Digit]
+    d5: sl.Uniform[Digit]
+
+    def fragment(self, v: Shade) -> sl.vec4:
+        number = 0.0
+        if self.d0.is_one + v.color.x > 0.5:
+            number += 1.0 + find_zero(v.color.x)
+        if self.d1.is_one + v.color.x > 0.5:
+            number += 2.0 + find_zero(v.color.x)
+        if self.d2.is_one + v.color.x > 0.5:
+            number += 4.0 + find_zero(v.color.x)
+        if self.d3.is_one + v.color.x > 0.5:
+            number += 8.0 + find_zero(v.color.x)
+        if self.d4.is_one + v.color.x > 0.5:
+            number += 16.0 + find_zero(v.color.x)
+        if self.d5.is_one + v.color.x > 0.5:
+            number += 32.0 + find_zero(v.color.x)
+        return sl.vec4(number / 255.0)
+
+
+def test_a_condition_reads_any_uniform_buffer_of_its_stage(device: rhi.Device) -> None:
+    for number in (*(1 << digit for digit in range(6)), 0b101101):
+        digits: dict[str, Any] = {f"d{i}": Digit(before=(0.0,) * 4, is_one=float(number >> i & 1)) for i in range(6)}
+        back = draw_once(device, SIZE, rhi.Format.R8, rectangle(color=(0, 0, 0, 0)), shader=SixConditions, **digits)
+        assert (back == number).all()
+
+
 def test_draws_of_one_pass_see_their_effects_in_order(device: rhi.Device) -> None:
     """Repeated blending shows that no fragment of a later draw overtakes one of an earlier draw."""
     require_blendable(device, rhi.Format.R32F)

@@ -156,7 +156,8 @@ class _WgslStageWriter:
                 form = f"texture_storage_{SHAPES[kind]}<{texel_format(format)}, {access}>"
                 return [f"{group} {slot} var {name}: {form};"]
         assert binding.kind is BindingKind.UNIFORM
-        return [f"{group} {slot} var<uniform> {name}: {memory.type(type, UNIFORM)};"]  # type: ignore[arg-type]
+        uniform = memory.type(type, UNIFORM)  # type: ignore[arg-type]
+        return [f"{group} @binding({2 * binding.slot}) var<uniform> {name}: {uniform};"]
 
     # -- the entry point
 
