@@ -202,7 +202,7 @@ class ChcPlusPlus(TreeCulling):
         query."""
         self._draw_render_queue(scene_pass)
         hidden = self._group_i_queue()
-        self._i_queries.push((self._ask([*hidden, *leaves]), len(hidden)))
+        self._i_queries.push((self._ask(hidden, leaves), len(hidden)))
         self._i_queue.clear()
         self._requery.clear()
 
@@ -222,22 +222,24 @@ class ChcPlusPlus(TreeCulling):
     def _query_v_queue(self, scene_pass: ScenePass) -> None:
         """Query all leaves of the v-queue in one call."""
         self._draw_render_queue(scene_pass)
-        self._v_queries.push(self._ask(self._take_v_queue()))
+        self._v_queries.push(self._ask([], self._take_v_queue()))
 
     def _take_v_queue(self) -> list[list[int]]:
         """Empty the v-queue; return its leaves as groups of one."""
         leaves = [[leaf] for leaf in self._v_queue]
-        for (leaf,) in leaves:
-            self._is_queried[leaf] = 1
         self._v_queue.clear()
         return leaves
 
-    def _ask(self, groups: list[list[int]]) -> Asked:
-        """Query groups of nodes, each with one query, in one call."""
+    def _ask(self, hidden: list[list[int]], leaves: Sequence[list[int]]) -> Asked:
+        """Query groups of hidden nodes, and leaves, each with one query, in one call."""
+        groups = [*hidden, *leaves]
         nodes = [node for group in groups for node in group]
         rows = [row for row, group in enumerate(groups) for _ in group]
         with self._queries.states():
-            return self._queries.ask(nodes, rows), groups
+            asked = self._queries.ask(nodes, rows)
+        for (leaf,) in leaves:
+            self._is_queried[leaf] = 1
+        return asked, groups
 
     def _draw_render_queue(self, scene_pass: ScenePass) -> None:
         """Draw all objects in the render queue."""

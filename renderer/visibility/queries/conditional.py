@@ -68,11 +68,11 @@ class ConditionalCulling(ChcPlusPlus):
             self._visit(frontier.pop())
         self._draw_render_queue(scene_pass)
         hidden = self._group_i_queue()
-        groups = hidden + self._take_v_queue()
-        if groups:
+        leaves = self._take_v_queue()
+        if hidden or leaves:
             if self._asked.is_full:
                 self._give_up()
-            asked = self._ask(groups)
+            asked = self._ask(hidden, leaves)
             self._asked.push((asked, len(hidden)))
             self._draw_hidden(hidden, asked, scene_pass)
         pull_up(self._shown, self._visible, self._forest.parent)

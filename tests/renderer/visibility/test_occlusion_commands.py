@@ -373,6 +373,23 @@ def test_a_frame_that_was_broken_off_does_not_disturb_the_next(renderer: Rendere
     assert visible(draw_with(renderer, algorithm, EYE)) >= oracle.seen
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_leaves_are_asked_about_again_after_asking_has_failed(
+    renderer: Renderer, first: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    algorithm, oracle = make(renderer, "chc_plus_plus")
+    oracle.seen = set(range(60))
+    for _ in range(20):
+        assert visible(draw_with(renderer, algorithm, EYE)) >= oracle.seen
+    with monkeypatch.context() as patch, pytest.raises(StopIteration):
+        patch.setattr(algorithm._queries, "ask", lambda *_: next(iter(())))
+        draw_with(renderer, algorithm, EYE)
+    oracle.seen = set(range(first, 60, 2))
+    for _ in range(30):
+        drawn = visible(draw_with(renderer, algorithm, EYE))
+    assert drawn == oracle.seen
+
+
 def test_the_second_tree_keeps_its_nodes_while_its_bounds_follow(null: rhi.Device) -> None:
     scene = make_boxes(
         [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0)],
