@@ -139,7 +139,7 @@ def test_sky_textures_and_weighted_surfaces_are_those_of_forward_shading(drawing
     techniques = Forward(4, all_lights=True), *(make(4) for make in DEFERRED)
     camera = next(iter(scene.paths.values())).camera(100)
     wanted, *drawn = draw_each(drawing_device, scene, *techniques, camera=camera, size=SIZE, blending=Blending.WEIGHTED)
-    assert (
-        np.ptp(wanted[..., :3]) > 50
-    )  # the packed buffer rounds textures' coordinates: it is within 3 with one sample, too
-    assert [find_difference(picture, wanted) <= 3 for picture in drawn] == [True] * len(DEFERRED)
+    assert np.ptp(wanted[..., :3]) > 50
+    # A buffer that rounds how texture coordinates change may choose another mip level; without levels 1 is the most.
+    assert [find_difference(picture, wanted) <= 8 for picture in drawn] == [True] * len(DEFERRED)
+    assert all(np.mean(np.abs(picture - wanted).max(-1) > 3) < 1e-3 for picture in drawn)
