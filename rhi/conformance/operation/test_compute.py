@@ -192,6 +192,39 @@ def test_structs_lie_where_their_dtype_says(device: Device) -> None:
         assert_same(results.read(), expected)
 
 
+class Turned(sl.Struct):
+    """Matrices of each size, and nothing nested."""
+
+    two: sl.mat2
+    three: sl.mat3
+    four: sl.mat4
+
+
+class ReadTurned(sl.Shader):
+    """Reads a struct as a whole, and matrices, a row and a number of another one."""
+
+    turned: sl.Storage[Turned]
+    results: sl.StorageRW[sl.vec4]
+
+    def compute(self) -> None:
+        thing, v = self.turned[0], sl.vec4(1.0, 2.0, 3.0, 4.0)
+        self.results[0] = sl.vec4(thing.two @ v.xy, self.turned[1].two[1])
+        self.results[1] = sl.vec4(thing.three @ v.xyz, self.turned[1].three[1][2])
+        self.results[2] = sl.vec4(self.turned[1].three @ v.xyz, self.turned[1].two[0][1])
+        self.results[3] = thing.four[2] + self.turned[1].four @ v
+
+
+def test_matrices_that_are_only_read_have_their_rows_in_order(device: Device) -> None:
+    rows: Any = np.zeros(2, Turned.dtype)
+    (a, b), (c, d), (e, f) = values = [np.arange(2.0 * n * n).reshape(2, n, n) for n in (2, 3, 4)]
+    for name, value in zip(("two", "three", "four"), values, strict=True):
+        rows[name][:, :, : value.shape[2]] = value
+    expected = [(*a @ (1, 2), *b[1]), (*c @ (1, 2, 3), d[1, 2]), (*d @ (1, 2, 3), b[0, 1]), e[2] + f @ (1, 2, 3, 4)]
+    with device.storage(Turned, rows) as turned, device.storage(sl.vec4, 4) as results:
+        device.dispatch(device.program(ReadTurned), 1, turned=turned, results=results)
+        assert_same(results.read(), expected)
+
+
 class WriteMixed(sl.Shader):
     """Fills a struct in storage."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from typing import Final
 
 from rhi.contract.descriptors import Stage, StageText
@@ -10,7 +11,7 @@ from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.layout import StructType
 from rhi.shading.glsl.names import RESERVED
 from rhi.shading.glsl.native import is_whole, lines_of
-from rhi.shading.glsl.writer import Writer
+from rhi.shading.glsl.writer import Writer, has_plain_matrices
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface, Varying
 from rhi.shading.ir.text import Lines
@@ -26,6 +27,13 @@ _PACKED_IMAGES: Final = {
     Format.RGB10A2UI: "rgb10_a2ui",
     Format.R11G11B10F: "r11f_g11f_b10f",
 }
+
+
+def _list_read(stage: tree.StageTree) -> Iterator[tuple[str, StorageType]]:
+    """Yield the names and types of storage buffers that a stage only reads."""
+    for declaration in stage.bindings:
+        if isinstance(declaration.type, StorageType) and not declaration.type.writable:
+            yield declaration.name, declaration.type
 
 
 def write_stage(stage: tree.StageTree, interface: Interface) -> StageText:
@@ -47,6 +55,8 @@ class StageWriter:
             # Bindings are named first, because native code uses their Python names.
             self.names.get(("binding", declaration.name), declaration.name)
         self.writer = self.writer_type(self.names)
+        if not any("glsl" in function.native for function in stage.functions):
+            self.writer.by_columns = {name for name, type in _list_read(stage) if has_plain_matrices(type.element)}
         self.lines = Lines()
         self.whole = is_whole(stage.entry)
 
@@ -149,7 +159,8 @@ class StageWriter:
                 # Writes of other invocations are only visible through `coherent` memory.
                 barriers = any(row.effect is SideEffect.BARRIER for row in self.stage.builtins)
                 access = ("coherent " if barriers else "") if type.writable else "readonly "
-                header = f"layout(std430, row_major, {slot}) {access}buffer {block}"
+                order = "" if declaration.name in self.writer.by_columns else "row_major, "
+                header = f"layout(std430, {order}{slot}) {access}buffer {block}"
                 self.lines.add(f"{header} {{ {self.writer.type(type.element)} {name}[]; }};")
             case StorageClass.TEXTURE:
                 self.lines.add(f"layout({slot}) uniform {self.writer.type(type)} {name};")

@@ -1,4 +1,6 @@
-"""Stores as GLSL writes them."""
+"""Stores as GLSL writes them, and matrices as it reads them."""
+
+import pytest
 
 import rhi.shading as sl
 from rhi.contract.descriptors import Stage
@@ -75,3 +77,50 @@ def test_an_image_that_is_loaded_and_stored_is_not_writeonly() -> None:
     text = source(DoubleTexels)
     assert "uniform image2D target;" in text
     assert "writeonly" not in text
+
+
+class Turned(sl.Struct):
+    turn: sl.mat3
+    weight: float
+
+
+class ReadTurns(sl.Shader):
+    turns: sl.Storage[Turned]
+    results: sl.StorageRW[sl.vec3]
+
+    def compute(self) -> None:
+        thing = self.turns[1]
+        self.results[0] = thing.turn @ self.turns[2].turn[1]
+        self.results[1] = (self.turns[3].turn @ sl.vec3(self.turns[4].weight)) * self.turns[5].turn[2][0]
+
+
+class CopyTurns(sl.Shader):
+    turns: sl.StorageRW[Turned]
+
+    def compute(self) -> None:
+        self.turns[0] = self.turns[1]
+
+
+class ReadNatively(ReadTurns):
+    @sl.native("glsl", "return turns[0].turn * v;")
+    def turn(self, v: sl.vec3) -> sl.vec3: ...
+
+    def compute(self) -> None:
+        self.results[0] = self.turn(self.turns[1].turn[0])
+
+
+def test_matrices_that_are_only_read_are_read_by_columns() -> None:
+    text = source(ReadTurns)
+    assert "layout(std430, binding = 0) readonly buffer" in text
+    assert "Turned rhi_rows(Turned x) { x.turn = transpose(x.turn); return x; }" in text
+    assert "thing = rhi_rows(turns[" in text
+    reads = ("].turn[1])", "transpose(turns[", "].weight)", "].turn[2][0])")
+    assert [read in text for read in reads] == [True] * len(reads)
+    assert text.count("rhi_rows(turns[") == 1, "what isn't read as a whole isn't copied"
+
+
+@pytest.mark.parametrize("shader", [CopyTurns, ReadNatively])
+def test_matrices_that_are_written_or_seen_by_native_code_have_their_rows_in_order(shader: type[sl.Shader]) -> None:
+    text = source(shader)
+    assert text.count("layout(std430, row_major, binding = 0)") == 1
+    assert "rhi_rows" not in text
