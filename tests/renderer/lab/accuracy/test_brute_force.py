@@ -34,7 +34,7 @@ SCENES = {
     "night:blocks=2,shadows=1,lights=8": SUN,
 }
 """Scenes, and the values of 192 combinations for each: the hall has no sun."""
-_ROUNDS = 3
+_ROUNDS = 6
 _MORE = 1.1
 """Times the least error."""
 
