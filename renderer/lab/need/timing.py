@@ -93,15 +93,16 @@ class Asking:
 
 
 def time_asking(device: rhi.Device, rounds: int) -> Asking:
-    """Time how long a frame of the scene with nothing but a box takes to find that it needs no effect."""
+    """Time how long a frame of the scene with nothing but a box takes to find that it needs no effect, as before."""
     ascent = Ascent(device, 2)
     renderer, camera = ascent.renderer, move_eye(0).with_aspect(ascent.renderer.size[0] / ascent.renderer.size[1])
-
-    features = SeenFeatures(ascent.scene)
+    features, last = SeenFeatures(ascent.scene), None
 
     def ask(_: int) -> None:
+        nonlocal last
         for _turn in range(_ASKED):
-            find_needs(ascent.scene, camera, reaches=renderer.resources.reaching, seen=features.settle(camera))
+            seen = features.settle(camera)
+            last = find_needs(ascent.scene, camera, reaches=renderer.resources.reaching, seen=seen, last=last)
 
     def draw(_: int) -> None:
         ascent.render()
