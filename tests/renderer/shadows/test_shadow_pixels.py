@@ -386,7 +386,7 @@ def test_a_light_inside_a_closed_caster_shines_through_unless_back_faces_are_dra
     plain = render_lamps(gl, scene, camera, settings)
     assert ((shown < plain - 20).any(-1).mean() > 0.3) == blocks
     flat = ~is_at_corner(camera, np.array((0.1, 0.2, 0.0)), 48)
-    assert blocks or np.array_equal(shown[flat], plain[flat])
+    assert blocks or np.abs(shown[flat] - plain[flat]).max() <= 1  # another program, which may round otherwise
 
 
 @pytest.mark.parametrize("at", [(0.0, 0.501, 0.0), (0.501, 0.2, 0.0)], ids=["above it", "beside it"])
