@@ -95,7 +95,8 @@ def _rest_text(width: int) -> str:
     third of the time of PoCL's own functions.
 
     Results are within 1.6 ulp up to 2^50. Beyond, where a float's neighbours are millions of turns away, they are
-    numbers from -1 to 1. There is no branch, since one costs more than all this.
+    numbers from -1 to 1. There is no branch, since one costs more than all this. What `clamp` makes of NaN isn't said:
+    AVX-512 makes a number of it.
     """
     if width == 1:
         return ""
@@ -103,7 +104,7 @@ def _rest_text(width: int) -> str:
     DOUBLE far = convert_DOUBLE(x), place = fma(far, (DOUBLE)0x1.45f306dc9c883p-1, (DOUBLE)0x1.8p52);
     DOUBLE whole = place - 0x1.8p52;
     FLOAT r = convert_FLOAT(fma(whole, (DOUBLE)-0x1.1a62633145c07p-54, fma(whole, (DOUBLE)-0x1.921fb54442d18p0, far)));
-    return rhi_quarter(clamp(r, -0.8f, 0.8f), convert_INT(as_LONG(place)) + more);
+    return rhi_quarter(select(clamp(r, -0.8f, 0.8f), r, r != r), convert_INT(as_LONG(place)) + more);
 }"""
     return specialise(text.replace("LONG", f"long{width}"), width)
 
