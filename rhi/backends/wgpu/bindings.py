@@ -11,8 +11,6 @@ from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 from typing import Any, Final
 
-import wgpu
-
 from rhi.backends.wgpu.buffers import Buffers
 from rhi.backends.wgpu.errors import translate_errors
 from rhi.backends.wgpu.formats import DIMENSIONS
@@ -58,7 +56,6 @@ class BoundResources:
         self._users: dict[Id, set[tuple[object, ...]]] = {}
         self._offset_arrays = [ffi.new("uint32_t[]", max(1, count)) for count in range(_MOST_OFFSETS)]
         self._uniform_group: GpuObject | None = None
-        self._pad = device.create_buffer(size=16, usage=wgpu.BufferUsage.UNIFORM)
 
     # -- slots -------------------------------------------------------------------------------------------
 
@@ -207,8 +204,7 @@ class BoundResources:
                 buffer, size = self.uniforms[slot]
                 part = {"buffer": self._buffers[buffer].object, "offset": 0, "size": -(-size // 16) * 16}
                 entries.append({"binding": 2 * slot, "resource": part})
-            pad = {"buffer": self._pad, "offset": 0, "size": 16}
-            entries += [{"binding": binding, "resource": pad} for binding in program.pads]
+            entries += [{"binding": binding, "resource": part} for binding in program.pads]  # any buffer will do
         elif index == 1:
             for slot in program.storages:
                 buffer, offset, size = self.storages[slot]

@@ -348,12 +348,14 @@ class Digit(sl.Struct):
 
 
 @sl.function
-def find_zero(zero: float) -> float:
-    """Return 0 for 0, after enough work that a compiler keeps a branch around it."""
-    found = zero
-    for _ in range(16):
-        found = sl.exp2(found) - 1.0
-    return found
+def read_digit(digit: Digit, worth: float, zero: float) -> float:
+    """Return what a digit is worth, after enough work that a compiler keeps a branch around it."""
+    if digit.is_one + zero > 0.5:
+        found = zero
+        for _ in range(16):
+            found = sl.exp2(found) - 1.0
+        return worth + found
+    return zero
 
 
 class SixConditions(Shaded):
@@ -367,19 +369,9 @@ class SixConditions(Shaded):
     d5: sl.Uniform[Digit]
 
     def fragment(self, v: Shade) -> sl.vec4:
-        number = 0.0
-        if self.d0.is_one + v.color.x > 0.5:
-            number += 1.0 + find_zero(v.color.x)
-        if self.d1.is_one + v.color.x > 0.5:
-            number += 2.0 + find_zero(v.color.x)
-        if self.d2.is_one + v.color.x > 0.5:
-            number += 4.0 + find_zero(v.color.x)
-        if self.d3.is_one + v.color.x > 0.5:
-            number += 8.0 + find_zero(v.color.x)
-        if self.d4.is_one + v.color.x > 0.5:
-            number += 16.0 + find_zero(v.color.x)
-        if self.d5.is_one + v.color.x > 0.5:
-            number += 32.0 + find_zero(v.color.x)
+        zero = v.color.x
+        number = read_digit(self.d0, 1.0, zero) + read_digit(self.d1, 2.0, zero) + read_digit(self.d2, 4.0, zero)
+        number += read_digit(self.d3, 8.0, zero) + read_digit(self.d4, 16.0, zero) + read_digit(self.d5, 32.0, zero)
         return sl.vec4(number / 255.0)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from typing import Final
 
 from rhi.contract.descriptors import Stage, StageText
@@ -29,13 +28,6 @@ _PACKED_IMAGES: Final = {
 }
 
 
-def _list_read(stage: tree.StageTree) -> Iterator[tuple[str, StorageType]]:
-    """Yield the names and types of storage buffers that a stage only reads."""
-    for declaration in stage.bindings:
-        if isinstance(declaration.type, StorageType) and not declaration.type.writable:
-            yield declaration.name, declaration.type
-
-
 def write_stage(stage: tree.StageTree, interface: Interface) -> StageText:
     """Return the stage's complete GLSL 4.30 source."""
     return StageWriter(stage, interface).write()
@@ -56,7 +48,10 @@ class StageWriter:
             self.names.get(("binding", declaration.name), declaration.name)
         self.writer = self.writer_type(self.names)
         if not any("glsl" in function.native for function in stage.functions):
-            self.writer.by_columns = {name for name, type in _list_read(stage) if has_plain_matrices(type.element)}
+            buffers = [(each.name, each.type) for each in stage.bindings if isinstance(each.type, StorageType)]
+            self.writer.by_columns = {
+                name for name, type in buffers if not type.writable and has_plain_matrices(type.element)
+            }
         self.lines = Lines()
         self.whole = is_whole(stage.entry)
 

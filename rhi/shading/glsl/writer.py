@@ -48,9 +48,7 @@ class Writer(TextWriter):
 
     def expression(self, node: Expression) -> str:
         """Return an expression as text that needs no parentheses around it."""
-        root = node
-        while isinstance(root, tree.Member | tree.Index):
-            root = root.base
+        root = tree.root_of(node)
         if not (isinstance(root, tree.BindingRead) and root.declaration.name in self.by_columns):
             return super().expression(node)
         text = self.path(node)
@@ -279,6 +277,4 @@ def has_plain_matrices(type: layout.HostType) -> bool:
 
 def _is_bound(node: tree.Expression) -> bool:
     """Return whether an lvalue is a part of a binding or of shared memory."""
-    while isinstance(node, tree.Member | tree.Swizzle | tree.Index):
-        node = node.base
-    return isinstance(node, tree.BindingRead)
+    return isinstance(tree.root_of(node), tree.BindingRead)

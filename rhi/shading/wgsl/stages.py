@@ -139,7 +139,8 @@ class _WgslStageWriter:
         if declaration.storage_class is StorageClass.SHARED:
             return [f"var<workgroup> {name}: {memory.type(type, space, words)};"]  # type: ignore[arg-type]
         binding = self.interface.bindings[declaration.name]
-        group, slot = f"@group({SETS[binding.kind]})", f"@binding({binding.slot})"
+        number = 2 * binding.slot if binding.kind is BindingKind.UNIFORM else binding.slot
+        group, slot = f"@group({SETS[binding.kind]})", f"@binding({number})"
         match type:
             case StorageType(element=element, writable=writable):
                 access = "read_write" if writable else "read"
@@ -156,8 +157,7 @@ class _WgslStageWriter:
                 form = f"texture_storage_{SHAPES[kind]}<{texel_format(format)}, {access}>"
                 return [f"{group} {slot} var {name}: {form};"]
         assert binding.kind is BindingKind.UNIFORM
-        uniform = memory.type(type, UNIFORM)  # type: ignore[arg-type]
-        return [f"{group} @binding({2 * binding.slot}) var<uniform> {name}: {uniform};"]
+        return [f"{group} {slot} var<uniform> {name}: {memory.type(type, UNIFORM)};"]  # type: ignore[arg-type]
 
     # -- the entry point
 
