@@ -2,6 +2,7 @@
 # Sets everything up and runs every check: style, types, import order, tests, conformance.
 #
 #   ./test.sh              all of it, but for what is marked nightly
+#   ./test.sh --changed    style, types and import order, and the tests that are responsible for what differs from main
 #   ./test.sh --nightly    what is marked nightly too (proofs of the tests themselves, thousands of random programs),
 #                          and property tests with new examples, 20 times as many
 #   ./test.sh -k name …    only tests, with these options of pytest
@@ -9,7 +10,7 @@ set -euo pipefail
 cd "$(dirname "$0")"
 case "${1:-}" in
 -h | --help)
-    sed -n '2,7s/^# \{0,1\}//p' "$0"
+    sed -n '2,8s/^# \{0,1\}//p' "$0"
     exit 0
     ;;
 esac
@@ -25,20 +26,25 @@ if [ "${1:-}" = --nightly ]; then
 else
     export RHI_KERNELS="${RHI_KERNELS:-quick}"  # optimised kernels, which compute the same bits, in the tests about them
 fi
-if [ $# -gt 0 ]; then
-    exec .venv/bin/python -m pytest "${options[@]}" "$@"
-fi
 cores=$(nproc)
 workers=$((cores > 2 ? cores : 2))
+changed=()
+if [ "${1:-}" = --changed ]; then
+    mapfile -t changed < <(.venv/bin/python tests/meta/responsible_tests.py)
+elif [ $# -gt 0 ]; then
+    exec .venv/bin/python -m pytest "${options[@]}" "$@"
+fi
 echo "[test] ruff"
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
-echo "[test] lines of code"
-.venv/bin/python scripts/count_lines.py --check
 echo "[test] mypy --strict"
 .venv/bin/python scripts/check_types.py -n "$workers"
 echo "[test] import order"
 .venv/bin/lint-imports --no-cache
+if [ ${#changed[@]} -gt 0 ]; then
+    echo "[test] pytest: ${changed[*]}"
+    exec .venv/bin/python -m pytest -n "$workers" --dist loadfile "${changed[@]}"
+fi
 # Workers that had run thousands of tests have ended there without a word; a process of its own never has.
 apart=tests/rhi/backends/cl/test_cl_builds.py
 echo "[test] pytest: kernels that other processes optimise"

@@ -1,18 +1,18 @@
-"""Count lines of code by package: `python scripts/count_lines.py [--check] [--deep]`.
+"""Count lines of code by package and language: `python scripts/count_lines.py [--deep]`.
 
-A line counts if it holds code: no comment, no docstring, no blank line. Of a clone, only files that git tracks count.
-With `--check` it ends with 1 if their sum is above `lines-of-code` in `pyproject.toml`; that number is raised only in a
-commit that says why. `--deep` counts the parts of `rhi` and `renderer` one by one.
+Python, OpenCL C and shell scripts are counted. A line counts if it holds code: comments, docstrings and blank lines
+don't. In a clone, only the files that git tracks count. The numbers are a report, and limit nothing. `--deep` counts
+the parts of `rhi` and `renderer` one by one.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 import subprocess
-import sys
 import tokenize
-import tomllib
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import Final
 
@@ -29,7 +29,7 @@ _LAYOUT: Final = {
 """Tokens that make no line of code by themselves."""
 
 
-def count_lines(path: Path) -> int:
+def count_python_lines(path: Path) -> int:
     """Return how many lines of a Python file hold code."""
     with path.open("rb") as file:
         tokens = [each for each in tokenize.tokenize(file.readline) if each.type not in (tokenize.COMMENT, tokenize.NL)]
@@ -46,55 +46,66 @@ def count_lines(path: Path) -> int:
     return len(lines)
 
 
-def find_package(file: PurePosixPath, deep: bool) -> str:
+def count_opencl_lines(path: Path) -> int:
+    """Return how many lines of a file of OpenCL C hold code."""
+    text = re.sub(r"/\*.*?\*/", lambda comment: "\n" * comment[0].count("\n"), path.read_text(), flags=re.DOTALL)
+    return sum(bool(line.partition("//")[0].strip()) for line in text.splitlines())
+
+
+def count_shell_lines(path: Path) -> int:
+    """Return how many lines of a shell script hold code."""
+    return sum(bool(line.strip()) and not line.lstrip().startswith("#") for line in path.read_text().splitlines())
+
+
+LANGUAGES: Final[dict[str, tuple[str, Callable[[Path], int]]]] = {
+    ".py": ("Python", count_python_lines),
+    ".pyi": ("Python stubs", count_python_lines),
+    ".cl": ("OpenCL C", count_opencl_lines),
+    ".sh": ("shell", count_shell_lines),
+}
+"""By the ending of a file's name: its language, and the function that counts its lines."""
+
+
+def package_of(file: PurePosixPath, deep: bool) -> str:
     """Return the package that a file is counted in: the conformance kit is one of its own."""
     parts = file.parts
     if deep and parts[0] in ("rhi", "renderer", "tests") and len(parts) > 2:
         return "/".join(parts[: 3 if parts[1] == "backends" and len(parts) > 3 else 2])
     if parts[:2] == ("rhi", "conformance"):
         return "rhi/conformance"
-    return parts[0]
+    return parts[0] if len(parts) > 1 else "."
 
 
-def list_programs() -> list[PurePosixPath]:
-    """Return the Python files that git tracks, or in a source distribution all that it has."""
+def list_programs(*suffixes: str) -> list[PurePosixPath]:
+    """Return the files with these endings that git tracks, or in a source distribution all that it has."""
     if not (ROOT / ".git").exists():
-        found = (path.relative_to(ROOT) for path in ROOT.rglob("*.py"))
-        return sorted(PurePosixPath(path) for path in found if path.parts[0] not in (".venv", "build"))
-    listed = subprocess.run(["git", "ls-files", "*.py"], cwd=ROOT, capture_output=True, text=True, check=True)
+        paths = (path.relative_to(ROOT) for suffix in suffixes for path in ROOT.rglob(f"*{suffix}"))
+        return sorted(PurePosixPath(path) for path in paths if path.parts[0] not in (".venv", "build"))
+    patterns = [f"*{suffix}" for suffix in suffixes]
+    listed = subprocess.run(["git", "ls-files", *patterns], cwd=ROOT, capture_output=True, text=True, check=True)
     names = listed.stdout.split()
     return [PurePosixPath(name) for name in names if (ROOT / name).exists()]  # not what was just deleted
 
 
-def count_packages(deep: bool) -> Counter[str]:
-    """Return the lines of code of each package."""
-    lines: Counter[str] = Counter()
-    for path in list_programs():
-        lines[find_package(path, deep)] += count_lines(ROOT / path)
+def count_packages(deep: bool) -> dict[str, Counter[str]]:
+    """Return the lines of code of each package by language."""
+    lines: dict[str, Counter[str]] = {}
+    for path in list_programs(*LANGUAGES):
+        language, count = LANGUAGES[path.suffix]
+        lines.setdefault(package_of(path, deep), Counter())[language] += count(ROOT / path)
     return lines
 
 
-def main() -> int:
-    """Print the table; return 1 if the sum is above what `pyproject.toml` allows."""
+def main() -> None:
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--check", action="store_true", help="end with 1 if there are more than pyproject.toml allows")
     parser.add_argument("--deep", action="store_true", help="count the parts of packages one by one")
-    arguments = parser.parse_args()
-    lines = count_packages(arguments.deep)
-    for package, count in sorted(lines.items()):
-        print(f"{package:<28} {count:>8,}")
-    total = sum(lines.values())
-    allowed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["count-lines"]["lines-of-code"]
-    print(f"{'together':<28} {total:>8,}   (at most {allowed:,})")
-    if arguments.check and total > allowed:
-        print(
-            f"{total - allowed:,} lines of code more than `lines-of-code` in pyproject.toml allows: say it shorter, "
-            "or raise the number in a commit that says why",
-            file=sys.stderr,
-        )
-        return 1
-    return 0
+    packages = count_packages(parser.parse_args().deep)
+    languages = [language for language, _ in LANGUAGES.values()]
+    print(f"{'':<28}" + "".join(f"{language:>14}" for language in languages))
+    for package, lines in [*sorted(packages.items()), ("together", sum(packages.values(), Counter()))]:
+        print(f"{package:<28}" + "".join(f"{lines[language]:>14,}" for language in languages))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -63,7 +63,7 @@ def import_modules() -> None:
     """Import every module of the tree that may define shaders, tests as pytest does."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
     sys.path += [str(ROOT / folder) for folder in settings["pythonpath"]]
-    for path in list_programs():
+    for path in list_programs(".py"):
         text = (ROOT / path).read_text()
         mentions = "Shader" in text or "conformance.shaders" in text  # whose shaders are bases of others
         if path.parts[0] == "scripts" or path.stem == "__main__" or not mentions:

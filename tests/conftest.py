@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterator
 from fnmatch import fnmatchcase
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -41,26 +42,13 @@ COLLECTED_AFTER = (10_000, 10, 50)
 """Thresholds of the garbage collector. With Python's own, tests full of Python spend a quarter of their time there."""
 
 
-def read_nights(path: Path) -> dict[str, list[str]]:
-    """Return by the names of tests, from this folder on, the patterns of their parameters of which a file leaves all
-    tests to the night: lines `path::test[pattern]`, without a pattern for all of them, and lines of comment."""
-    nights: dict[str, list[str]] = {}
-    for line in path.read_text().splitlines():
-        if line and not line.startswith("#"):
-            name, _, pattern = line.partition("[")
-            nights.setdefault(name, []).append(pattern.removesuffix("]") or "*")
-    return nights
-
-
-NIGHTS = read_nights(Path(__file__).with_name("nights.txt"))
-
-
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """Mark what `nights.txt` leaves to the night. In the profile `nightly`, let a property test take many times the
-    examples that it says; tests that mark themselves nightly say their own number."""
+    """Mark the cases that `nightly_cases` selects as nightly. In the profile `nightly`, multiply the number of examples
+    of property tests, but for tests that are marked nightly themselves, which state their own number."""
     is_own = item.get_closest_marker("nightly") is not None
-    name, _, parameters = item.nodeid.removeprefix("tests/").partition("[")
-    if any(fnmatchcase(parameters.removesuffix("]"), pattern) for pattern in NIGHTS.get(name, ())):
+    parameters = item.nodeid.partition("[")[2].removesuffix("]")
+    patterns = [mark.args or ("*",) for mark in item.iter_markers("nightly_cases")]
+    if any(fnmatchcase(parameters, pattern) for pattern in chain(*patterns)):
         item.add_marker(pytest.mark.nightly)
     if is_own:
         return

@@ -245,13 +245,6 @@ def test_no_two_files_of_tests_have_one_name() -> None:
     assert len(names) > 100
 
 
-def test_what_is_left_to_the_night_is_there() -> None:
-    lines = (ROOT / "tests" / "nights.txt").read_text().splitlines()
-    named = [line.partition("[")[0].split("::") for line in lines if line and not line.startswith("#")]
-    assert len(named) > 50
-    assert [(path, name) for path, name in named if f"\ndef {name}(" not in (ROOT / "tests" / path).read_text()] == []
-
-
 def test_the_example_of_a_port_imports_the_contract_and_the_language_only() -> None:
     for path in sorted((ROOT / "examples/numpy_backend/rhi_numpy").glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from conformance_kit import take_the_kit
+from nightly_reasons import CHEAPER_TEST
 
 import rhi
 from rhi.conformance.shaders import Count
@@ -41,6 +42,7 @@ def test_what_it_lacks_is_refused_by_name() -> None:
         device.occlusion_query()
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 @pytest.mark.slow
 def test_it_passes_every_group_that_it_declares() -> None:
     status, output = take_the_kit(FUNCTION, PACKAGE, "rhi.conformance")

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nightly_reasons import CHEAPER_TEST, FEWER_CASES
 
 import rhi
 from rhi import Op
@@ -96,6 +97,21 @@ def test_a_program_has_less_than_120_lines(name: str) -> None:
     assert sum(bool(line.strip()) for line in lines) < 120
 
 
+@pytest.mark.nightly_cases(
+    "bloom",
+    "boids",
+    "deferred",
+    "draw_lists",
+    "instanced_crates",
+    "julia",
+    "occlusion",
+    "picking",
+    "shadow_map",
+    "sprites",
+    "terrain",
+    "textured_cube",
+    reason=FEWER_CASES,
+)
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_a_program_draws_the_same_picture_on_gl_and_cl(name: str, devices: list[rhi.Device]) -> None:
     program = importlib.import_module(name)
@@ -182,6 +198,7 @@ def test_frames_of_several_processes_are_those_of_one(devices: list[rhi.Device],
     assert all(np.array_equal(one, other) for one, other in zip(frames, expected, strict=True))
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_the_tests_of_the_engine_and_of_the_batch_pass() -> None:
     programs = (FOLDER / "engine_test.py", FOLDER / "batch.py")
     command = [sys.executable, "-m", "pytest", "-n", "0", "-p", "no:cacheprovider", "--rhi-backend", "gl", *programs]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nightly_reasons import FEWER_CASES
 
 import rhi
 from rhi import CullMode, Op
@@ -34,6 +35,7 @@ def devices() -> Iterator[dict[str, rhi.Device]]:
         yield {"gl": gl, "cl": cl}
 
 
+@pytest.mark.nightly_cases("above", reason=FEWER_CASES)
 @pytest.mark.parametrize(("eye", "target"), [(EYE, TARGET), (STREET, ALONG)], ids=["above", "street"])
 def test_the_same_lines_draw_the_same_picture_on_gl_and_cl(
     example: Any,

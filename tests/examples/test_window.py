@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from nightly_reasons import FEWER_CASES
 from screens_kit import Display
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "orbit_viewer.py"
@@ -91,6 +92,7 @@ def test_the_screens_pixels_are_the_frames(display: Display, api: str, version: 
     assert run(display, "-c", FRAMES, api, version, str(display.pixels)).strip() == "done"
 
 
+@pytest.mark.nightly_cases("cl", reason=FEWER_CASES)
 @pytest.mark.parametrize("backend", ["gl", "cl"])
 def test_the_example_draws_its_frames(display: Display, backend: str) -> None:
     output = run(display, str(EXAMPLE), "--backend", backend, "--frames", "3", "--immediate")

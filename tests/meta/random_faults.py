@@ -37,14 +37,14 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from py_compile import PycInvalidationMode
 from queue import SimpleQueue
 from typing import Final
 
+from responsible_tests import ROOT, choose_tests, list_files
 from unseen_faults import explain
 
-ROOT: Final = Path(__file__).resolve().parents[2]
 PACKAGES: Final = (
     "rhi.backends.cl", "rhi.backends.gl", "rhi.backends.null", "rhi.commands", "rhi.contract", "rhi.device",
     "rhi.errors", "rhi.shading", "rhi.testing", "rhi.trace", "renderer.content.gltf",
@@ -53,19 +53,10 @@ PACKAGES: Final = (
 )  # fmt: skip
 """Where faults are made unless packages are named: not in tests, the kit, scenes to look at, and what only measures."""
 
-_BACKENDS: Final = ("cl", "gl", "null")
 _PATIENCE: Final = 180.0, 3600.0
 """A test and a stage may take so many seconds."""
 
 _TEST: Final = re.compile(r"^(?:FAILED|ERROR) (\S+\.py(?:::.+?)?)(?: - .*)?$", re.MULTILINE)
-
-_MOST_USERS: Final = 8
-"""Of the files of tests elsewhere that use a module of the renderer, so many are tried."""
-
-_EXAM: Final = "tests/renderer/lab/exam/test_cases.py"
-
-_MEASURING: Final = ("lab", "cli")
-"""Packages of the renderer whose tests are about measures, not about what is measured."""
 
 _BINARY: Final[dict[type[ast.AST], str]] = {
     ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.FloorDiv: "*", ast.Mod: "//", ast.LShift: ">>",
@@ -270,18 +261,6 @@ class _Finder(ast.NodeVisitor):
             self.generic_visit(node)
 
 
-def list_files(root: Path) -> list[str]:
-    """Return the files of a project that git tracks, or would."""
-    listed = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-        cwd=root,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return sorted(file for file in set(listed.stdout.split("\0")) if file and (root / file).is_file())
-
-
 def choose_faults(root: Path, packages: Iterable[str], count: int, seed: int) -> list[Fault]:
     """Return faults of packages or modules: with one seed always the same ones. Each line is as likely as any other."""
     folders = [package.replace(".", "/") for package in packages]
@@ -293,74 +272,6 @@ def choose_faults(root: Path, packages: Iterable[str], count: int, seed: int) ->
     chosen = random.Random(seed)
     lines = chosen.sample(sorted(by_line), min(count, len(by_line)))
     return [chosen.choice(by_line[line]) for line in lines]
-
-
-# -- which tests are responsible -----------------------------------------------------------------------------------
-
-
-def choose_tests(root: Path, file: str) -> list[tuple[str, ...]]:
-    """Return the stages of a module's tests, as arguments of pytest."""
-    path = PurePosixPath(file)
-    folder = root / "tests" / path.parent
-    while not folder.is_dir():
-        folder = folder.parent
-    stem = path.stem.strip("_").removeprefix("test_")
-    named = sorted(each for each in folder.rglob("test_*.py") if stem and stem in each.stem)
-    own = folder.relative_to(root).as_posix()
-    stages = [(*(each.relative_to(root).as_posix() for each in named), own)]
-    if path.parts[0] == "rhi":
-        backends = [path.parts[2]] if path.parts[1] == "backends" and path.parts[2] in _BACKENDS else []
-        if not backends:
-            backends = ["gl", "cl"] if path.parts[1] == "shading" else ["null", "gl"]
-        stages += _list_wider(root, path, own)
-        stages += [("--pyargs", "rhi.conformance", "--rhi-backend", backend) for backend in backends]
-    else:
-        users = _list_users(root, path, folder)
-        stages += [tuple(users)] if users else []
-        stages += [(_EXAM,)] if (root / _EXAM).exists() else []
-        stages += [(folder,) for folder in _list_importers(root, path)[:1]]
-    return stages
-
-
-def _list_wider(root: Path, path: PurePosixPath, own: str) -> list[tuple[str, ...]]:
-    """Return the stage of a module's package of `rhi`, and for a backend of what stands beside all."""
-    is_backend = path.parts[1] == "backends"
-    top = "/".join(("tests", *path.parts[: 3 if is_backend else 2]))
-    beside = [each.relative_to(root).as_posix() for each in sorted((root / "tests/rhi/backends").glob("test_*.py"))]
-    wider = ([top] if top != own and (root / top).is_dir() else []) + (beside if is_backend else [])
-    return [tuple(wider)] if wider else []
-
-
-def _list_users(root: Path, path: PurePosixPath, folder: Path) -> list[str]:
-    """Return the files of tests outside a folder that import a module's package and name most of what it defines."""
-    module = path.with_suffix("").as_posix().replace("/", ".")
-    package = re.compile(rf"\b{re.escape('.'.join(path.with_suffix('').parts[:2]))}\b")
-    tree = ast.parse((root / path).read_text())
-    names = [re.escape(each.name) for each in tree.body if isinstance(each, ast.ClassDef | ast.FunctionDef)]
-    words = re.compile("|".join(rf"\b{name}\b" for name in [*names, re.escape(module)] if not name.startswith("_")))
-    found = Counter[str]()
-    for each in sorted((root / "tests").rglob("test_*.py")):
-        if not each.is_relative_to(folder):
-            text = each.read_text()
-            if package.search(text):
-                found[each.relative_to(root).as_posix()] = len(set(words.findall(text)))
-    return [file for file, count in found.most_common(_MOST_USERS) if count]
-
-
-def _list_importers(root: Path, path: PurePosixPath) -> list[str]:
-    """Return the folders of tests of the packages that import what a module defines, most often first, without those
-    that measure."""
-    package, module = path.parent.as_posix().replace("/", "."), path.with_suffix("").as_posix().replace("/", ".")
-    defined = re.findall(r"^(?:class |def )?([A-Za-z]\w*)(?:\(|:|\[| =)", (root / path).read_text(), re.MULTILINE)
-    names = rf"\b(?:{'|'.join(defined)})\b"
-    listed = rf"(?:[^(\n]*?|\([^()]*?){names}"
-    imports = re.compile(rf"^from (?:{re.escape(module)} import |{re.escape(package)} import {listed})", re.MULTILINE)
-    found = Counter[str]()
-    for file in sorted((root / path.parts[0]).rglob("*.py")):
-        own = file.relative_to(root).parts
-        if len(own) > 2 and own[1] not in (path.parts[1], *_MEASURING) and imports.search(file.read_text()):
-            found["/".join(("tests", *own[:2]))] += 1
-    return [folder for folder, _ in found.most_common() if (root / folder).is_dir()]
 
 
 # -- trials --------------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ import memory_guards
 import numpy as np
 import pytest
 from cl_kit import FILL, ClKit, describe_program
+from nightly_reasons import FEWER_CASES
 
 import rhi
 from rhi.backends.cl import create_backend
@@ -70,6 +71,9 @@ def test_a_write_is_found_when_its_buffer_is_gone() -> None:
 PRIMITIVES = (rhi.Primitive.TRIANGLES, rhi.Primitive.TRIANGLE_STRIP, rhi.Primitive.LINES, rhi.Primitive.POINTS)
 
 
+@pytest.mark.nightly_cases(
+    "(1, 1)-*", "(3, 5)-*", "(64, 64)-*", "*-1-*", "*-LINES", "*-POINTS", "*-TRIANGLE_STRIP", reason=FEWER_CASES
+)
 @pytest.mark.parametrize("primitive", PRIMITIVES, ids=lambda primitive: primitive.name)
 @pytest.mark.parametrize("samples", [1, 4, 8])
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (64, 64), (130, 70)], ids=str)

@@ -1,4 +1,4 @@
-"""Random faults: which there are, which tests are responsible, and that a trial tells what they notice."""
+"""Random faults: which there are, and that a trial tells what the tests notice."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import random_faults
-from random_faults import ROOT, Fault, choose_faults, choose_tests, list_faults, try_faults
+from random_faults import ROOT, Fault, choose_faults, list_faults, try_faults
 from unseen_faults import UNSEEN, explain
 
 
@@ -75,45 +75,6 @@ def test_a_seed_has_always_the_same_faults() -> None:
     assert first == again
     assert first != other
     assert all(fault.file.startswith("rhi/trace/") for fault in first)
-
-
-@pytest.mark.parametrize(
-    ("file", "first", "last"),
-    [
-        ("rhi/backends/cl/raster/boxes.py",
-         ("tests/rhi/backends/cl/raster/test_cl_boxes.py", "tests/rhi/backends/cl/raster"),
-         ("--pyargs", "rhi.conformance", "--rhi-backend", "cl")),
-        ("rhi/backends/null/simulation/hazards.py",
-         ("tests/rhi/backends/null/test_null_hazards.py", "tests/rhi/backends/null"),
-         ("--pyargs", "rhi.conformance", "--rhi-backend", "null")),
-        ("rhi/trace/diff.py", ("tests/rhi/trace/test_trace_diff.py", "tests/rhi/trace"),
-         ("--pyargs", "rhi.conformance", "--rhi-backend", "gl")),
-    ],
-)  # fmt: skip
-def test_a_module_s_tests_are_its_folder_s_and_then_the_kit_s(
-    file: str, first: tuple[str, ...], last: tuple[str, ...]
-) -> None:
-    stages = choose_tests(ROOT, file)
-    assert stages[0] == first
-    assert stages[-1] == last
-
-
-def test_a_part_of_the_renderer_is_also_tested_where_it_is_used() -> None:
-    own, users, exam, importers = choose_tests(ROOT, "renderer/scene/meshes.py")
-    assert own == ("tests/renderer/scene",)
-    assert 1 < len(users) <= 8
-    assert all("renderer.scene" in (ROOT / file).read_text() for file in users)
-    assert exam == ("tests/renderer/lab/exam/test_cases.py",)
-    assert importers == ("tests/renderer/content",)
-
-
-@pytest.mark.parametrize("module", ["lighting", "structs", "pixels"])
-def test_shaders_are_also_tested_by_the_techniques_that_are_made_of_them(module: str) -> None:
-    assert ("tests/renderer/techniques",) in choose_tests(ROOT, f"renderer/shaders/{module}.py")
-
-
-def test_what_only_its_package_imports_has_no_tests_of_importers() -> None:
-    assert choose_tests(ROOT, "renderer/techniques/parts/fxaa.py")[-1] == ("tests/renderer/lab/exam/test_cases.py",)
 
 
 TESTED = "def scale(x):\n    return 2 * x\n\n\ndef count(n):\n    while n > 0:\n        n -= 1\n    return n\n"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from frames import SIZE, need_algorithm, open_renderer, read_colors
+from nightly_reasons import ONLY_KERNELS
 from numpy.typing import NDArray
 from refusals import find_rule
 
@@ -129,6 +130,7 @@ def compare(device: Device, technique: str, algorithm: str, edits: int, *, every
                     assert sorted((each.name, each.casters) for each in renderer.shadows.reports) == wanted
 
 
+@pytest.mark.nightly_cases("cl-forward", "cl-deferred_plus", "cl-clustered", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("technique", ["forward", "clustered", "deferred_plus"])
 def test_an_edited_scene_looks_as_one_that_is_built_anew(drawing_device: Device, technique: str) -> None:
     compare(drawing_device, technique, "frustum", 48, every=8)

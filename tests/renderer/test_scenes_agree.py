@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nightly_reasons import FEWER_CASES
 from numpy.typing import NDArray
 
 import rhi
@@ -102,6 +103,7 @@ def check_depth(devices: tuple[Device, Device], scene: Scene, path: str, frame: 
     np.testing.assert_array_equal(cl, draw_depth(devices[1], scene, path, frame, size, 1))
 
 
+@pytest.mark.nightly_cases("*-900", "city-sky-0", reason=FEWER_CASES)
 @pytest.mark.parametrize("frame", FRAMES)
 @pytest.mark.parametrize("path", ["ground", "sky"])
 def test_gl_and_cl_cover_the_same_pixels_of_a_scene(
@@ -119,6 +121,7 @@ def test_gl_and_cl_cover_the_same_pixels_along_all_paths(
     check_depth(devices, scene, path, frame, (1280, 720))
 
 
+@pytest.mark.nightly_cases("*-900", "city-sky-0", reason=FEWER_CASES)
 @pytest.mark.parametrize("frame", FRAMES)
 @pytest.mark.parametrize("path", ["ground", "sky"])
 def test_gl_and_cl_draw_the_same_scene(devices: tuple[Device, Device], scene: Scene, path: str, frame: int) -> None:
@@ -134,6 +137,7 @@ def test_gl_and_cl_draw_the_same_scene(devices: tuple[Device, Device], scene: Sc
         assert (np.abs(gl_color - cl_color).max(axis=2) > 2).sum() <= PIXELS / 5000
 
 
+@pytest.mark.nightly_cases("city-sky", reason=FEWER_CASES)
 @pytest.mark.parametrize("path", ["ground", "sky"])
 def test_cl_draws_in_its_depth_pass_the_depth_of_its_lit_pass(
     devices: tuple[Device, Device], scene: Scene, path: str
@@ -143,6 +147,7 @@ def test_cl_draws_in_its_depth_pass_the_depth_of_its_lit_pass(
     )
 
 
+@pytest.mark.nightly_cases("city-sky", reason=FEWER_CASES)
 @pytest.mark.parametrize("path", ["ground", "sky"])
 def test_gl_and_cl_count_the_same_samples(devices: tuple[Device, Device], scene: Scene, path: str) -> None:
     """For 1,000 boxes against the scene's depth; at an edge a sample more or less may be counted."""
@@ -159,6 +164,7 @@ def test_gl_and_cl_count_the_same_samples(devices: tuple[Device, Device], scene:
     assert (gl != cl).sum() <= 10
 
 
+@pytest.mark.nightly_cases("city-*", "hall-sky", reason=FEWER_CASES)
 @pytest.mark.parametrize("path", ["ground", "sky"])
 def test_cl_counts_the_samples_that_its_boxes_cover(devices: tuple[Device, Device], scene: Scene, path: str) -> None:
     """Of up to 1,000 boxes, all at once and one by one; judged by each box drawn alone, every sample that passes

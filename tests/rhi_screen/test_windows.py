@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nightly_reasons import CHEAPER_TEST
 from screens_kit import Display, WindowManager
 
 import rhi
@@ -446,6 +447,7 @@ def test_wgpu_shows_on_the_window_s_surface(windows: Check) -> None:
     windows(check_surface)
 
 
+@pytest.mark.nightly_cases("options2-30-1000000", reason=CHEAPER_TEST)
 @pytest.mark.parametrize(
     ("options", "least", "most"),
     [

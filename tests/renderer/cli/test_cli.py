@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from gltf_documents import TRIANGLE, GltfDocument
 from matplotlib.figure import Figure
+from nightly_reasons import CHEAPER_TEST
 from PIL import Image
 
 import rhi
@@ -292,6 +293,7 @@ def test_demo_leaves_out_what_does_not_work_and_says_why(
     assert {backend for *_, backend in rows} - {"wgpu"} == {"gl", "null"}
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 @pytest.mark.usefixtures("gl")
 def test_demo_compares_all_backends_that_work_and_pictures_each_path(
     capsys: pytest.CaptureFixture[str], here: Path

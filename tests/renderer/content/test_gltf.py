@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 from gltf_documents import TRIANGLE, GltfDocument
+from nightly_reasons import ONLY_KERNELS
 from PIL import Image
 
 from renderer.cli import main
@@ -485,6 +486,7 @@ def test_every_visibility_algorithm_finds_nothing_in_it(gl, tmp_path, name):
     assert frame.statistics.triangles == 0
 
 
+@pytest.mark.nightly_cases("cl-[!f]*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("name", TECHNIQUES)
 def test_its_picture_is_the_background(drawing_device, tmp_path, name):
     scene = load(EMPTY["lights"], tmp_path)

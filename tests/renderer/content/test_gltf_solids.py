@@ -5,6 +5,7 @@ import pytest
 from gltf_documents import TRIANGLE, UP, GltfDocument, make_morphing, make_skinned
 from hypothesis import given
 from hypothesis import strategies as st
+from nightly_reasons import ONLY_KERNELS
 
 from renderer.content import ModelLimits, load_model
 from renderer.content.gltf.solids import POINT, SEGMENT, list_ends
@@ -87,6 +88,7 @@ def test_points_and_lines_are_where_they_are_projected(drawing_device, tmp_path,
     check_picture(draw(drawing_device, scene)[0], mode)
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("name", TECHNIQUES)
 def test_every_technique_draws_lines(drawing_device, tmp_path, name):
     scene = load_model(make_file(3).write(tmp_path / "a.glb"))
@@ -106,6 +108,7 @@ def test_a_primitive_is_one_draw_of_its_solids(null, tmp_path, mode, triangles):
     assert (statistics.draws, statistics.triangles) == (1, triangles)
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("casts", [True, False])
 def test_a_line_casts_a_shadow(drawing_device, tmp_path, casts):
     """A line along z at a height of 1, in a sun that shines down along +x: its shadow lies at x = 1."""

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from frames import need_algorithm
 from frames import open_renderer as open_any
+from nightly_reasons import FEWER_CASES
 
 import rhi
 from renderer.frame import (
@@ -75,6 +76,9 @@ class DepthFirst:
         )  # fmt: skip
 
 
+@pytest.mark.nightly_cases(
+    "cl-frustum", "cl-chc_plus_plus", "cl-depth_pyramid", "cl-two_pass", "cl-conditional", reason=FEWER_CASES
+)
 @pytest.mark.parametrize("name", ["none", "frustum", "chc_plus_plus", "conditional", "depth_pyramid", "two_pass"])
 def test_two_passes_of_a_view_draw_the_same_picture_as_one(drawing_device: rhi.Device, city: Scene, name: str) -> None:
     need_algorithm(drawing_device, name)

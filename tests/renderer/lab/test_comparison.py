@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from nightly_reasons import CHEAPER_TEST
 
 import rhi
 from renderer.cli import options
@@ -214,6 +215,7 @@ def test_a_device_that_records_keeps_the_commands_of_the_latest_run_only() -> No
         assert lengths[-1] > lengths[0]  # nobody else forgets them
 
 
+@pytest.mark.nightly_cases("techniques grid --techniques forward --rounds 1 --size 32x18", reason=CHEAPER_TEST)
 @pytest.mark.parametrize(
     "command",
     [

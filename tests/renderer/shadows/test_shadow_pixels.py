@@ -11,6 +11,7 @@ import pytest
 from depth_textures import put_depths
 from filter_reference import find_lit_share
 from frames import make_boxes, open_renderer, read_colors
+from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 from numpy.typing import NDArray
 
 import rhi
@@ -55,6 +56,7 @@ def check_variant(filter: ShadowFilter) -> Any:
     return type("FilterCheck", (FILTERS[filter], FilterCheck), {"__module__": __name__})
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("filter", ShadowFilter)
 def test_filters_are_those_of_a_numpy_reference(drawing_device: rhi.Device, filter: ShadowFilter) -> None:
     """Compare 4,096 random points, in a tile and at its edges, with the reference."""
@@ -201,10 +203,12 @@ RIGHT_HALF = np.repeat(np.array([(255, 255, 255, 0), (255, 255, 255, 255)], np.u
 CUT = {"alpha_mode": AlphaMode.MASK, "alpha_cutoff": 0.5, "texture": RIGHT_HALF}
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_a_mask_casts_the_shadow_of_what_it_leaves(drawing_device: rhi.Device) -> None:
     assert find_shadow(drawing_device, leaf_scene(**CUT)) == (False, True)
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_an_opaque_material_casts_the_shadow_of_its_whole_surface(drawing_device: rhi.Device) -> None:
     assert find_shadow(drawing_device, leaf_scene(texture=RIGHT_HALF)) == (True, True)
 
@@ -344,6 +348,7 @@ def is_between(places: NDArray[np.float64], lamp: NDArray[np.float64], block: tu
     return np.asarray((leaves > np.maximum(enters, 0.0)) & (enters < 1.0))
 
 
+@pytest.mark.nightly_cases("6[34]", reason=FEWER_CASES)
 @pytest.mark.parametrize("number", [0, 63, 64, 130])
 def test_each_of_many_lamps_has_its_own_shadows(gl: rhi.Device, number: int) -> None:
     """One of 131 shines; the others have maps as well, 786 in all, and are too dim to be seen."""
@@ -490,6 +495,7 @@ def test_normal_maps_bring_no_acne_at_any_slope(gl: rhi.Device) -> None:
             assert np.abs(shown[1] - shown[0]).max() <= 1, degrees
 
 
+@pytest.mark.nightly_cases("*_*", "inferred", "clustered", reason=FEWER_CASES)
 @pytest.mark.parametrize("technique", TECHNIQUES)
 def test_normal_maps_bring_no_acne_with_any_technique_and_light(gl: rhi.Device, technique: str) -> None:
     scene = make_bumps(75.0)
@@ -566,6 +572,7 @@ TIGHT = ShadowSettings(cascades=1, cascade_size=16, smallest=64, largest=64, lar
 BESIDE_THE_WALL = Camera.look_at((6, 5, 5), (2, 0, -4))
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("name", ["forward", "deferred", "clustered"])
 def test_lamps_without_room_for_maps_shine_through_no_wall(
     drawing_device: rhi.Device, name: str, caplog: pytest.LogCaptureFixture
@@ -597,6 +604,7 @@ def test_the_foot_of_a_thin_wall_keeps_the_light_of_coarse_maps_off(drawing_devi
     assert (picture.sum(2) > 30).sum() == 0
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_lamps_that_nothing_shades_are_lit_however_many_there_are(drawing_device: rhi.Device) -> None:
     scene = build_wall(12)
     scene.objects.casts_shadow[:] = False

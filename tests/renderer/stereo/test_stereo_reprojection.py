@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 import pytest
 from frames import open_renderer as open_any
+from nightly_reasons import ONLY_KERNELS
 
 import rhi
 from renderer import scene as scenes
@@ -129,6 +130,7 @@ class Looker:
         pass
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_layers_find_the_depth_of_moved_pixels(drawing_device: rhi.Device, wall: Scene) -> None:
     looker = Looker()
     with open_renderer(drawing_device, wall) as renderer:

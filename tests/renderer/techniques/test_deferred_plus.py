@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from frames import draw_each, find_difference, find_eye, make_boxes, open_renderer, read_colors
+from nightly_reasons import ONLY_KERNELS
 from numpy.typing import NDArray
 
 import rhi
@@ -122,6 +123,7 @@ def tiles(uv: float) -> Scene:
     return builder.build()
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("uv", [0.999999, -0.25, 1000.3])
 def test_textures_are_filtered_as_in_forward_shading_wherever_they_begin(drawing_device: rhi.Device, uv: float) -> None:
     scene, camera = tiles(uv), Camera.look_at((3.5, 1, 3), (0, 0, 0))
@@ -133,6 +135,7 @@ def test_textures_are_filtered_as_in_forward_shading_wherever_they_begin(drawing
 # materials
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_rectangles_hold_all_pixels_of_their_material_and_tile(drawing_device: rhi.Device) -> None:
     found = draw(drawing_device, scatter(20, unused=3), multi_pass=True)
     ids = np.round(found["material ids"].astype(np.float64) * 65535.0).astype(int)
@@ -150,6 +153,7 @@ def test_rectangles_hold_all_pixels_of_their_material_and_tile(drawing_device: r
     assert min(material for material, _, _ in listed) == 3
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_tiles_with_many_materials_have_all_their_rectangles(drawing_device: rhi.Device) -> None:
     """llvmpipe ends loops after 65,535 turns: with 64 materials in a tile the rest was missing."""
     scene, size = load_scene("bazaar"), (160, 90)
@@ -164,6 +168,7 @@ def test_tiles_with_many_materials_have_all_their_rectangles(drawing_device: rhi
         assert find_difference(image, read_colors(renderer.render(camera))) == 0
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("spec", ["yard:columns=3,lamps=2", "bazaar:instances=400,materials=70,meshes=40,lights=8"])
 def test_bins_hold_each_pixel_once_by_shader_and_by_material(drawing_device: rhi.Device, spec: str) -> None:
     scene, size = load_scene(spec), (97, 61)
@@ -209,6 +214,7 @@ def test_pixels_are_shaded_in_one_way() -> None:
         assert TechniqueSettings("forward", samples=4, **choice).samples == 4
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_materials_come_back_from_the_packed_buffer(drawing_device: rhi.Device) -> None:
     found = draw(drawing_device, scatter(20), multi_pass=True)
     seen = found["depth"] > 0.0
@@ -218,6 +224,7 @@ def test_materials_come_back_from_the_packed_buffer(drawing_device: rhi.Device) 
     assert 0 < seen.sum() < seen.size
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("multi_pass", [False, True])
 def test_a_material_is_shaded_where_it_is_seen_however_many_there_are(
     drawing_device: rhi.Device, monkeypatch: pytest.MonkeyPatch, multi_pass: bool
@@ -292,6 +299,7 @@ def test_the_list_has_room_for_each_material_in_each_tile(null: rhi.Device) -> N
 # two-pass culling
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_the_second_pass_draws_little_and_nothing_is_missing(device: rhi.Device) -> None:
     """A walk through a grid of boxes, of which few are visible: what the first pass misses is under 3 % of all, and no
     pixel is wrong."""
@@ -359,6 +367,7 @@ def mapped(scale: float, *, unlike: bool = False, uniform: bool = False) -> Scen
     return builder.build()
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("scale", [1.0, 1.7])
 def test_maps_are_evaluated_as_in_forward_shading(drawing_device: rhi.Device, scale: float) -> None:
     """On llvmpipe, textures are filtered to 8 bits. So what is stored with an error may make a normal of a map that is
@@ -374,6 +383,7 @@ def test_maps_are_evaluated_as_in_forward_shading(drawing_device: rhi.Device, sc
     assert (images[1] == images[2]).all()
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_normals_that_are_not_filtered_are_those_of_forward_shading(drawing_device: rhi.Device) -> None:
     """The bits of normals and tangents alone make no pixel differ by more than 2."""
     scene = mapped(1.7, uniform=True)
@@ -430,6 +440,7 @@ def odd_squares() -> Scene:
     return builder.build()
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_odd_squares_are_those_of_forward_shading(drawing_device: rhi.Device) -> None:
     scene, images = odd_squares(), []
     camera = Camera.look_at((0, 0, 6.5), (0, 0, 0)).with_aspect(1.0)
@@ -468,6 +479,7 @@ def painted_corners(*, uv_set: int, colored: bool) -> SceneBuilder:
     return builder
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("colored", [False, True])
 @pytest.mark.parametrize("uv_set", [0, 1])
 def test_second_coordinates_and_colours_of_vertices_are_in_the_buffer(

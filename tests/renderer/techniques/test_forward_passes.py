@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from frames import draw as draw_any
 from frames import find_difference, list_passes, make_boxes, open_renderer, read_colors, record
+from nightly_reasons import ONLY_KERNELS
 
 import rhi
 from renderer.content import load_scene
@@ -43,6 +44,7 @@ def lamps(points: int, spots: int = 0, *, haze: float = 0.0, mirrored: bool = Fa
 SCENES = ("city:blocks=6", "hall:columns=6,flags=2", "grid:count=9")
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("technique", [*TECHNIQUES, lambda: Forward(all_lights=True)])
 @pytest.mark.parametrize("text", SCENES)
 def test_a_scene_looks_as_in_one_pass(
@@ -55,6 +57,7 @@ def test_a_scene_looks_as_in_one_pass(
     assert find_difference(draw(drawing_device, scene, technique(), camera), wanted) <= 2
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("technique", TECHNIQUES)
 def test_lamps_around_and_beside_the_eye_look_as_in_one_pass(
     drawing_device: rhi.Device, technique: Callable[[], Technique]
@@ -81,6 +84,7 @@ def test_every_way_to_find_the_visible_objects_gives_the_same_image(
     assert find_difference(draw(gl, scene, technique(), visibility=visibility, frames=2), wanted) == 0
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_a_pixel_with_too_many_lights_is_counted_and_lit_by_all_of_them(drawing_device: rhi.Device) -> None:
     few, many = (lamps(0), lamps(0))
     for builder, count in ((few, light_indexed.LIGHTS_PER_PIXEL), (many, light_indexed.LIGHTS_PER_PIXEL + 1)):
@@ -195,6 +199,7 @@ def edge() -> Scene:
     return builder.build()
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("smooth", [lambda: Forward(samples=4), lambda: Smoothed(Forward())])
 def test_edges_are_nearer_to_those_of_many_samples(drawing_device: rhi.Device, smooth: Callable[[], Technique]) -> None:
     scene, n = edge(), 8
@@ -206,6 +211,7 @@ def test_edges_are_nearer_to_those_of_many_samples(drawing_device: rhi.Device, s
     assert after < 0.7 * before
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_fxaa_leaves_what_has_no_edges_as_it_is(drawing_device: rhi.Device) -> None:
     scene = edge()
     plain, smooth = (draw(drawing_device, scene, one) for one in (Forward(), Smoothed(Forward())))

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from frames import EYE, draw, make_boxes, open_renderer, read_colors
+from nightly_reasons import ONLY_KERNELS
 
 import rhi
 from renderer.lights.culling.grid import LightGrid
@@ -45,6 +46,7 @@ def grids(monkeypatch: pytest.MonkeyPatch) -> list[LightGrid]:
     return found
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("name", BY_LISTS)
 @pytest.mark.parametrize(("points", "spots"), [(300, 0), (0, 300), (170, 170)])
 def test_the_first_picture_is_the_same_as_with_room_for_all(
@@ -61,6 +63,7 @@ def test_the_first_picture_is_the_same_as_with_room_for_all(
     assert (pictures[0] == pictures[-1]).all()
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("name", [*BY_LISTS, "tiled_deferred", "auto"])
 def test_the_first_picture_after_growing_lacks_no_light(device: rhi.Device, name: str) -> None:
     scene, size = make_crowded(40, 40), (160, 96)
@@ -75,6 +78,7 @@ def test_the_first_picture_after_growing_lacks_no_light(device: rhi.Device, name
     assert np.abs(grown - expected).max() <= 2
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_the_lists_of_few_lamps_are_not_full(device: rhi.Device, grids: list[LightGrid]) -> None:
     draw(device, make_crowded(20, 20), ForwardPlus(), EYE, frames=5)
     assert grids[-1].overflows == 0

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from frames import draw, make_boxes
+from nightly_reasons import ONLY_KERNELS
 from numpy.typing import NDArray
 
 import rhi
@@ -32,6 +33,7 @@ def test_a_texel_is_stored_finer_than_images_have_it() -> None:
     assert evaluate(decode_texel, evaluate(encode_texel, np.array([1.0, 0.0, 1.0], np.float32))).tolist() == [1, 0, 1]
 
 
+@pytest.mark.nightly_cases("cl-False-*", "cl-True-*Deferred", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("make", [Deferred, TiledDeferred, ClusteredDeferred, partial(TiledDeferred, 4)])
 @pytest.mark.parametrize("bends", [False, True])
 def test_normals_of_8_bits_are_seen_to_be_rounded_and_those_of_16_are_those_of_rays(

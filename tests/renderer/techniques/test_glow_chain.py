@@ -10,6 +10,7 @@ import pytest
 from frames import draw, make_boxes
 from glow_reference import Floats, add_glow
 from lighting_reference import encode, tone_map
+from nightly_reasons import FEWER_CASES
 
 import rhi
 from renderer.frame import GlowSettings, Needs, Pass, Target
@@ -62,6 +63,7 @@ def make_lights(height: int, width: int) -> Floats:
     return light.astype(np.float16).astype(float)
 
 
+@pytest.mark.nightly_cases("*-size[45]-*", reason=FEWER_CASES)
 @pytest.mark.parametrize(
     ("size", "settings"),
     [

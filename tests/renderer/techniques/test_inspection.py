@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from frames import draw, find_eye, make_boxes, open_renderer, read_colors
+from nightly_reasons import ONLY_KERNELS
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -53,11 +54,13 @@ def find_linear(picture: NDArray[Any]) -> NDArray[np.float64]:
     return np.where(share > 0.04045, ((share + 0.055) / 1.055) ** 2.4, share / 12.92)
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_normals_are_colours_along_the_worlds_axes(drawing_device: rhi.Device) -> None:
     middle = show(drawing_device, tower(), "normals")[SIZE[1] // 2, SIZE[0] // 2]
     assert np.abs(middle - (188, 255, 188)).max() <= 1  # (0, 1, 0): halves in sRGB are 188
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_depth_gets_darker_with_distance(drawing_device: rhi.Device) -> None:
     scene = tower()
     picture = show(drawing_device, scene, "depth")
@@ -66,6 +69,7 @@ def test_depth_gets_darker_with_distance(drawing_device: rhi.Device) -> None:
     assert np.abs(picture[SIZE[1] // 2, SIZE[0] // 2] - wanted).max() <= 2.0
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize(("points", "spots", "color"), [(0, 0, (0, 0, 0)), (1, 0, BLUE), (0, 7, BLUE), (5, 3, CYAN)])
 def test_lights_are_counted_where_they_reach(
     drawing_device: rhi.Device, points: int, spots: int, color: tuple[int, int, int]
@@ -75,6 +79,7 @@ def test_lights_are_counted_where_they_reach(
     assert not picture[1, 1].any()  # out of their range
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_overdraw_counts_each_fragment(drawing_device: rhi.Device) -> None:
     scene = tower()
     with open_renderer(drawing_device, scene, Inspection("overdraw"), size=SIZE) as renderer:

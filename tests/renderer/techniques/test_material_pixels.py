@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from frames import draw, draw_each, find_difference, find_eye, open_renderer, read_colors
 from material_scene import build_materials, make_noise
+from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 from numpy.typing import NDArray
 
 import rhi
@@ -25,6 +26,8 @@ SIZE = (120, 90)
 NEAREST = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None)
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
+@pytest.mark.nightly_cases("gl-True", reason=FEWER_CASES)
 @pytest.mark.parametrize("lamps", [True, False])
 def test_all_techniques_draw_the_same_materials(drawing_device: rhi.Device, lamps: bool) -> None:
     scene = build_materials(lamps=lamps)
@@ -164,6 +167,7 @@ def test_masks_hide_nothing_behind_their_holes(gl: rhi.Device, name: str) -> Non
     assert np.array_equal(*images)
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("axis", [0, 1])
 def test_images_at_the_second_coordinates_are_filtered_by_their_changes(drawing_device: rhi.Device, axis: int) -> None:
     """Stripes far narrower than pixels are grey, whichever way the second coordinates change; the first don't."""

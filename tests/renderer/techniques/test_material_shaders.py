@@ -8,6 +8,7 @@ from typing import Any
 import frames
 import numpy as np
 import pytest
+from nightly_reasons import ONLY_KERNELS
 from numpy.typing import NDArray
 
 import rhi
@@ -57,6 +58,7 @@ class Lamp(MaterialShader):
         )
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_all_techniques_draw_materials_with_shaders_alike(drawing_device: rhi.Device) -> None:
     scene = load_scene(YARD)
     names = COMPARED if drawing_device.backend_name == "gl" else ("deferred", "deferred_plus", "forward_multipass")
@@ -133,6 +135,7 @@ def test_depth_alone_is_drawn_without_shaders_of_materials(null: rhi.Device) -> 
         assert len({one["program"] for one in first if one.op is Op.BIND_PROGRAM}) == programs
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_all_that_a_shader_says_is_drawn_by_techniques_that_store_it(drawing_device: rhi.Device) -> None:
     scene = stand(None, Lamp, base_color=(1, 1, 1), metallic=0.5, roughness=0.5, emissive=(0.6, 0.3, 0.1))
     scene.lights.add_point((0, 2, 3), 8.0, intensity=3.0)
@@ -143,6 +146,7 @@ def test_all_that_a_shader_says_is_drawn_by_techniques_that_store_it(drawing_dev
     assert max(frames.find_difference(forward, image) for image in others) <= 2
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_a_shader_cuts_masks_from_pictures_and_from_shadows(drawing_device: rhi.Device) -> None:
     def show(technique: Technique, alpha_mode: AlphaMode, casts: bool) -> NDArray[Any]:
         builder = frames.make_boxes(translation((0, 0, -2)) @ scaling((20, 20, 0.1)))
@@ -161,6 +165,7 @@ def test_a_shader_cuts_masks_from_pictures_and_from_shadows(drawing_device: rhi.
         assert frames.find_difference(show(technique, AlphaMode.MASK, True), cut) <= 2
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_transparent_surfaces_have_the_opacity_that_a_shader_says(drawing_device: rhi.Device) -> None:
     solid = frames.draw(drawing_device, stand(Halves, base_color=(1, 1, 1, 1)), camera=NEAR, size=SIZE)
     glass = stand(Halves, base_color=(1, 1, 1, 0.5), alpha_mode=AlphaMode.BLEND)
@@ -172,6 +177,7 @@ def test_transparent_surfaces_have_the_opacity_that_a_shader_says(drawing_device
     assert ((half[row, right, 0] > 70) & (half[row, right, 0] < solid[row, right, 0])).all()
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_parameters_and_instances_may_change_between_frames(drawing_device: rhi.Device) -> None:
     builder = frames.make_boxes()
     parent = builder.add_material(shader=material_shaders.Checker, second_color=(1, 0, 0), base_color=(1, 1, 1))
@@ -306,6 +312,7 @@ def test_marble_goes_through_objects(gl: rhi.Device) -> None:
     assert frames.find_difference(halves, one) <= 1
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_pictures_are_those_of_float64(drawing_device: rhi.Device) -> None:
     """The same shaders by NumPy, from what the device has in its buffers: arithmetic is all that differs."""
     scene = load_scene("yard:columns=2,lamps=2")

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 import pytest
 from frames import count_draws, draw, draw_each, find_difference, list_passes, make_boxes, make_lit_boxes
+from nightly_reasons import FEWER_CASES
 
 import rhi
 import rhi.shading as sl
@@ -36,6 +37,7 @@ DEFERRED: tuple[Callable[[int], Technique], ...] = (TiledDeferred, ClusteredDefe
 LISTED = (ForwardPlus, Clustered, partial(Clustered, depth_first=True), *DEFERRED)
 
 
+@pytest.mark.nightly_cases("cl-2", "cl-4", reason=FEWER_CASES)
 @pytest.mark.parametrize("samples", [2, 4, 8])
 def test_the_lists_of_cells_lack_no_light_of_any_sample(drawing_device: rhi.Device, samples: int) -> None:
     if samples not in drawing_device.capabilities.sample_counts:
@@ -48,6 +50,7 @@ def test_the_lists_of_cells_lack_no_light_of_any_sample(drawing_device: rhi.Devi
     assert [find_difference(picture, wanted) <= 1 for picture in drawn] == [True] * len(LISTED)
 
 
+@pytest.mark.nightly_cases("cl", reason=FEWER_CASES)
 def test_what_covers_no_centre_is_lit_by_what_reaches_nothing_else(drawing_device: rhi.Device) -> None:
     """A wire between two columns of centres, of which depth of one sample knows nothing, and a lamp beside it."""
     wall = translation((0, 0, -20)) @ scaling((60, 40, 1))

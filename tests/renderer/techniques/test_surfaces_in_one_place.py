@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from frames import draw_each, find_difference, list_passes, open_renderer, record
+from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 
 import rhi
 from renderer.content import BUILT_IN, load_scene
@@ -38,6 +39,7 @@ def stack_boxes(*colors: tuple[float, float, float], groups: bool = False) -> Sc
     return builder.build()
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("depth", list(Depth))
 @pytest.mark.parametrize("colors", [(RED, GREEN), (GREEN, RED), (RED, GREEN, BLUE)])
 def test_the_surface_that_is_drawn_last_is_seen_with_every_technique(
@@ -52,6 +54,7 @@ def test_the_surface_that_is_drawn_last_is_seen_with_every_technique(
     assert max(off.values()) <= 1, off
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_surfaces_that_are_drawn_with_other_states_are_seen_alike_by_all_techniques(drawing_device: rhi.Device) -> None:
     techniques = make_techniques()
     scene = stack_boxes(RED, GREEN, BLUE, groups=True)
@@ -59,6 +62,7 @@ def test_surfaces_that_are_drawn_with_other_states_are_seen_alike_by_all_techniq
     assert max(find_difference(image, first) for image in others) <= 1
 
 
+@pytest.mark.nightly_cases(reason=FEWER_CASES)
 def test_every_technique_draws_the_same_bazaar(gl: rhi.Device) -> None:
     # Its stalls touch: up to 79 levels, in 30 to 462 pixels at 960 x 540, where each pass with EQUAL shaded both.
     scene, techniques = load_scene("bazaar"), make_techniques()
@@ -115,6 +119,7 @@ def test_a_second_pass_draws_objects_in_the_order_of_the_first_one_whatever_thei
     assert list(chain.from_iterable(depth)) == list(chain.from_iterable(lit))
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_an_object_that_glass_covers_is_lit_in_full_by_inferred_lighting_at_full_size(
     drawing_device: rhi.Device,
 ) -> None:

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 from frames import draw_each, find_difference, forget_variants, make_boxes
+from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 from numpy.typing import NDArray
 
 import rhi
@@ -91,6 +92,8 @@ def check_all(
     return expected
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
+@pytest.mark.nightly_cases("*-True-*", "*-False-[12]", reason=FEWER_CASES)
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("textured", [False, True])
 def test_random_lights_give_the_picture_of_forward_shading(
@@ -101,6 +104,7 @@ def test_random_lights_give_the_picture_of_forward_shading(
     check_all(drawing_device, builder.build())
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_spheres_give_the_picture_of_forward_shading(drawing_device: rhi.Device) -> None:
     builder = stage()
     metal = builder.add_material(base_color=(0.9, 0.8, 0.5), metallic=1.0, roughness=0.3)
@@ -145,6 +149,9 @@ CAMERAS = {
 }
 
 
+@pytest.mark.nightly_cases(
+    "*-a far plane *", "*-a near plane of a millimetre", "*-a wide lens", "*-parallel*", reason=FEWER_CASES
+)
 @pytest.mark.parametrize("lens", CAMERAS)
 def test_any_lens_gives_the_picture_of_forward_shading(drawing_device: rhi.Device, lens: str) -> None:
     builder = stage()
@@ -199,6 +206,7 @@ def test_a_light_reaches_what_it_reaches_in_forward_shading(drawing_device: rhi.
     assert find_difference(image, unlit) > 2, "the light can be seen"
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_a_light_of_radius_0_lights_nothing(drawing_device: rhi.Device) -> None:
     builder = stage()
     builder.lights.add_point((0, 0.5, 3), 0.0, intensity=1e4)
@@ -208,6 +216,7 @@ def test_a_light_of_radius_0_lights_nothing(drawing_device: rhi.Device) -> None:
     check_all(drawing_device, builder.build())
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_light_beyond_the_range_of_a_half_is_white(drawing_device: rhi.Device) -> None:
     # 20 times infinity in the light buffer, on surfaces some of which mirror nothing.
     builder = stage()
@@ -217,6 +226,7 @@ def test_light_beyond_the_range_of_a_half_is_white(drawing_device: rhi.Device) -
     assert (image[:, :, 0] == 255).mean() > 0.3
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_a_place_far_from_the_origin_is_as_exact(drawing_device: rhi.Device) -> None:
     middle = (1e6 + 0.3, -2e5, 3e6)
     builder = stage(middle)
@@ -248,6 +258,7 @@ def test_every_visibility_algorithm_draws_to_geometry_buffers(gl: rhi.Device) ->
                 visibility.destroy()
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("count", [16, 1500])
 def test_light_of_many_lamps_is_added_up_as_exactly_by_blending_as_in_a_shader(
     drawing_device: rhi.Device, count: int
@@ -274,6 +285,7 @@ def test_light_of_many_lamps_is_added_up_as_exactly_by_blending_as_in_a_shader(
         assert (find_difference(halves, expected) > 1) == (count > 16), kind  # the control
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_a_missing_light_is_seen_by_the_comparison(drawing_device: rhi.Device) -> None:
     # The control of all comparisons above.
     builder, without = stage(), stage()
@@ -285,6 +297,7 @@ def test_a_missing_light_is_seen_by_the_comparison(drawing_device: rhi.Device) -
     assert min(find_difference(image, expected) for image in images) > 2
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_one_specular_channel_is_exact_for_one_light_and_loses_hues_for_two(drawing_device: rhi.Device) -> None:
     techniques: list[Technique] = [Forward(), LightPrePass(specular_channels=1), LightPrePass()]
     builder = stage()
@@ -303,6 +316,7 @@ def find_signal_to_noise(image: NDArray[np.int64], expected: NDArray[np.int64]) 
     return float(10.0 * np.log10(255.0**2 / ((image - expected)[:, :, :3] ** 2).mean()))
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_inferred_light_is_near_and_nearer_with_more_of_it(drawing_device: rhi.Device) -> None:
     builder = stage(textured=True)
     add_random_lights(builder, 20, seed=4)

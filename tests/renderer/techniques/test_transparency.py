@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from frames import SIZE, count_draws, draw, find_difference, make_boxes, open_renderer, read_colors, record
 from lighting_reference import encode, look_at_plane
+from nightly_reasons import ONLY_KERNELS
 from numpy.typing import NDArray
 from test_technique_pixels import EYE, add_random_lights, stage
 
@@ -104,6 +105,7 @@ def composite(scene: Scene, layers: list[tuple[float, Sequence[float]]], blendin
     return encode((1 - left) * mean + left * image)
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("blending", Blending)
 def test_panes_are_within_two_levels_of_compositing_in_float64(drawing_device: rhi.Device, blending: Blending) -> None:
     layers = LAYERS[:-1]
@@ -116,6 +118,7 @@ def test_panes_are_within_two_levels_of_compositing_in_float64(drawing_device: r
     assert find_difference(other, wanted) > 20.0
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_a_pane_of_opacity_1_hides_what_is_behind_it(drawing_device: rhi.Device) -> None:
     scene = panes(*LAYERS).build()
     wanted = composite(scene, LAYERS, Blending.SORTED)

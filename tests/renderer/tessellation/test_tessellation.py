@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from bisection_reference import HEIGHT, check_conforming, decode, find_keys, is_wanted, make_hills, make_scene
 from frames import open_renderer
+from nightly_reasons import ONLY_KERNELS
 from numpy.typing import NDArray
 
 import rhi
@@ -108,6 +109,7 @@ def test_a_limit_gives_a_coarser_mesh_without_cracks_and_says_so() -> None:
     check_conforming(cut, 33)
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_a_device_chooses_the_reference_s_keys(device: rhi.Device) -> None:
     field = make_hills()
     local = translation((1e5, 300.0, -2e5)) @ scaling((0.5, 0.5, 0.5))

@@ -6,6 +6,7 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
+from nightly_reasons import ONLY_KERNELS
 from occlusion_scenes import DEVICE, WAITING, Oracle, draw_with, need_algorithm
 
 import rhi
@@ -151,6 +152,7 @@ def make_reference(monkeypatch: pytest.MonkeyPatch) -> Scene:
         return load_scene(HALL)
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("name", ["frustum", "chc_plus_plus", "stop_and_wait", *DEVICE, "software_depth"])
 def test_what_shows_again_is_drawn_as_of_its_frame(
     drawing_device: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str

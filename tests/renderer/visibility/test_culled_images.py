@@ -11,6 +11,7 @@ from itertools import cycle
 
 import numpy as np
 import pytest
+from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 from occlusion_scenes import DEVICE, look, mirrored_boxes, need_algorithm
 
 import rhi
@@ -115,6 +116,29 @@ def uncut(device: rhi.Device) -> Iterator[Callable[[str], Uncut]]:
         yield draw
 
 
+@pytest.mark.nightly_cases(
+    "cl-*-what is simulated", "cl-*-all along *", "cl-*-backs of two sides*", "cl-*standard depth", reason=ONLY_KERNELS
+)
+@pytest.mark.nightly_cases(
+    "gl-*-a flight",
+    "gl-*-all along the sky",
+    "gl-auto-*pixels*",
+    "gl-chc-*pixels*",
+    "gl-conditional-*pixels*",
+    "gl-frustum-*pixels*",
+    "gl-software_depth-*pixels*",
+    "gl-stop_and_wait-*pixels*",
+    "cl-software_depth-*pixels*",
+    "gl-auto-*",
+    "gl-chc_plus_plus-* pixels, standard depth",
+    "gl-conditional-what moves",
+    "gl-depth_pyramid-* pixels, standard depth",
+    "gl-frustum-what moves",
+    "gl-two_pass-* pixels, standard depth",
+    "cl-two_pass-what moves",
+    "cl-two_pass-mirrored*",
+    reason=FEWER_CASES,
+)
 @pytest.mark.parametrize(("device", "name", "situation"), in_turns(), indirect=["device"])
 def test_it_looks_as_without_culling(
     device: rhi.Device, uncut: Callable[[str], Uncut], name: str, situation: str
@@ -124,6 +148,7 @@ def test_it_looks_as_without_culling(
     assert expected.try_algorithm(name) == [0] * len(expected.shots)
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_pictures_that_are_compared_show_something(device: rhi.Device, uncut: Callable[[str], Uncut]) -> None:
     blank = {
         situation

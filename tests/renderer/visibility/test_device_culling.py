@@ -13,6 +13,7 @@ import pytest
 from frames import list_owned
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nightly_reasons import FEWER_CASES
 from occlusion_scenes import DEVICE, ORIGIN, SIZE, Oracle, draw_with, look, make_boxes, visible, walk
 
 import rhi
@@ -43,6 +44,7 @@ def whole_city() -> Scene:
     return load_scene("city")
 
 
+@pytest.mark.nightly_cases("*-sky-3", reason=FEWER_CASES)
 @pytest.mark.slow
 @pytest.mark.parametrize("frames", [3, pytest.param(10, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("path", ["ground", "sky"])

@@ -16,6 +16,7 @@ import occlusion_scenes
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 from occlusion_scenes import DEVICE, OCCLUSION, ORIGIN, WALL, Oracle, Uncut, draw_with, look, make_boxes, visible
 
 import rhi
@@ -31,6 +32,7 @@ from rhi.backends.null import CostModel, Simulation
 LENS = Perspective(np.pi / 3, 16 / 9, near=0.1)
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_the_images_are_not_empty(drawing_device: rhi.Device) -> None:
     # The control: in every image some frame shows something, and losing it is seen.
     class Nothing:
@@ -85,6 +87,7 @@ def in_turns(*lists: Iterable[object]) -> list[object]:
     ]
 
 
+@pytest.mark.nightly_cases("*-1", "*-20", reason=FEWER_CASES)
 @pytest.mark.parametrize(("title", "latency"), in_turns(IMAGES))
 def test_on_a_late_gpu_a_hard_case_draws_what_is_seen(title: str, latency: int) -> None:
     case = IMAGES[title]

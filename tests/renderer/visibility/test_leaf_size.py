@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import occlusion_scenes
 import pytest
+from nightly_reasons import ONLY_KERNELS
 
 import rhi
 from renderer import visibility
@@ -66,6 +67,7 @@ def test_of_a_leaf_across_the_edge_of_the_view_only_what_is_in_view_is_drawn(
             assert occlusion_scenes.visible(occlusion_scenes.draw_with(renderer, algorithm, camera)) == inside
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("leaf_size", [3, 64])
 @pytest.mark.parametrize("name", occlusion_scenes.OCCLUSION[1:])
 def test_leaves_of_several_objects_change_no_pixel(drawing_device: rhi.Device, name: str, leaf_size: int) -> None:

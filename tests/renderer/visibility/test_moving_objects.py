@@ -13,6 +13,7 @@ import pytest
 from frames import need_algorithm
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 from occlusion_scenes import SIZE, Uncut, cameras, delay_answers, draw_with, look, make_boxes, visible
 
 import rhi
@@ -62,6 +63,8 @@ def count(device: rhi.Device, scene: Scene, name: str) -> tuple[list[set[int]], 
     return drawn, queries
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
+@pytest.mark.nightly_cases("gl-all-stop_and_wait", "gl-half-*", reason=FEWER_CASES)
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("wall", WALLS)
 def test_a_moving_copy_of_a_scene_draws_the_same_objects_with_about_as_many_queries(

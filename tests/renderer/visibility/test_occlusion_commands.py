@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from nightly_reasons import FEWER_CASES
 from occlusion_scenes import OCCLUSION, WAITING, Oracle, delay_answers, draw_with, make_boxes, make_cloud, visible
 from refusals import find_rule
 
@@ -286,6 +287,7 @@ def test_chc_plus_plus_asks_about_hidden_nodes_and_due_leaves_in_one_call(
 QUEUES = ("_i_queue", "_requery", "_v_queue", "_i_queries", "_v_queries", "_answers", "_render_queue")
 
 
+@pytest.mark.nightly_cases("ConditionalCulling", reason=FEWER_CASES)
 @pytest.mark.parametrize("kind", [ChcPlusPlus, ConditionalCulling])
 def test_the_queues_allocate_nothing_in_a_hundred_frames(renderer: Renderer, kind: type[ChcPlusPlus]) -> None:
     device, oracle = renderer.device, Oracle(renderer.device, renderer.scene)

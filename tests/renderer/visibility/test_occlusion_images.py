@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from nightly_reasons import FEWER_CASES
 from occlusion_scenes import SIZE, WAITING, count_wrong_pixels, draw_with, look, make_boxes
 
 import rhi
@@ -31,6 +32,7 @@ def test_a_beam_whose_aligned_box_shows_and_whose_own_is_hidden_is_not_drawn(gl:
         assert draw_with(renderer, algorithm, camera).visible.tolist() == [0]
 
 
+@pytest.mark.nightly_cases(reason=FEWER_CASES)
 @pytest.mark.slow
 @pytest.mark.parametrize("frames", [range(640, 650, 3), pytest.param(range(640, 700), marks=pytest.mark.nightly)])
 def test_where_two_surfaces_tie_the_depth_is_the_same(gl: rhi.Device, frames: range) -> None:

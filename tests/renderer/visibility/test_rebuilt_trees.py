@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 from occlusion_scenes import OCCLUSION, Uncut, delay_answers, draw_with, look, make_boxes, need_algorithm
 
 import rhi
@@ -128,6 +129,7 @@ def count_queries(device: rhi.Device, scene: Scene, name: str, frames: list[floa
     return queries
 
 
+@pytest.mark.nightly_cases("chc", reason=FEWER_CASES)
 @pytest.mark.parametrize("name", ["chc", "chc_plus_plus"])
 def test_after_a_shuffle_there_are_no_more_queries_than_with_a_new_tree(
     gl: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str
@@ -162,6 +164,7 @@ def test_in_the_frame_of_a_rebuild_visible_objects_are_still_known(
     algorithm.destroy()
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("leaf_size", [1, 3])
 @pytest.mark.parametrize("name", OCCLUSION)
 def test_objects_in_rebuilt_trees_look_as_without_culling(

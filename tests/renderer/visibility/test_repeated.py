@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from nightly_reasons import ONLY_KERNELS
 from occlusion_scenes import DEVICE, ORIGIN, Oracle, draw_with, look, make_boxes, make_cloud, need_algorithm, walk
 
 import rhi
@@ -341,6 +342,7 @@ def test_the_timer_tree_shows_that_a_frame_is_recorded_while_the_gpu_draws_the_o
         assert early == (0 if waits else frames)
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_the_timer_tree_of_a_real_device_shows_it_too(device: rhi.Device) -> None:
     if device.backend_name == "wgpu":
         pytest.skip("its timestamps are of no clock that the CPU has")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
+from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 from occlusion_scenes import WAITING, Oracle, draw_with, need_algorithm
 
 import rhi
@@ -23,6 +24,8 @@ def hall() -> Scene:
     return load_scene(HALL)
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
+@pytest.mark.nightly_cases("gl-software_depth", reason=FEWER_CASES)
 @pytest.mark.parametrize("name", [name for name in ALGORITHMS if name != "none"])
 def test_skipped_fountains_come_back_as_if_they_had_been_simulated(
     drawing_device: rhi.Device, hall: Scene, name: str

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from house_kit import CALLS, House, create_a_buffer, draw, make_things_to_destroy
+from nightly_reasons import SAME_ON_EACH_BACKEND
 
 import rhi
 from rhi import Access, CullMode, DeviceError, Scissor
@@ -300,6 +301,9 @@ def run_python(text: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
 
 
+@pytest.mark.nightly_cases(
+    "end-0-null", "end-0-cl", "error-1-cl", "error-1-gl", "exit-3-gl", "exit-3-null", reason=SAME_ON_EACH_BACKEND
+)
 @pytest.mark.parametrize("backend", ["gl", "cl", "null"])
 @pytest.mark.parametrize(("how", "status"), [("end", 0), ("exit", 3), ("error", 1)])
 def test_a_process_ends_quietly_with_everything_open(backend: str, how: str, status: int) -> None:

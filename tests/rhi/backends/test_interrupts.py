@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from house_kit import CALLS, House, destroy_everything, end_a_frame, make_things_to_destroy
 from interrupts_kit import EXEMPT, Interrupt
+from nightly_reasons import SAME_ON_EACH_BACKEND
 
 import rhi
 from rhi import BlendColor, CullMode, Device, Format, Scissor
@@ -444,6 +445,7 @@ next(draws), next(draws)
 """
 
 
+@pytest.mark.nightly_cases("cl", "null", reason=SAME_ON_EACH_BACKEND)
 @pytest.mark.parametrize("backend", ["cl", "gl", "null"])
 def test_a_process_ends_silently_with_a_suspended_generator_in_a_pass(backend: str) -> None:
     done = subprocess.run([sys.executable, "-c", SUSPENDED, backend], capture_output=True, text=True, timeout=120)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nightly_reasons import CHEAPER_TEST
 
 import rhi
 from renderer.content import load_scene
@@ -132,6 +133,7 @@ with rhi.create_device("null") as device:
 """
 
 
+@pytest.mark.nightly_cases("contextlib_user", "renderer", reason=CHEAPER_TEST)
 @pytest.mark.parametrize("name", ["renderer", "frames", "contextlib_user"])
 def test_a_module_that_users_run_is_theirs_whatever_its_name(tmp_path: Path, name: str) -> None:
     file = tmp_path / f"{name}.py"

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 from conformance_kit import take_the_kit
+from nightly_reasons import CHEAPER_TEST
 
 import rhi.conformance
 from rhi.__main__ import main
@@ -69,6 +70,7 @@ def test_a_new_backend_fails_every_test_by_the_name_of_what_it_misses(tmp_path: 
     assert last == "  write create_buffer: 77 tests stop there"
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_a_method_that_was_written_is_not_asked_for_any_more(tmp_path: Path) -> None:
     root = write_package("begun", tmp_path)
     file = root / "rhi_begun" / "backend.py"
@@ -200,6 +202,7 @@ def test_the_kit_runs_in_the_order_of_the_steps(tmp_path: Path) -> None:
     assert numbers == sorted(numbers)
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_after_a_failed_test_the_next_one_gets_a_new_device(tmp_path: Path) -> None:
     """`end_pass` fails, so a pass stays open on the device."""
     root = write_package("broken", tmp_path)

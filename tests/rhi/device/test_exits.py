@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from nightly_reasons import CHEAPER_TEST
 
 PROGRAM = """
 import sys, threading, time
@@ -35,6 +36,7 @@ time.sleep(0.02 if not wait else wait)
 """
 
 
+@pytest.mark.nightly_cases("cl-0.05_0", reason=CHEAPER_TEST)
 @pytest.mark.parametrize(
     ("backend", "wait"),
     [("cl", 0.0), ("cl", 0.05), ("null", 0.05)]

@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from nightly_reasons import CHEAPER_TEST
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
 
@@ -63,6 +64,7 @@ def test_a_child_may_close_its_parents_device_and_nothing_else(backend: str) -> 
     assert closed == "done"
 
 
+@pytest.mark.nightly_cases("null-cl-done", "cl-null-done", reason=CHEAPER_TEST)
 @pytest.mark.parametrize(
     ("backend", "other", "made"),
     [

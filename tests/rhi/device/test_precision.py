@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nightly_reasons import CHEAPER_TEST
 
 import rhi
 import rhi.shading as sl
@@ -96,6 +97,7 @@ def test_other_precisions_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         rhi.create_device("null")
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_the_report_names_the_precision(monkeypatch: pytest.MonkeyPatch) -> None:
     def say(*options: str) -> str:
         command = [sys.executable, "-m", "rhi", *options]

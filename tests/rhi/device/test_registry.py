@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from nightly_reasons import CHEAPER_TEST
 
 import rhi
 from rhi import Capabilities
@@ -158,6 +159,7 @@ def test_importing_the_package_leaves_out_what_a_first_picture_does_not_need(cod
     assert modules & (packages | others) == set()
 
 
+@pytest.mark.nightly_cases("gl", reason=CHEAPER_TEST)
 @pytest.mark.parametrize("name", ["gl", "cl"])
 def test_a_first_picture_imports_only_its_own_backend_and_language(name: str) -> None:
     draws = """
@@ -179,6 +181,7 @@ with rhi.create_device(NAME) as device:
     assert {"pyopencl.array", "mako", "rhi.backends.cl.pocl.compiler"} & modules == set()
 
 
+@pytest.mark.nightly_cases("gl-pyopencl-moderngl", reason=CHEAPER_TEST)
 @pytest.mark.parametrize(("name", "other", "own"), [("gl", "pyopencl", "moderngl"), ("cl", "moderngl", "pyopencl")])
 def test_a_device_needs_and_imports_the_package_of_its_own_driver(name: str, other: str, own: str) -> None:
     """As after `pip install --no-deps rhi`: the other backend's package isn't there."""

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+from nightly_reasons import CHEAPER_TEST
 
 import rhi
 from rhi import Format, Op, Reloader, RhiError, ShaderError, ValidationError
@@ -551,6 +552,7 @@ def test_each_file_at_fault_has_its_error(
 # -- growth --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_fifty_edits_leave_memory_where_it_was(shaders: Any) -> None:
     with rhi.create_device("null", record=False) as device:
         picture, reloader = Picture(device, shaders), Reloader(device)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from nightly_reasons import CHEAPER_TEST
 
 from rhi.contract.formats import Format
 from rhi.shading.language.builtins import BUILTINS, ErrorBound
@@ -35,6 +36,7 @@ def test_opencl_has_a_row_for_each_precision():
     assert all(row.keeps for row in rows)
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 @pytest.mark.slow
 def test_samples_of_textures_have_rows_and_fast_ones_a_cheaper_curve():
     rows = {(row.builtin, row.precision): row for row in accuracy.measure(["sample_lod"], ["cl"])}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
+from nightly_reasons import CHEAPER_TEST
 from testing_kit import House, Light, Shadow
 
 import rhi
@@ -280,6 +281,7 @@ def test_an_unknown_backend_stops_a_run_at_once_with_one_line(pytester: pytest.P
     assert re.fullmatch(r"ERROR: --rhi-backend: there is no backend 'nul' .*did you mean 'null'\?", lines[0])
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_an_unknown_backend_in_the_environment_stops_only_tests_that_need_it(
     pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:

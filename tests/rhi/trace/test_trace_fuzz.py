@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 import trace_fuzz
+from nightly_reasons import CHEAPER_TEST
 from testing_kit import backend_works
 from trace_kit import record, record_draws
 
@@ -55,6 +56,7 @@ def test_mutations_reach_what_is_behind_the_first_checks(folder: Path) -> None:
     assert len([result for result in found if result.startswith("refused")]) >= 4
 
 
+@pytest.mark.nightly_cases("cl", reason=CHEAPER_TEST)
 @pytest.mark.parametrize("backend", ["gl", "cl"])
 def test_mutated_traces_are_refused_or_replayed(folder: Path, backend: str) -> None:
     if not backend_works(backend):

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nightly_reasons import CHEAPER_TEST
 from trace_kit import VERSION_1
 
 import rhi
@@ -120,6 +121,7 @@ def run_pytest(folder: Path) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_the_written_test_fails_alone_until_the_fault_is_gone(trace: Trace, tmp_path: Path) -> None:
     small = reduce(trace, has_scissored_draw)
     file = tmp_path / "test_scissor.py"

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nightly_reasons import CHEAPER_TEST
 from testing_kit import backend_works
 from trace_kit import VERSION_1, edit_line, record, record_draws, record_much, rewrite
 
@@ -61,6 +62,7 @@ def test_states_of_our_own_platforms_are_found(file: Path) -> None:
 # -- shaders ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly_cases("cl", reason=CHEAPER_TEST)
 @drawing
 def test_shaders_of_a_file_run_only_if_it_is_trusted(file: Path, backend: str) -> None:
     with rhi.create_device(backend) as device:

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nightly_reasons import CHEAPER_TEST
 
 import rhi
 from renderer.cli import main
@@ -278,6 +279,7 @@ def test_what_a_job_has_found_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert load_sample(tmp_path / "other.json") is None
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 @pytest.mark.usefixtures("gl")
 def test_the_command_writes_a_page_and_settings_that_render_reads(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

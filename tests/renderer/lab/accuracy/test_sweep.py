@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nightly_reasons import CHEAPER_TEST
 
 from renderer.content import load_scene
 from renderer.lab.accuracy import KNOBS, Situation, sweep, sweep_knob
@@ -161,6 +162,7 @@ def test_frames_that_remember_nothing_are_not_compared() -> None:
     assert first.summarize()[1] > 2.0 * later.summarize()[1] > 0.0  # all in view was drawn
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_shares_find_together_what_one_finds_that_does_all() -> None:
     situation = replace(TINY, rounds=3)
     shares = sweep.list_shares(situation, "occluder_pixels")

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from nightly_reasons import CHEAPER_TEST
 from PIL import Image
 
 import rhi
@@ -124,6 +125,7 @@ def test_trials_go_along_a_walk_that_render_recorded(here: Path, monkeypatch: py
     assert len(walks) == 5  # four pairs, and those that decide
 
 
+@pytest.mark.nightly_cases("native", reason=CHEAPER_TEST)
 @pytest.mark.usefixtures("gl")
 @pytest.mark.parametrize("kind", ["native", pytest.param("emulated", marks=pytest.mark.nightly)])
 def test_the_queries_that_are_asked_for_are_tuned_rendered_and_kept(
@@ -164,6 +166,7 @@ class Counter(Executor):
         return future
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 @pytest.mark.usefixtures("gl")
 def test_any_executor_runs_the_trials(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     counter = Counter()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
+from nightly_reasons import COVERED_ON_GL, FEWER_CASES
 
 import rhi
 from renderer.lab.exam import CASES, examine
@@ -28,6 +29,32 @@ def examined(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
         yield device
 
 
+@pytest.mark.nightly_cases(
+    "cl-[2-9]",
+    "cl-1[013456789]",
+    "cl-2[01236]",
+    "cl-3[357]",
+    "cl-4[2-68]",
+    "cl-5[12356-9]",
+    "cl-6[3-9]",
+    "cl-7[0-5]",
+    reason=COVERED_ON_GL,
+)
+@pytest.mark.nightly_cases(
+    "gl-2",
+    "gl-3",
+    "gl-4",
+    "gl-5",
+    "gl-9",
+    "gl-15",
+    "gl-20",
+    "gl-33",
+    "gl-51",
+    "gl-59",
+    "gl-69",
+    "gl-7[12]",
+    reason=FEWER_CASES,
+)
 @pytest.mark.parametrize(("examined", "number"), list_exams(), indirect=["examined"])
 def test_a_device_passes_each_case_that_applies(examined: rhi.Device, number: int) -> None:
     (row,) = examine(examined, [CASES[number]])

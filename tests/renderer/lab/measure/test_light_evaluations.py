@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from frames import make_boxes
+from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 
 from renderer import techniques
 from renderer.lab.measure.light_evaluations import Counted, count_light_evaluations, find_count
@@ -39,6 +40,16 @@ def test_the_techniques_of_the_papers_can_be_counted() -> None:
     assert {"forward_plus", "clustered", "tiled_deferred", "clustered_deferred", "deferred_plus"} <= set(COUNTED)
 
 
+@pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
+@pytest.mark.nightly_cases(
+    "gl-clustered_deferred",
+    "gl-deferred_plus",
+    "gl-forward_multipass",
+    "gl-inferred",
+    "gl-light_indexed",
+    "gl-tiled_deferred",
+    reason=FEWER_CASES,
+)
 @pytest.mark.parametrize("name", COUNTED)
 def test_each_pixel_looks_at_each_light_that_reaches_all_of_them(drawing_device: Device, name: str) -> None:
     pixels = SHRUNK if name == "inferred" else PIXELS

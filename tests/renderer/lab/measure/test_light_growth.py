@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from frames import make_boxes
+from nightly_reasons import FEWER_CASES
 
 import rhi
 from renderer.content import load_scene
@@ -44,6 +45,7 @@ def cities() -> dict[int, Scene]:
     return {lights: load_scene(f"night:blocks=10,detail=2,lights={lights}") for lights in (12, 300, 1200)}
 
 
+@pytest.mark.nightly_cases("deferred", "forward_plus", "tiled_deferred", "clustered", reason=FEWER_CASES)
 @pytest.mark.parametrize(
     "name", ["forward", "clustered_deferred", "deferred", "forward_plus", "clustered", "tiled_deferred"]
 )

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from depth_textures import put_depths
+from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 
 import rhi
 from renderer.lab.exam.cell_pairs import OffAxis, distances, find_corners
@@ -106,6 +107,9 @@ def collect(grid: LightGrid, device: Device, camera: Camera, lights: Lights, **o
     return grid.read()
 
 
+@pytest.mark.nightly_cases(
+    "gl-endless-1", "gl-off-axis-1", "gl-parallel-1", "gl-endless-12", "gl-off-axis-12", reason=FEWER_CASES
+)
 @pytest.mark.parametrize("slices", [1, 12])
 @pytest.mark.parametrize("lens", LENSES)
 def test_cells_list_the_lights_whose_spheres_reach_them(
@@ -122,6 +126,7 @@ def test_cells_list_the_lights_whose_spheres_reach_them(
     assert 0.002 < certain.mean() < 0.3
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_the_same_lists_are_made_with_the_pre_filter_in_a_tenth_of_the_tests(
     device: Device, make: Callable[..., LightGrid]
 ) -> None:
@@ -246,6 +251,7 @@ def project_depths(lens: Projection, z: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(z), depth, 0.0 if lens.depth is Depth.REVERSED else 1.0).astype(np.float32)
 
 
+@pytest.mark.nightly_cases("cl-*-True-*", "cl-perspective-False-1", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("slices", [1, 6])
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("lens", LENSES)
@@ -291,6 +297,7 @@ def find_places(lens: Projection, pixels: np.ndarray, ahead: np.ndarray) -> np.n
     return np.column_stack([x, y, -ahead])
 
 
+@pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_a_light_between_the_surfaces_of_a_tile_is_dropped_by_the_mask(
     device: Device, make: Callable[..., LightGrid]
 ) -> None:

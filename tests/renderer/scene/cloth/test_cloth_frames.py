@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cloth_scenes import AWAY, BREEZE, look, make_scene, make_square
+from nightly_reasons import FEWER_CASES
 
 import rhi
 from renderer.content import load_scene
@@ -184,6 +185,7 @@ def test_each_simulator_has_cloths_of_its_own(null: rhi.Device) -> None:
         assert count_dispatches(null) == 1  # its vertices were the other one's
 
 
+@pytest.mark.nightly_cases("cl", reason=FEWER_CASES)
 def test_pictures_are_those_of_cloths_on_numpy(drawing_device: rhi.Device) -> None:
     """The same scene, whose simulation is hidden from the device, is uploaded."""
     scene, plain = make_scene(2), make_scene(2)

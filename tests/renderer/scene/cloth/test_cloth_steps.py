@@ -9,6 +9,7 @@ import pytest
 from cloth_scenes import BREEZE, advance, find_points, make_scene, make_square
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nightly_reasons import FEWER_CASES
 
 import rhi
 from renderer.content.hall import DRAUGHT, make_banner
@@ -139,6 +140,7 @@ def test_any_frame_costs_a_bounded_number_of_steps_and_shows_its_time() -> None:
     assert np.isfinite(simulator.find_vertices(1)["position"]).all()
 
 
+@pytest.mark.nightly_cases("gl", reason=FEWER_CASES)
 def test_a_cloth_that_leaps_is_soon_where_it_would_be(device: rhi.Device) -> None:
     stepped, leapt = (Cloths(2, make_banner(4), DRAUGHT, seed=3) for _ in range(2))
     there = advance_on(device, stepped, 1, 300)

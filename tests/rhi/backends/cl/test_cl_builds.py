@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nightly_reasons import FEWER_CASES
 from numpy.typing import NDArray
 
 import rhi
@@ -111,6 +112,7 @@ def test_a_new_combination_of_states_and_formats_builds_nothing(device: Device, 
     assert find_builds(device).built == built
 
 
+@pytest.mark.nightly_cases("added", "blended", "equal", "nearest", "opaque", reason=FEWER_CASES)
 @pytest.mark.parametrize("states", STATES.values(), ids=STATES)
 def test_quick_and_optimised_kernels_draw_the_same_bits(
     monkeypatch: pytest.MonkeyPatch, states: tuple[Any, ...]

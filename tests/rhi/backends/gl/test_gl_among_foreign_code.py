@@ -9,6 +9,7 @@ from typing import Any
 
 import foreign_code
 import pytest
+from nightly_reasons import CHEAPER_TEST
 
 OPERATION = foreign_code.KIT / "operation"
 SAME_COMMANDS = {"test_a_redundant_bind_is_not_sent_again[gl]", "test_the_same_commands_are_issued_as_directly[gl]"}
@@ -24,6 +25,7 @@ def run(*arguments: object) -> dict[str, Any]:
     return result
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_devices_go_on_between_foreign_lines() -> None:
     result = run(OPERATION / "test_interplay.py")
     assert result["failed"] == []
@@ -31,6 +33,7 @@ def test_devices_go_on_between_foreign_lines() -> None:
     assert result["taken"] > 1000
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_a_device_that_does_not_look_fails() -> None:
     """The control: the runs above would see a context that isn't found again.
 

@@ -10,6 +10,7 @@ from typing import Any
 import moderngl
 import numpy as np
 import pytest
+from nightly_reasons import SAME_ON_EACH_BACKEND
 
 import rhi
 from rhi.backends.gl.backend import GlBackend
@@ -104,6 +105,7 @@ USES: dict[str, Callable[[rhi.Device, dict[str, Any]], object]] = {
 }
 
 
+@pytest.mark.nightly_cases("recorded-a* context-*", reason=SAME_ON_EACH_BACKEND)
 @pytest.mark.parametrize("use", USES)
 @pytest.mark.parametrize("take_over", TAKE_OVER, indirect=True)
 @pytest.mark.parametrize("device", ["direct", "recorded"], indirect=True)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nightly_reasons import CHEAPER_TEST
 
 import rhi
 from rhi import Device, DeviceError, Format, Primitive, ShaderError
@@ -147,6 +148,7 @@ for call in calls:
 """
 
 
+@pytest.mark.nightly_cases("left open", reason=CHEAPER_TEST)
 @pytest.mark.parametrize("close", ["device.close()", ""], ids=["closed", "left open"])
 def test_a_lost_device_is_an_error_of_each_call_and_never_ends_the_process(usable: None, close: str) -> None:
     done = subprocess.run(

@@ -8,6 +8,7 @@ from functools import cache, partial
 import numpy as np
 import pytest
 from glsl_runner import run_glsl
+from nightly_reasons import FEWER_CASES
 from opencl_runner import built_together, run_opencl
 
 from rhi.shading import Precision, compile_shader, opencl_kernel, run_compute
@@ -70,6 +71,7 @@ def is_other_code(probe):
     return len(texts) == 2
 
 
+@pytest.mark.nightly_cases("16 lanes", "16 lanes, fast", reason=FEWER_CASES)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "way", ["glsl", pytest.param("one lane", marks=pytest.mark.nightly), "16 lanes", "16 lanes, fast", "numpy"]
@@ -164,6 +166,7 @@ def test_a_bound_says_nothing_of_results_that_are_undefined():
     assert worst_units(SINE, words([1e9]), np.array([[5.0]]), "exact")[0] > 1e6
 
 
+@pytest.mark.nightly_cases("[48]", reason=FEWER_CASES)
 @pytest.mark.parametrize("width", [1, 4, 8])
 def test_fast_functions_keep_their_error_with_any_number_of_lanes(width):
     for name, row in BUILTINS.items():

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nightly_reasons import FEWER_CASES
 from numpy.typing import NDArray
 from opencl_runner import Kernel, run_opencl
 from stage_runner import run_fragment_lanes, run_vertex_lanes
@@ -115,6 +116,7 @@ def test_every_format_is_decoded_and_filtered(device: Device, format: Format, fi
     assert_agree(sample(device, texture, places_by_block()), slack)
 
 
+@pytest.mark.nightly_cases("*-NEAREST-LINEAR-*", reason=FEWER_CASES)
 @pytest.mark.parametrize("mip", [None, NEAREST, LINEAR], ids=name)
 @pytest.mark.parametrize(("minify", "magnify"), [(NEAREST, LINEAR), (LINEAR, NEAREST), (LINEAR, LINEAR)], ids=name)
 @pytest.mark.parametrize("kind", list(SHAPES), ids=name)
@@ -185,6 +187,7 @@ def test_coordinates_that_are_no_places_give_some_texel(wrap: Wrap, filter: Filt
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
 
 
+@pytest.mark.nightly_cases("8", reason=FEWER_CASES)
 @pytest.mark.parametrize("width", [4, 8])
 def test_other_widths_give_the_same(width: int) -> None:
     for kind, (shader, layers) in SHAPES.items():

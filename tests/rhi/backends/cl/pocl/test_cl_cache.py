@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from nightly_reasons import CHEAPER_TEST
 
 from rhi.backends.cl.pocl import binaries, cache
 from rhi.backends.cl.pocl.cache import KernelCache
@@ -119,6 +120,7 @@ def test_a_folder_may_be_moved_and_shipped(filled: tuple[Path, str]) -> None:
     assert draw(folder) == (picture, 0)
 
 
+@pytest.mark.nightly_cases("of another version", "damaged", reason=CHEAPER_TEST)
 @pytest.mark.parametrize(("change", "bare"), [
     pytest.param(None, 3, id="as it was"),
     pytest.param(lambda header: header[:-1], 0, id="damaged"),
@@ -158,6 +160,7 @@ def test_a_driver_that_another_library_has_begun_is_given_nothing_of_the_folder(
     assert finish_counting(start(folder)) == (picture, 0, 0, 3)
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_processes_that_begin_together_share_the_work(tmp_path: Path) -> None:
     pictures = {finish(process)[0] for process in [start(tmp_path) for _ in range(3)]}
     assert len(pictures) == 1
@@ -177,6 +180,7 @@ def empty(content: bytes) -> bytes:
     return b""
 
 
+@pytest.mark.nightly_cases("[*].so-cut", "program.bc-upper", reason=CHEAPER_TEST)
 @pytest.mark.parametrize(("name", "damage"), [
     pytest.param(name, damage, marks=() if damage in by_day else pytest.mark.nightly)
     for name, by_day in (("program.bc", (bytes.upper,)), ("*.so", (cut,))) for damage in (bytes.upper, cut, empty)
@@ -193,6 +197,7 @@ def test_a_damaged_file_is_built_again(filled: tuple[Path, str], name: str, dama
     assert draw(folder) == (picture, 0)
 
 
+@pytest.mark.nightly_cases("upper", "None", reason=CHEAPER_TEST)
 @pytest.mark.parametrize("damage", [
     bytes.upper, None, *(pytest.param(each, marks=pytest.mark.nightly) for each in (cut, empty)),
 ])  # fmt: skip
@@ -227,6 +232,7 @@ def test_known_programs_are_not_given_to_the_driver_as_source(drawn: tuple[Path,
     assert finish_counting(start(folder)) == (picture, 0, 0, 3)
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_a_driver_that_takes_no_code_is_given_source(filled: tuple[Path, str]) -> None:
     folder, picture = filled
     for _ in range(2):
@@ -246,6 +252,7 @@ def test_code_without_a_record_is_used(filled: tuple[Path, str]) -> None:
     assert draw(folder) == (picture, 0)
 
 
+@pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_a_damaged_record_is_made_again(filled: tuple[Path, str]) -> None:
     folder, picture = filled
     for path, content in zip(records(folder), [b"", b"{}", b"[1]", b'{"folder": 1, "files": 2}'], strict=False):

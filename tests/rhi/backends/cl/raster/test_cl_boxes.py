@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from nightly_reasons import CHEAPER_TEST
 from numpy.typing import NDArray
 
 import rhi
@@ -211,6 +212,7 @@ def test_what_lies_beyond_one_plane_of_the_view_is_dropped(device: rhi.Device, p
         assert count_dropped(device) == dropped
 
 
+@pytest.mark.nightly_cases("DepthFunction.GREATER", reason=CHEAPER_TEST)
 @pytest.mark.parametrize("nearer", [rhi.DepthFunction.LESS, rhi.DepthFunction.GREATER])
 def test_what_lies_behind_a_wall_is_dropped(bounding_device: rhi.Device, nearer: rhi.DepthFunction) -> None:
     """Bounds of depth that an earlier batch left cull instances, but not those that reach through, nor with a bias."""

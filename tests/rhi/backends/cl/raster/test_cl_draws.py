@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nightly_reasons import FEWER_CASES
 from numpy.typing import NDArray
 
 import rhi
@@ -388,6 +389,9 @@ def test_edges_across_the_largest_targets_are_exact(device: rhi.Device, size: tu
 FLOAT, FIXED = (rhi.Format.D32F, rhi.Format.D32FS8), (rhi.Format.D24, rhi.Format.D24S8)
 
 
+@pytest.mark.nightly_cases(
+    "ALWAYS-24", "EQUAL-24", "GREATER-24", "LESS_EQUAL-24", "NEVER-24", "NOT_EQUAL-24", reason=FEWER_CASES
+)
 @pytest.mark.parametrize("depth_format", [FLOAT, FIXED], ids=["float", "24"])
 @pytest.mark.parametrize("function", rhi.DepthFunction, ids=lambda function: function.name)
 def test_what_lies_behind_a_tile_s_bounds_is_what_the_test_drops(

@@ -1,0 +1,192 @@
+"""Which tests are responsible for a file, and which to run for what differs from another commit.
+
+    python tests/meta/responsible_tests.py [--base REV]
+
+prints the arguments of pytest for the files that differ from a commit, one a line; `test.sh --changed` passes them on.
+By default that commit is where the branch left `main`; on `main` itself it is the last commit.
+
+| changed file | tests |
+|---|---|
+| a module of the product | those named after it, or those of its folder; the test files elsewhere that use it most |
+| a module of a backend | also the conformance kit on that backend |
+| a test file, or one of the kit | itself |
+| a module that tests share | the test files that import it |
+| a page | the tests of the documentation |
+
+`random_faults` tries its faults against the same tests first, then against wider ones.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import re
+import subprocess
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+_BACKENDS: Final = ("cl", "gl", "null", "wgpu")
+
+_MAX_USERS: Final = 8
+"""Of the files of tests elsewhere that use a module, so many are run."""
+
+_EXAM: Final = "tests/renderer/lab/exam/test_cases.py"
+
+_MEASURING: Final = ("lab", "cli")
+"""Packages of the renderer whose tests are about measurements, not about what is measured."""
+
+_ALWAYS: Final = ("tests/test_structure.py", "tests/test_words.py")
+_DOCUMENTATION: Final = ("tests/test_docs.py", "tests/test_project.py")
+
+
+def list_files(root: Path) -> list[str]:
+    """Return the files of a project that git tracks, or would."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=root,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return sorted(file for file in set(listed.stdout.split("\0")) if file and (root / file).is_file())
+
+
+def choose_tests(root: Path, file: str) -> list[tuple[str, ...]]:
+    """Return the stages of a module's tests, as arguments of pytest."""
+    path = PurePosixPath(file)
+    folder = root / "tests" / path.parent
+    while not folder.is_dir():
+        folder = folder.parent
+    stem = path.stem.strip("_").removeprefix("test_")
+    named = sorted(each for each in folder.rglob("test_*.py") if stem and stem in each.stem)
+    own = folder.relative_to(root).as_posix()
+    stages = [(*(each.relative_to(root).as_posix() for each in named), own)]
+    if path.parts[0] == "rhi":
+        backends = [path.parts[2]] if path.parts[1] == "backends" and path.parts[2] in _BACKENDS else []
+        if not backends:
+            backends = ["gl", "cl"] if path.parts[1] == "shading" else ["null", "gl"]
+        stages += _list_wider(root, path, own)
+        stages += [("--pyargs", "rhi.conformance", "--rhi-backend", backend) for backend in backends]
+    else:
+        users = _list_users(root, path, folder)
+        stages += [tuple(users)] if users else []
+        stages += [(_EXAM,)] if (root / _EXAM).exists() else []
+        stages += [(folder,) for folder in _list_importers(root, path)[:1]]
+    return stages
+
+
+def _list_wider(root: Path, path: PurePosixPath, own: str) -> list[tuple[str, ...]]:
+    """Return the stage of a module's package of `rhi`, and for a backend of what stands beside all."""
+    is_backend = path.parts[1] == "backends"
+    top = "/".join(("tests", *path.parts[: 3 if is_backend else 2]))
+    beside = [each.relative_to(root).as_posix() for each in sorted((root / "tests/rhi/backends").glob("test_*.py"))]
+    wider = ([top] if top != own and (root / top).is_dir() else []) + (beside if is_backend else [])
+    return [tuple(wider)] if wider else []
+
+
+def _list_users(root: Path, path: PurePosixPath, folder: Path) -> list[str]:
+    """Return the files of tests outside a folder that import a module's package and name most of what it defines."""
+    module = path.with_suffix("").as_posix().replace("/", ".")
+    package = re.compile(rf"\b{re.escape('.'.join(path.with_suffix('').parts[:2]))}\b")
+    tree = ast.parse((root / path).read_text())
+    names = [re.escape(each.name) for each in tree.body if isinstance(each, ast.ClassDef | ast.FunctionDef)]
+    words = re.compile("|".join(rf"\b{name}\b" for name in [*names, re.escape(module)] if not name.startswith("_")))
+    found = Counter[str]()
+    for each in sorted((root / "tests").rglob("test_*.py")):
+        if not each.is_relative_to(folder):
+            text = each.read_text()
+            if package.search(text):
+                found[each.relative_to(root).as_posix()] = len(set(words.findall(text)))
+    return [file for file, count in found.most_common(_MAX_USERS) if count]
+
+
+def _list_importers(root: Path, path: PurePosixPath) -> list[str]:
+    """Return the folders of tests of the packages that import what a module defines, most often first, without those
+    that measure."""
+    package, module = path.parent.as_posix().replace("/", "."), path.with_suffix("").as_posix().replace("/", ".")
+    defined = re.findall(r"^(?:class |def )?([A-Za-z]\w*)(?:\(|:|\[| =)", (root / path).read_text(), re.MULTILINE)
+    names = rf"\b(?:{'|'.join(defined)})\b"
+    listed = rf"(?:[^(\n]*?|\([^()]*?){names}"
+    imports = re.compile(rf"^from (?:{re.escape(module)} import |{re.escape(package)} import {listed})", re.MULTILINE)
+    found = Counter[str]()
+    for file in sorted((root / path.parts[0]).rglob("*.py")):
+        own = file.relative_to(root).parts
+        if len(own) > 2 and own[1] not in (path.parts[1], *_MEASURING) and imports.search(file.read_text()):
+            found["/".join(("tests", *own[:2]))] += 1
+    return [folder for folder, _ in found.most_common() if (root / folder).is_dir()]
+
+
+# -- what differs from another commit ------------------------------------------------------------------------------
+
+
+def list_changed_files(root: Path, base: str | None = None) -> list[str]:
+    """Return the files that differ from a commit, new ones among them, but not those that are deleted."""
+
+    def run_git(*arguments: str) -> str:
+        return subprocess.run(["git", *arguments], cwd=root, capture_output=True, text=True, check=True).stdout.strip()
+
+    if base is None:
+        base = run_git("merge-base", "HEAD", "main")
+        if base == run_git("rev-parse", "HEAD"):
+            base = "HEAD"
+    differing = run_git("diff", "--name-only", base).splitlines()
+    untracked = run_git("ls-files", "--others", "--exclude-standard").splitlines()
+    return sorted(file for file in {*differing, *untracked} if (root / file).is_file())
+
+
+def choose_changed_tests(root: Path, files: Iterable[str]) -> list[str]:
+    """Return the arguments of pytest for the tests that are responsible for files."""
+    paths: dict[str, None] = {}
+    kits: dict[str, None] = {}
+    for file in files:
+        path = PurePosixPath(file)
+        if path.suffix == ".md":
+            paths |= dict.fromkeys(_DOCUMENTATION)
+        elif path.suffix not in (".py", ".cl"):
+            continue
+        elif path.name.startswith("test_"):
+            paths[file] = None
+        elif path.parts[0] == "tests":
+            paths |= dict.fromkeys(_list_test_importers(root, path))
+        elif path.parts[0] in ("rhi", "rhi_screen", "renderer"):
+            paths |= dict.fromkeys(_choose_near_tests(root, path))
+            if path.parts[:2] == ("rhi", "backends") and path.parts[2] in _BACKENDS:
+                kits[path.parts[2]] = None
+        elif (root / "tests" / path.parts[0]).is_dir():
+            paths[f"tests/{path.parts[0]}"] = None
+    paths |= dict.fromkeys(_ALWAYS)
+    existing = [each for each in paths if (root / each).exists()]
+    if kits:
+        existing += ["--pyargs", "rhi.conformance", *(part for kit in kits for part in ("--rhi-backend", kit))]
+    elif any(each.startswith("rhi/conformance") for each in existing):
+        existing += ["--rhi-backend", "gl", "--rhi-backend", "cl", "--rhi-backend", "null"]
+    return existing
+
+
+def _choose_near_tests(root: Path, path: PurePosixPath) -> list[str]:
+    """Return the tests that are named after a module, or else its folder's, and those that use it most."""
+    if path.suffix == ".cl":
+        return ["tests/rhi/backends/cl/raster"]
+    *named, own = choose_tests(root, path.as_posix())[0]
+    return [*(named or [own]), *_list_users(root, path, root / own)]
+
+
+def _list_test_importers(root: Path, path: PurePosixPath) -> list[str]:
+    """Return the files of tests that import what a module of the tests defines."""
+    imports = re.compile(rf"^(?:from {re.escape(path.stem)} import|import {re.escape(path.stem)}\b)", re.MULTILINE)
+    tests = sorted((root / "tests").rglob("test_*.py"))
+    return [each.relative_to(root).as_posix() for each in tests if imports.search(each.read_text())]
+
+
+def main() -> None:
+    """Print the arguments of pytest."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--base", metavar="REV", help="the commit to compare with")
+    print("\n".join(choose_changed_tests(ROOT, list_changed_files(ROOT, parser.parse_args().base))))
+
+
+if __name__ == "__main__":
+    main()
