@@ -1,7 +1,7 @@
 """The metadata that depends on where the project lives: addresses, and the README with links that lead there.
 
 A package index shows the README without the files that it links. So a release says the project's home, from which the
-links and pictures of the README are made absolute, those of this version:
+links and images of the README are made absolute, those of this version:
 
     RHI_HOME=https://HOST/OWNER/NAME python -m build
 
@@ -18,14 +18,14 @@ from pathlib import Path
 from setuptools import setup
 
 ROOT = Path(__file__).parent
-PICTURES = (".webp", ".png")
+IMAGE_SUFFIXES = (".webp", ".png")
 
 
 def link_absolutely(text: str, home: str, version: str) -> str:
-    """Return Markdown whose links to files of the project, and pictures, lead to the home's files of a version."""
+    """Return Markdown whose links to files of the project, and images, lead to the home's files of a version."""
 
     def lead(link: re.Match[str]) -> str:
-        kind = "raw" if link[1].endswith(PICTURES) else "blob"
+        kind = "raw" if link[1].endswith(IMAGE_SUFFIXES) else "blob"
         return f"]({home}/{kind}/v{version}/{link[1]}{link[2]})"
 
     return re.sub(r"\]\((?![a-z]+:|#)([^)#\s]+)(#[^)\s]*|)\)", lead, text)

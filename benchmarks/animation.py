@@ -33,42 +33,42 @@ COLUMNS: dict[str, Column] = {
 """The columns of a frame's cost; the ratio is to running everywhere."""
 
 
-class Turning:
+class RotatingBoxes:
     """Boxes that turn; `calls` and `computed` count what was asked for."""
 
     catch_up = Recompute()
     calls = 0
     computed = 0
 
-    def __init__(self, places: np.ndarray) -> None:
-        self.places = translation(places)
-        self.angle = np.zeros(len(places))
+    def __init__(self, positions: np.ndarray) -> None:
+        self.positions = translation(positions)
+        self.angle = np.zeros(len(positions))
 
     def set_time(self, members: np.ndarray, seconds: float) -> None:
         self.angle[members] = seconds + members
 
     def transforms(self, members: np.ndarray) -> np.ndarray:
-        Turning.calls += 1
-        Turning.computed += len(members)
-        return self.places[members] @ rotation((0, 1, 0), self.angle[members])
+        RotatingBoxes.calls += 1
+        RotatingBoxes.computed += len(members)
+        return self.positions[members] @ rotation((0, 1, 0), self.angle[members])
 
 
 def make_scene(count: int, *, bounded: bool) -> Scene:
     """Make `count` boxes in a row along x."""
     builder = SceneBuilder("row")
-    places = np.zeros((count, 3))
-    places[:, 0] = SPACING * np.arange(count)
-    nodes = builder.add_nodes(translation(places), dynamic=True)
+    positions = np.zeros((count, 3))
+    positions[:, 0] = SPACING * np.arange(count)
+    nodes = builder.add_nodes(translation(positions), dynamic=True)
     builder.add_objects(nodes, builder.add_mesh(BUILT_IN["box"]()), builder.add_material())
     half = np.array([0.75, 0.5, 0.75])
-    builder.animate(nodes, Turning(places), (places - half, places + half) if bounded else None)
+    builder.animate(nodes, RotatingBoxes(positions), (positions - half, positions + half) if bounded else None)
     return builder.build()
 
 
-def look(count: int, share: float) -> Camera:
-    """Return a camera that sees the first `share` of the boxes."""
-    width = SPACING * max(count * share, 1.0)
-    aim = np.array([0.5 * (width - SPACING), 0.0 if share else 1e6, 0.0])
+def make_camera(count: int, fraction: float) -> Camera:
+    """Return a camera that sees the first `fraction` of the boxes."""
+    width = SPACING * max(count * fraction, 1.0)
+    aim = np.array([0.5 * (width - SPACING), 0.0 if fraction else 1e6, 0.0])
     return Camera.look_at(aim + np.array([0.0, 0.0, 50.0]), aim, projection=Orthographic(width, aspect=1.0))
 
 
@@ -78,11 +78,11 @@ class Variant:
     def __init__(self, device: rhi.Device, scene: Scene) -> None:
         self.device = device
         self.renderer = Renderer(device, scene, visibility="frustum", size=(64, 64))
-        self.camera = look(1, 0.0)
+        self.camera = make_camera(1, 0.0)
         self.frames = 0
 
     def prepare(self) -> None:
-        Turning.calls = Turning.computed = 0
+        RotatingBoxes.calls = RotatingBoxes.computed = 0
 
     def draw(self, _: int) -> None:
         """Draw the next frame."""
@@ -92,24 +92,26 @@ class Variant:
 
     def count(self) -> Mapping[str, int]:
         bytes = self.result.statistics.upload_bytes
-        return {"calls": Turning.calls, "computed": Turning.computed, "bytes": bytes}
+        return {"calls": RotatingBoxes.calls, "computed": RotatingBoxes.computed, "bytes": bytes}
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the cost of each view and variant."""
-    with rhi.create_device(given.backend) as device:
+    with rhi.create_device(arguments.backend) as device:
         variants = {
-            "everywhere": Variant(device, make_scene(given.objects, bounded=False)),
-            "where drawn": Variant(device, make_scene(given.objects, bounded=True)),
+            "everywhere": Variant(device, make_scene(arguments.objects, bounded=False)),
+            "where drawn": Variant(device, make_scene(arguments.objects, bounded=True)),
         }
         for view, share in VIEWS.items():
             subjects = []
-            for name, one in variants.items():
-                one.camera = look(given.objects, share)
-                subjects.append(Subject({"drawn": view, "run": name}, one.draw, one.prepare, one.count, device))
-            yield from compare(subjects, COLUMNS, range(given.rounds), warm_ups=2)  # these upload what was left
-        for one in variants.values():
-            one.renderer.destroy()
+            for name, variant in variants.items():
+                variant.camera = make_camera(arguments.objects, share)
+                subjects.append(
+                    Subject({"drawn": view, "run": name}, variant.draw, variant.prepare, variant.count, device)
+                )
+            yield from compare(subjects, COLUMNS, range(arguments.rounds), warm_ups=2)  # these upload what was left
+        for variant in variants.values():
+            variant.renderer.destroy()
 
 
 OPTIONS = (

@@ -28,9 +28,9 @@ import rhi
 from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.cli.output import show_progress
-from renderer.content import find_path, load_scene
+from renderer.content import load_scene, parse_camera_path
 from renderer.lab.comparison import Record, Subject, compare, ratio, time
-from renderer.lab.measure.backends import BackendPasses, DepthShader
+from renderer.lab.measure.backend_passes import BackendPasses, DepthShader
 from rhi import CullMode, Device, Format, Mesh
 from rhi.contract.texels import encode
 from rhi.shading import Shader, Storage, Struct, Texture2D, Uniform, dot, max, vec2, vec3, vec4
@@ -59,7 +59,7 @@ class Scale(Struct):
     factor: float
 
 
-class Sheet(Shader):
+class DepthOnly(Shader):
     """Passes positions through, and writes depth only."""
 
     def vertex(self, v: Position) -> vec4:
@@ -79,10 +79,10 @@ class Lights(Shader):
 
     def fragment(self, v: Varyings) -> vec4:
         normal = vec3(v.uv * 0.3, 1.0)
-        place = vec3(v.uv, dot(v.uv, v.uv) * 0.1)
+        position = vec3(v.uv, dot(v.uv, v.uv) * 0.1)
         color = vec3(0.0)
         for i in range(len(self.lights)):
-            away = self.lights[i].position - place
+            away = self.lights[i].position - position
             squared = dot(away, away)
             color += self.lights[i].color * (max(dot(normal, away), 0.0) / (squared * (1.0 + squared)))
         return vec4(color, 1.0)
@@ -107,15 +107,15 @@ class Taps(Shader):
 FULL = np.array([(-1, -1, 0.5, 1), (3, -1, 0.5, 1), (-1, 3, 0.5, 1)], np.float32)
 
 
-def draw_sheet(device: Device, triangles: int) -> Work:
+def draw_grid(device: Device, triangles: int) -> Work:
     side = round((triangles / 2) ** 0.5)
     axis = np.linspace(-1, 1, side + 1, dtype=np.float32)
-    places = np.full((side + 1, side + 1, 4), (0, 0, 0.5, 1), np.float32)
-    places[..., 0], places[..., 1] = axis, axis[:, None]
+    positions = np.full((side + 1, side + 1, 4), (0, 0, 0.5, 1), np.float32)
+    positions[..., 0], positions[..., 1] = axis, axis[:, None]
     corner = np.arange(side)[:, None] * (side + 1) + np.arange(side)
     quad = np.stack([corner, corner + 1, corner + side + 2, corner, corner + side + 2, corner + side + 1], -1)
-    mesh = device.mesh({"position": places.reshape(-1, 4)}, quad.reshape(-1).astype(np.uint32))
-    depth, program = device.texture(SIZE, Format.D32F), device.program(Sheet)
+    mesh = device.mesh({"position": positions.reshape(-1, 4)}, quad.reshape(-1).astype(np.uint32))
+    depth, program = device.texture(SIZE, Format.D32F), device.program(DepthOnly)
 
     def work(_: int) -> None:
         with device.render_pass(depth=depth, clear_depth=0.0), device.states(CullMode.NONE):
@@ -153,18 +153,18 @@ def draw_taps(format: Format, device: Device, _: int) -> Work:
 def draw_city(device: Device, pixels: int) -> Work:
     width = round((pixels * 16 / 9) ** 0.5)
     scene = load_scene("city:blocks=16")
-    passes = BackendPasses(device, scene, find_path("ground", scene).camera(900), (width, width * 9 // 16))
+    passes = BackendPasses(device, scene, parse_camera_path("ground", scene).camera(900), (width, width * 9 // 16))
     return passes.work("lit")
 
 
-def draw_city_depth(device: Device, separate: int) -> Work:
+def draw_city_depth(device: Device, split_material_texel: int) -> Work:
     """Draw the depth of the city: one draw for each object, or one draw of a mesh that holds them all."""
     scene = load_scene("city")
-    passes = BackendPasses(device, scene, find_path("sky", scene).camera(900), SIZE)
+    passes = BackendPasses(device, scene, parse_camera_path("sky", scene).camera(900), SIZE)
     resources = passes.resources
-    arrays = resources.list_arrays(passes.view.buffer)
-    bindings = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
-    if separate:
+    arrays = resources.scene_arrays(passes.view.buffer)
+    bindings = {"view": arrays.view, "objects": arrays.objects, "object_positions": arrays.object_positions}
+    if split_material_texel:
         program, parts = device.program(DepthShader), []
         for draw in resources.draws:
             part = resources.mesh.view(
@@ -173,7 +173,7 @@ def draw_city_depth(device: Device, separate: int) -> Work:
             )  # fmt: skip
             parts.append(part)
     else:
-        program = device.program(Sheet)
+        program = device.program(DepthOnly)
         parts = [merge_city(device, passes)]
         bindings = {}
 
@@ -206,7 +206,7 @@ def merge_city(device: Device, passes: BackendPasses) -> Mesh:
 
 
 SERIES: dict[str, tuple[Callable[[Device, int], Work], list[int]]] = {
-    "triangles": (draw_sheet, [2 ** (2 * k + 1) for k in range(5, 11)]),
+    "triangles": (draw_grid, [2 ** (2 * k + 1) for k in range(5, 11)]),
     "pixels": (draw_city, [14_400 * 4**k for k in range(5)]),
     "lights": (draw_lights, [1, 4, 16, 32, 64, 128, 256]),
     "draws": (draw_city_depth, [0, 1]),
@@ -242,11 +242,11 @@ def fit_slope(rows: Sequence[Record], backend: str) -> float:
     return round(float(np.polyfit(n, times, 1)[0]), 2)
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the times of all series, and then the slopes of those that grow."""
     slopes: list[Record] = []
-    for name in given.only:
-        rows = list(measure_series(name, given.rounds))
+    for name in arguments.only:
+        rows = list(measure_series(name, arguments.rounds))
         yield from rows
         if len(rows) > 2:
             slopes.append({"slopes of": name, **{backend: fit_slope(rows, backend) for backend in BACKENDS}})
@@ -268,7 +268,7 @@ def plot(figure: Any, rows: Sequence[Record]) -> None:
 
 OPTIONS: Final = (
     options.rounds("rounds for each size", 9),
-    options.some("--only", SERIES, "is not a series", list(SERIES), "all", "series to measure: "),
+    options.names("--only", SERIES, "is not a series", list(SERIES), "all", "series to measure: "),
     options.chart(),
 )
 

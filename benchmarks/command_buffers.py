@@ -32,18 +32,18 @@ from renderer.cli.comparison import run_benchmark
 from renderer.lab.comparison import Record, Subject, compare, time
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the microseconds per draw of each variant."""
-    with rhi.create_device(given.backend, record=False) as device:
-        scene = Scene(device, given.draws, scale=0.0)
+    with rhi.create_device(arguments.backend, record=False) as device:
+        scene = Scene(device, arguments.draws, scale=0.0)
 
         def record(draw: Callable[[rhi.Encoder], None]) -> rhi.CommandBuffer:
             with device.record() as commands:
                 draw(commands)
             return commands
 
-        kept, fresh = record(scene.draw), [record(scene.draw)]
-        device.submit(kept)
+        recorded, fresh = record(scene.draw), [record(scene.draw)]
+        device.submit(recorded)
         recorded_anew = {"first submission": scene.draw, "first submission, transient constants": scene.draw_transient}
 
         def prepare(name: str) -> None:
@@ -54,7 +54,7 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
 
         work: dict[str, Callable[[int], object]] = {
             "drawn at once": lambda _: scene.draw(device),
-            "replayed": lambda _: device.submit(kept),
+            "replayed": lambda _: device.submit(recorded),
             "recorded": lambda _: record(scene.draw),
             "first submission": lambda _: device.submit(fresh[0]),
             "recorded, transient constants": lambda _: record(scene.draw_transient),
@@ -66,7 +66,7 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
             Subject({"variant": name}, run, lambda name=name: prepare(name), device=device)
             for name, run in work.items()
         ]
-        yield from compare(subjects, {"µs per draw": time(1e6 / given.draws, 2)}, range(given.rounds))
+        yield from compare(subjects, {"µs per draw": time(1e6 / arguments.draws, 2)}, range(arguments.rounds))
 
 
 def record_on_threads(scene: Scene, count: int) -> None:

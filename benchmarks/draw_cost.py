@@ -41,7 +41,7 @@ from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.lab.comparison import Record, Subject, compare, ratio, time
 from rhi import ColorWrite, CullMode, DepthWrite
-from rhi.backends.gl.backend import GlBackend
+from rhi.backends.gl.gl_backend import GlBackend
 from rhi.backends.null import NullBackend
 from rhi.contract.descriptors import Stage
 from rhi.shading import Shader, Struct, Uniform, compile_shader, vec2, vec4
@@ -74,8 +74,8 @@ class Flat(Shader):
     object: Uniform[Object]
 
     def vertex(self, v: Corner) -> Varying:
-        place = vec4(v.position, 0.5, 1.0) * self.camera.scale + self.object.offset
-        return Varying(clip=place, color=self.object.color)
+        position = vec4(v.position, 0.5, 1.0) * self.camera.scale + self.object.offset
+        return Varying(clip=position, color=self.object.color)
 
     def fragment(self, v: Varying) -> vec4:
         return v.color
@@ -92,8 +92,8 @@ class FlatMany(Shader):
     camera: Uniform[Camera]
 
     def vertex(self, v: CornerOfObject) -> Varying:
-        place = vec4(v.position, 0.5, 1.0) * self.camera.scale + v.offset
-        return Varying(clip=place, color=v.color)
+        position = vec4(v.position, 0.5, 1.0) * self.camera.scale + v.offset
+        return Varying(clip=position, color=v.color)
 
     def fragment(self, v: Varying) -> vec4:
         return v.color
@@ -210,7 +210,7 @@ def make_bare_wgpu(work: Work, opened: ExitStack) -> tuple[Callable[[], None], C
     its pass."""
     import wgpu
 
-    from rhi.backends.wgpu.backend import WgpuBackend
+    from rhi.backends.wgpu.wgpu_backend import WgpuBackend
 
     device: Any = work.device.backend_as(WgpuBackend).device
     stages = {stage: compile_shader(Flat).emit("wgsl", stage).text for stage in (Stage.VERTEX, Stage.FRAGMENT)}
@@ -263,9 +263,9 @@ def make_bare_wgpu(work: Work, opened: ExitStack) -> tuple[Callable[[], None], C
     return bare, open_pass
 
 
-def measure_draws(given: argparse.Namespace) -> Iterator[Record]:
+def measure_draws(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the microseconds per draw of each variant, and its ratio to the bare loop."""
-    work = Work("gl", given.draws, given.triangles)
+    work = Work("gl", arguments.draws, arguments.triangles)
     devices, own = [work.device], work.device.backend_as(GlBackend)
     with ExitStack() as opened:
         variants = work.list_variants()
@@ -274,14 +274,14 @@ def measure_draws(given: argparse.Namespace) -> Iterator[Record]:
         opened.close()
         bare_program = own.context.program(vertex_shader=BARE_VERTEX, fragment_shader=BARE_FRAGMENT)
         position = own.context.buffer(work.corners[0].tobytes())
-        one = own.context.vertex_array(bare_program, [(position, "2f", "position")])
+        vertex_array = own.context.vertex_array(bare_program, [(position, "2f", "position")])
         set_offset, set_color = bare_program["offset"], bare_program["color"]
         numbers = [tuple(map(tuple, (row["offset"].tolist(), row["color"].tolist()))) for row in work.rows]
 
         def bare_constants() -> None:
             for offset, color in numbers:
                 set_offset.value, set_color.value = offset, color
-                one.render(moderngl.TRIANGLES, work.count)
+                vertex_array.render(moderngl.TRIANGLES, work.count)
 
         def through_values() -> None:
             draw, mesh, camera = work.device.draw, work.meshes[0], work.camera
@@ -296,13 +296,15 @@ def measure_draws(given: argparse.Namespace) -> Iterator[Record]:
             ]
 
         def compare_all(subjects: list[Subject]) -> list[Record]:
-            return compare(subjects, {"microseconds": time(1e6 / given.draws), "ratio": ratio()}, range(given.rounds))
+            return compare(
+                subjects, {"microseconds": time(1e6 / arguments.draws), "ratio": ratio()}, range(arguments.rounds)
+            )
 
-        if not given.rasterize:
+        if not arguments.rasterize:
             own.gl.Enable(RASTERIZER_DISCARD)
         rows = subjects(work, {"bare moderngl": make_bare_gl(work), **variants})
-        if given.wgpu:
-            other = Work("wgpu", given.draws, given.triangles)
+        if arguments.wgpu:
+            other = Work("wgpu", arguments.draws, arguments.triangles)
             devices.append(other.device)
             bare, open_bare = make_bare_wgpu(other, opened)
             rows.append(Subject({"on": "wgpu", "variant": "bare wgpu-py"}, lambda _: bare(), open_bare))
@@ -419,10 +421,10 @@ def measure_scopes(count: int, rounds: int) -> Iterator[Record]:
     yield from rows
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the rows of draws, and those of scopes around nothing on the null device."""
-    yield from measure_draws(given)
-    for row in measure_scopes(1000, given.rounds):
+    yield from measure_draws(arguments)
+    for row in measure_scopes(1000, arguments.rounds):
         yield {"on": "null", **row}
 
 

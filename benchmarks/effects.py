@@ -1,6 +1,6 @@
 """Costs that effects add to a frame: processor time and time, as ratios to the same frame without them.
 
-The frames with nothing, fog, glow and both take turns in one process, of the same view, after all shaders are built.
+The frames with nothing, fog, bloom and both take turns in one process, of the same view, after all shaders are built.
 So do those of a box on the ground, with and without an object behind the eye that has an effect (`--behind`), after the
 shaders have become those of what is in view. Figures are medians over the rounds.
 
@@ -21,20 +21,20 @@ import rhi
 from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.content import BUILT_IN, load_scene, parse_camera
-from renderer.frame.seen import PATIENCE
+from renderer.frame.visible_features import PATIENCE
 from renderer.lab.comparison import Frames, Record, Subject, compare, interval, ratio, time
-from renderer.scene import AlphaMode, Camera, Glow, Scene, SceneBuilder, make_height_field, translation
+from renderer.scene import AlphaMode, Bloom, Camera, Scene, SceneBuilder, make_height_field, translation
 from renderer.settings import RenderSettings
 from renderer.techniques import TECHNIQUES
 
-AIRS = {"nothing": "", "fog": ",fog=0.015", "glow": ",glow=0.1", "both": ",fog=0.015,glow=0.1"}
+EFFECTS = {"nothing": "", "fog": ",fog=0.015", "bloom": ",bloom=0.1", "both": ",fog=0.015,bloom=0.1"}
 VIEWS = {"night:lights=256": ("ground", 900), "hall:lights=96": ("overview", 0)}
 COLUMNS = {
     "milliseconds": time(digits=2), "time": ratio(), "processor time": ratio(processor=True), "interval": interval()
 }  # fmt: skip
 
 
-BEHIND: Final = ("nothing", "images", "normal map", "mask", "metal", "all of these", "glow", "terrain")
+DISTANT_OBJECTS: Final = ("nothing", "images", "normal map", "mask", "metal", "all of these", "bloom", "terrain")
 
 OPTIONS: Final = (
     options.BACKEND,
@@ -45,7 +45,7 @@ OPTIONS: Final = (
 )
 
 
-def make_behind(name: str) -> Scene:
+def make_distant_object(name: str) -> Scene:
     """Make a box on the ground in the sun, and something with an effect 200 m behind the eye."""
     builder = SceneBuilder(name)
     builder.lights.add_directional((0.8, -1.0, 0.3))
@@ -58,45 +58,47 @@ def make_behind(name: str) -> Scene:
         "normal map": {"normal_texture": image},
         "mask": {"texture": image, "alpha_mode": AlphaMode.MASK, "double_sided": True},
         "metal": {"metallic": 1.0, "roughness": 0.3, "metallic_roughness_texture": image},
-        "glow": {"emission": 2.5, "base_color": (1.0, 1.0, 1.0)},
+        "bloom": {"emission": 2.5, "base_color": (1.0, 1.0, 1.0)},
     }
     placed += [
-        (translation((0, 1, 200)), one) for kind, one in features.items() if name == kind or (is_all and kind != "glow")
+        (translation((0, 1, 200)), options)
+        for kind, options in features.items()
+        if name == kind or (is_all and kind != "bloom")
     ]
-    for place, material in placed:
-        builder.add_objects(builder.add_node(place), mesh, builder.add_material(**material))
+    for transform, material in placed:
+        builder.add_objects(builder.add_node(transform), mesh, builder.add_material(**material))
     if name == "terrain":
         field = builder.add_height_field(make_height_field(np.sin(np.indices((33, 33)).sum(0) / 4.0), 16.0))
         builder.add_objects(builder.add_node(translation((0, 0, 200))), field, builder.add_material())
-    builder.glow = Glow(0.1) if name == "glow" else None
+    builder.bloom = Bloom(0.1) if name == "bloom" else None
     return builder.build()
 
 
-def measure_behind(given: argparse.Namespace, settings: RenderSettings) -> Iterator[Record]:
-    with rhi.create_device(given.backend) as device, ExitStack() as opened:
+def measure_distant_object(arguments: argparse.Namespace, settings: RenderSettings) -> Iterator[Record]:
+    with rhi.create_device(arguments.backend) as device, ExitStack() as opened:
         subjects = []
-        for name in BEHIND:
-            renderer = opened.enter_context(settings.open(device, make_behind(name), given.size))
+        for name in DISTANT_OBJECTS:
+            renderer = opened.enter_context(settings.open(device, make_distant_object(name), arguments.size))
             eyes = [Camera.look_at((0.3 + 0.001 * step, 1.2, 1.5), (-0.6, 0.2, -0.6)) for step in range(16)]
             subjects.append(Subject({"behind the eye": name}, Frames(renderer, *eyes)))
-        yield from compare(subjects, COLUMNS, range(given.rounds), warm_ups=PATIENCE + 2)
+        yield from compare(subjects, COLUMNS, range(arguments.rounds), warm_ups=PATIENCE + 2)
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
-    settings = RenderSettings().change_all({"technique.name": given.technique, "algorithm": "frustum"})
-    if given.behind:
-        yield from measure_behind(given, settings)
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
+    settings = RenderSettings().change_all({"technique.name": arguments.technique, "algorithm": "frustum"})
+    if arguments.behind:
+        yield from measure_distant_object(arguments, settings)
         return
-    with rhi.create_device(given.backend) as device:
+    with rhi.create_device(arguments.backend) as device:
         for text, (view, frame) in VIEWS.items():
             with ExitStack() as opened:
                 subjects = []
-                for name, air in AIRS.items():
+                for name, air in EFFECTS.items():
                     scene = load_scene(text + air)
-                    renderer = opened.enter_context(settings.open(device, scene, given.size))
-                    camera = settings.aim(parse_camera(view, scene, frame))
+                    renderer = opened.enter_context(settings.open(device, scene, arguments.size))
+                    camera = settings.adapt_camera(parse_camera(view, scene, frame))
                     subjects.append(Subject({"scene": text, "air": name}, Frames(renderer, camera)))
-                yield from compare(subjects, COLUMNS, range(given.rounds), warm_ups=2)
+                yield from compare(subjects, COLUMNS, range(arguments.rounds), warm_ups=2)
 
 
 if __name__ == "__main__":

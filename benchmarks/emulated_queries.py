@@ -44,7 +44,7 @@ class Flat(Shader):
         return vec4(1.0, 1.0, 1.0, 1.0)
 
 
-WAYS = {
+COUNTER_READS = {
     "the GPU writes the counter": {},
     "interrupts, the GPU halts": {"interrupt_latency": INTERRUPT},
     "interrupts, the GPU runs on (naive)": {"interrupt_latency": INTERRUPT, "halts_at_events": False},
@@ -79,17 +79,19 @@ def measure_backend(backend: str, queries: int, rounds: int) -> Iterator[Record]
         flat, image = device.program(Flat), device.texture((256, 256), Format.RGBA8)
         box = device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32) / 16})
         kinds = KINDS if device.capabilities.sample_counter else KINDS[:1]
-        made = {kind: [device.occlusion_query(emulated=kind == "emulated") for _ in range(queries)] for kind in kinds}
+        query_lists = {
+            kind: [device.occlusion_query(emulated=kind == "emulated") for _ in range(queries)] for kind in kinds
+        }
 
         def ask(kind: str, waits: bool, _: int = 0) -> list[int]:
             samples = []
             with device.render_pass(image):
-                for query in made[kind]:
+                for query in query_lists[kind]:
                     with query:
                         device.draw(flat, box)
                     if waits:
                         samples.append(query.wait())
-            return samples or [query.wait() for query in made[kind]]
+            return samples or [query.wait() for query in query_lists[kind]]
 
         assert ask(kinds[0], False) == ask(kinds[-1], True)
         subjects = [
@@ -98,15 +100,15 @@ def measure_backend(backend: str, queries: int, rounds: int) -> Iterator[Record]
             for kind in kinds
         ]
         columns = {"microseconds": time(1e6 / queries, 2), "ratio": ratio()}
-        yield from compare(subjects, columns, range(rounds), within=("read",))
+        yield from compare(subjects, columns, range(rounds), group_by=("read",))
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield what each way to read the counter finds, and what queries take on each backend that draws."""
-    yield from ({"the sample counter": name, **count(**times)} for name, times in WAYS.items())
+    yield from ({"the sample counter": name, **count(**times)} for name, times in COUNTER_READS.items())
     for report in rhi.report():
         if report.capabilities and report.capabilities.renders:
-            yield from measure_backend(report.name, given.queries, given.rounds)
+            yield from measure_backend(report.name, arguments.queries, arguments.rounds)
 
 
 OPTIONS: Final = (options.count("--queries", "queries a round", 200), options.rounds("rounds", 20))

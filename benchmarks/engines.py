@@ -2,14 +2,14 @@
 
 Each engine loads the file by its own loader, shades it by its own means, and runs in a process and in an environment of
 its own (`out/engines`), which is installed when it is asked for. The programs are in `benchmarks/engines`. All draw
-`--size` pixels, one sample each, and read the picture back. Mesa's cache of shaders is off, and ours begins empty.
+`--size` pixels, one sample each, and read the image back. Mesa's cache of shaders is off, and ours begins empty.
 
 - `load_s`: from the start of the process until the scene is there. `first_ms`: the first frame after that.
 - `ms`: a frame, once each engine has drawn for `--warm-up` seconds; the engines take turns, and times are medians.
 - `ratio`: that time, compared with the first row's in the same round. `memory_mib`: the most that the process has held.
 
-What they leave out differs, so no two pictures are the same; `--pictures` shows all of them. Ours has haze, which glTF
-can't say. Panda3D's fixed pipeline lights vertices, by eight lamps, and its own rasteriser filters no textures.
+What they leave out differs, so no two images are the same; `--images` shows all of them. Ours has haze, which glTF
+can't say. Panda3D's fixed pipeline lights vertices, by eight lights, and its own rasteriser filters no textures.
 
     python benchmarks/engines.py [--only gl,pygfx] [--scene city] [--rounds 9] [--pictures engines.png] [--json]
 """
@@ -79,12 +79,12 @@ class Worker:
         self.device = str(self._read()["device"])
         self.load_s = perf_counter() - begin
         begin = perf_counter()
-        self.ask("frame")
+        self.send("frame")
         self.first_ms = 1e3 * (perf_counter() - begin)
         while perf_counter() - begin < warm_up:
-            self.ask("frame")
+            self.send("frame")
 
-    def ask(self, order: str) -> Any:
+    def send(self, order: str) -> Any:
         """Give an order, and return the answer."""
         assert self._process.stdin is not None
         self._process.stdin.write(f"{order}\n")
@@ -128,56 +128,56 @@ def make_job(scene: Scene, path: str, size: tuple[int, int]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def join(pictures: Mapping[str, Any]) -> Any:
-    """Return pictures (h, w, 3) by their engines' names, of half their size in rows of two, with the names on them."""
-    height, width = (size // 2 for size in next(iter(pictures.values())).shape[:2])
-    sheet = Image.new("RGB", (2 * width, height * -(-len(pictures) // 2)), "white")
-    pen = ImageDraw.Draw(sheet)
-    for number, (name, pixels) in enumerate(pictures.items()):
-        place = number % 2 * width, number // 2 * height
-        sheet.paste(Image.fromarray(pixels).resize((width, height), Image.Resampling.LANCZOS), place)
-        pen.text((place[0] + 8, place[1] + 6), name, "black", font_size=height / 16)
-    return np.asarray(sheet)
+def join(images: Mapping[str, Any]) -> Any:
+    """Return images (h, w, 3) by their engines' names, of half their size in rows of two, with the names on them."""
+    height, width = (size // 2 for size in next(iter(images.values())).shape[:2])
+    montage = Image.new("RGB", (2 * width, height * -(-len(images) // 2)), "white")
+    pen = ImageDraw.Draw(montage)
+    for number, (name, pixels) in enumerate(images.items()):
+        corner = number % 2 * width, number // 2 * height
+        montage.paste(Image.fromarray(pixels).resize((width, height), Image.Resampling.LANCZOS), corner)
+        pen.text((corner[0] + 8, corner[1] + 6), name, "black", font_size=height / 16)
+    return np.asarray(montage)
 
 
 OPTIONS: Final = (
-    options.some("--only", ENGINES, "no engine that is compared", [name for name in ENGINES if name != "wgpu"]),
+    options.names("--only", ENGINES, "no engine that is compared", [name for name in ENGINES if name != "wgpu"]),
     options.option("--scene", "what is drawn", "city"),
     options.size((1280, 720)),
     options.rounds("rounds", 9),
     options.count("--warm-up", "seconds for which each engine draws before it is timed", 20),
-    options.file("--pictures", "write all pictures, of half their size in rows of two"),
+    options.file("--images", "write all images, of half their size in rows of two"),
 )
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
-    if given.pictures is not None:
-        prepare_image(given.pictures, "--pictures")
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
+    if arguments.images is not None:
+        prepare_image(arguments.images, "--images")
     with ExitStack() as opened:
         folder = opened.enter_context(tempfile.TemporaryDirectory())
-        scene = load_scene(given.scene)
+        scene = load_scene(arguments.scene)
         path = f"{folder}/scene.glb"
         save_scene(scene, path)
-        job = make_job(scene, path, given.size)
-        subjects, pictures = [], {}
-        for engine in given.only:
-            worker = Worker(engine, job, folder, given.warm_up)
+        job = make_job(scene, path, arguments.size)
+        subjects, images = [], {}
+        for engine in arguments.only:
+            worker = Worker(engine, job, folder, arguments.warm_up)
             opened.callback(worker.close)
 
             def finish(engine: str = engine, worker: Worker = worker) -> Record:
-                found = worker.ask(f"end {folder}/{engine}.rgb")
+                answer = worker.send(f"end {folder}/{engine}.rgb")
                 pixels = np.fromfile(f"{folder}/{engine}.rgb", np.uint8)
-                pictures[engine] = pixels.reshape(job["height"], job["width"], 3)
+                images[engine] = pixels.reshape(job["height"], job["width"], 3)
                 return {
                     "first_ms": round(worker.first_ms), "load_s": round(worker.load_s, 2),
-                    "memory_mib": round(found["memory"]),
+                    "memory_mib": round(answer["memory"]),
                 }  # fmt: skip
 
-            about = {"engine": engine, "device": worker.device}
-            subjects.append(Subject(about, lambda _, worker=worker: worker.ask("frame"), find=finish))
-        yield from compare(subjects, COLUMNS, range(given.rounds))
-        if given.pictures is not None:
-            write_image(given.pictures, join(pictures))
+            labels = {"engine": engine, "device": worker.device}
+            subjects.append(Subject(labels, lambda _, worker=worker: worker.send("frame"), summarize=finish))
+        yield from compare(subjects, COLUMNS, range(arguments.rounds))
+        if arguments.images is not None:
+            write_image(arguments.images, join(images))
 
 
 if __name__ == "__main__":

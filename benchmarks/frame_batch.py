@@ -24,16 +24,16 @@ from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.cli.output import note
 from renderer.content import load_scene
-from renderer.lab.comparison import Column, Record, Subject, compare, middle, ratio_of
+from renderer.lab.comparison import Column, Record, Subject, compare, count_ratio, median_of
 from renderer.renderer import Renderer
 from renderer.scene import Camera, CameraPath, Scene
-from renderer.visibility import CallbackPass, ScenePass, VisibilityAlgorithm, VisibilityStatistics, make_visibility
+from renderer.visibility import CallbackDrawer, SceneDrawer, VisibilityAlgorithm, VisibilityStatistics, make_visibility
 
-COLUMNS: Final[dict[str, Column]] = {"microseconds": middle(digits=1), "ratio": ratio_of("microseconds")}
+COLUMNS: Final[dict[str, Column]] = {"microseconds": median_of(digits=1), "ratio": count_ratio("microseconds")}
 _WARM_UPS: Final = 5
 
 
-class AtOnce:
+class DirectDraws:
     """Draws what another algorithm draws, but in an open pass, command by command."""
 
     opens_pass: Final = False
@@ -41,16 +41,16 @@ class AtOnce:
     def __init__(self, algorithm: VisibilityAlgorithm) -> None:
         self._algorithm = algorithm
 
-    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
+    def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
         """Draw the objects."""
-        return self._algorithm.render(camera, CallbackPass(scene_pass.draw))
+        return self._algorithm.render(camera, CallbackDrawer(scene_drawer.draw))
 
     def destroy(self) -> None:
         """Destroy the algorithm."""
         self._algorithm.destroy()
 
 
-class Way:
+class FrameVariant:
     """A way to draw frames of a path, of which the first `_WARM_UPS` aren't timed."""
 
     def __init__(self, renderer: Renderer, path: CameraPath, *, walks: bool) -> None:
@@ -73,15 +73,15 @@ def measure_frames(backend: str, scene: Scene, name: str, rounds: int, *, walks:
     with rhi.create_device(backend) as device, ExitStack() as stack:
         algorithm = make_visibility(name, scene, device)
         subjects = []
-        for variant, visibility in {"at once": AtOnce(algorithm), "submitted": algorithm}.items():
+        for variant, visibility in {"at once": DirectDraws(algorithm), "submitted": algorithm}.items():
             renderer = stack.enter_context(Renderer(device, scene, visibility=visibility, size=(64, 36)))
-            way = Way(renderer, scene.paths["ground"], walks=walks)
-            about = {"visibility": name, "camera": "walking" if walks else "still", "frames are": variant}
-            subjects.append(Subject(about, way.draw, device.finish, way.count, device))
+            way = FrameVariant(renderer, scene.paths["ground"], walks=walks)
+            labels = {"visibility": name, "camera": "walking" if walks else "still", "frames are": variant}
+            subjects.append(Subject(labels, way.draw, device.finish, way.count, device))
         yield from compare(subjects, COLUMNS, range(rounds), warm_ups=_WARM_UPS)
 
 
-def find_overlap(backend: str, scene: Scene, *, waits: bool, frames: int = 12) -> Record:
+def count_overlapping_frames(backend: str, scene: Scene, *, waits: bool, frames: int = 12) -> Record:
     """Return how many of some frames began before the GPU had ended the one before; print their last timer trees."""
     trees: list[list[rhi.TimerNode]] = []
     with (
@@ -103,15 +103,15 @@ def find_overlap(backend: str, scene: Scene, *, waits: bool, frames: int = 12) -
     return {"frames are waited for": waits, "overlap": sum(map(bool, early)) if dated else None, "of": len(spans)}
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the rows of all algorithms, cameras and ways to draw; or of what timers find."""
-    scene = load_scene(given.scene)
-    if given.timers:
-        yield from (find_overlap(given.backend, scene, waits=waits) for waits in (False, True))
+    scene = load_scene(arguments.scene)
+    if arguments.timers:
+        yield from (count_overlapping_frames(arguments.backend, scene, waits=waits) for waits in (False, True))
         return
     for name in ("none", "frustum"):
         for walks in (False, True):
-            yield from measure_frames(given.backend, scene, name, given.rounds, walks=walks)
+            yield from measure_frames(arguments.backend, scene, name, arguments.rounds, walks=walks)
 
 
 OPTIONS: Final = (

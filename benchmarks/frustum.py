@@ -22,9 +22,9 @@ from renderer.cli.comparison import run_benchmark
 from renderer.cli.options import count, switch
 from renderer.lab.comparison import Record, Subject, compare, ratio, time
 from renderer.scene import Camera, Perspective
-from renderer.visibility import Culler, build_by_area, find_visible
+from renderer.visibility import HierarchyCuller, build_by_area, select_visible
 
-Rows = NDArray[np.int64]
+Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 FRAMES = 200
 COLUMNS = {"microseconds": time(1e6, 1), "ratio": ratio(4)}
@@ -43,16 +43,16 @@ def make_boxes(count: int, cube: bool) -> tuple[Floats, Floats]:
 
 def make_cameras(cube: bool) -> list[Camera]:
     """Return the cameras of a path around the center that also turns, by up to 2 degrees per frame."""
-    lens = Perspective(fov=np.radians(60.0), far=390.0 if cube else 220.0)
+    perspective = Perspective(fov=np.radians(60.0), far=390.0 if cube else 220.0)
     step = np.arange(FRAMES)
     eyes = np.stack([10 * np.sin(step / 30), np.full(FRAMES, 10.0), 10 * np.cos(step / 30)], axis=1)
     aims = np.stack([100 * np.sin(step / 50), np.full(FRAMES, 8.0), -100 * np.cos(step / 50)], axis=1)
-    return [Camera.look_at(eye, aim, projection=lens) for eye, aim in zip(eyes, aims, strict=True)]
+    return [Camera.look_at(eye, aim, projection=perspective) for eye, aim in zip(eyes, aims, strict=True)]
 
 
-def cull_with_early_out(planes: Floats, lower: Floats, upper: Floats) -> Rows:
+def cull_with_early_out(planes: Floats, lower: Floats, upper: Floats) -> Indices:
     """Return the visible boxes; each plane is tested only on the boxes that passed the planes before it."""
-    left: Rows | None = None
+    left: Indices | None = None
     for *normal, d in planes.tolist():
         far = [(upper if n > 0.0 else lower)[:, axis] for axis, n in enumerate(normal)]
         if left is not None:
@@ -60,8 +60,8 @@ def cull_with_early_out(planes: Floats, lower: Floats, upper: Floats) -> Rows:
         x, y, z = (column * n for column, n in zip(far, normal, strict=True))
         x += y
         x += z
-        kept = (x >= -d).nonzero()[0]
-        left = kept if left is None else left.take(kept)
+        inside = (x >= -d).nonzero()[0]
+        left = inside if left is None else left.take(inside)
     assert left is not None
     return left
 
@@ -72,39 +72,39 @@ OPTIONS: Final = (
 )
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield a row for each method.
 
     Raises:
         AssertionError: if a method finds other boxes than the reference.
     """
-    lower, upper = make_boxes(given.boxes, given.cube)
+    lower, upper = make_boxes(arguments.boxes, arguments.cube)
     columns = np.ascontiguousarray(lower.T).T, np.ascontiguousarray(upper.T).T
-    culler = Culler(build_by_area(lower, upper), lower, upper)
-    ways: dict[str, Callable[[Floats], Rows]] = {
-        "every box": lambda planes: find_visible(planes, *columns).nonzero()[0],
+    culler = HierarchyCuller(build_by_area(lower, upper), lower, upper)
+    ways: dict[str, Callable[[Floats], Indices]] = {
+        "every box": lambda planes: select_visible(planes, *columns).nonzero()[0],
         "every box, early out": lambda planes: cull_with_early_out(planes, *columns),
-        "every box, rows of three": lambda planes: find_visible(planes, lower, upper).nonzero()[0],
-        "hierarchy": lambda planes: culler.find_visible(planes)[0],
+        "every box, rows of three": lambda planes: select_visible(planes, lower, upper).nonzero()[0],
+        "hierarchy": lambda planes: culler.select_visible(planes)[0],
     }
-    frames = [camera.frustum.planes for camera in make_cameras(given.cube)]
+    frames = [camera.frustum.planes for camera in make_cameras(arguments.cube)]
     expected = [ways["every box"](planes) for planes in frames]
     for memory, other in (("warm", np.ones(0)), ("cold", np.ones(8_000_000))):
         for name, way in ways.items():  # in pairs: what else runs in a round decides what is in the caches
-            found: list[Rows] = []
+            visible: list[Indices] = []
 
-            def run(number: int, way: Callable[[Floats], Rows] = way, found: list[Rows] = found) -> None:
-                found[:] = [way(frames[number])]
+            def run(number: int, way: Callable[[Floats], Indices] = way, visible: list[Indices] = visible) -> None:
+                visible[:] = [way(frames[number])]
 
-            def rounds(name: str = name, found: list[Rows] = found) -> Iterator[int]:
+            def rounds(name: str = name, visible: list[Indices] = visible) -> Iterator[int]:
                 for number in range(FRAMES):
                     yield number
-                    if not np.array_equal(found[0], expected[number]):
+                    if not np.array_equal(visible[0], expected[number]):
                         raise AssertionError(f"{name}: finds other boxes than the test of every box")
 
             base = Subject({}, lambda number: ways["every box"](frames[number]), other.sum)
-            one = Subject({"way": name, "memory": memory}, run, other.sum)
-            yield compare([base, one], COLUMNS, rounds())[1]
+            subject = Subject({"way": name, "memory": memory}, run, other.sum)
+            yield compare([base, subject], COLUMNS, rounds())[1]
 
 
 if __name__ == "__main__":

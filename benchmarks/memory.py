@@ -26,7 +26,7 @@ from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.lab.comparison import Record
 from rhi import Format, Primitive, Scissor
-from rhi.backends.cl.pocl.held_programs import hand_back
+from rhi.backends.cl.pocl.program_residency import trim_heap
 from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, vec2, vec4
 
 
@@ -144,7 +144,7 @@ class Repetitions:
         buffer.read(0, 1)
         buffer.destroy()
 
-    def targets_beside_a_lasting_one(self, number: int) -> None:
+    def targets_beside_a_lasting_target(self, number: int) -> None:
         image = self.device.texture((32, 32), Format.RGBA8)
         with self.device.render_pass(image, self.depth, clear=(0, 0, 0, 0)):
             self.device.draw(self.flat, self.meshes[0], tint=self.tint)
@@ -157,7 +157,7 @@ class Repetitions:
         self.draw(self.strip)
         self.image.read(region=rhi.Region(0, 0, 1, 1))
 
-    def meshes_of_one_buffer(self, number: int) -> None:
+    def meshes_sharing_a_buffer(self, number: int) -> None:
         assert self.meshes[0].vertices is not None
         mesh = self.device.mesh(self.meshes[0].vertices)
         self.draw(mesh)
@@ -192,9 +192,9 @@ ROWS: dict[str, tuple[int, Callable[[Repetitions, int], None]]] = {
     "frames": (20_000, Repetitions.frames),
     "frames that are read": (10_000, Repetitions.frames_that_are_read),
     "buffers, no fence": (10_000, Repetitions.buffers_without_a_fence),
-    "targets beside a lasting one": (10_000, Repetitions.targets_beside_a_lasting_one),
+    "targets beside a lasting one": (10_000, Repetitions.targets_beside_a_lasting_target),
     "indices rewritten": (5000, Repetitions.indices_rewritten),
-    "meshes of one buffer": (10_000, Repetitions.meshes_of_one_buffer),
+    "meshes of one buffer": (10_000, Repetitions.meshes_sharing_a_buffer),
     "queries nobody reads": (10_000, Repetitions.queries_nobody_reads),
     "command buffers": (5000, Repetitions.command_buffers),
     "writes, no fence": (10_000, Repetitions.writes_without_a_fence),
@@ -204,7 +204,7 @@ ROWS: dict[str, tuple[int, Callable[[Repetitions, int], None]]] = {
 
 def resident_bytes() -> int:
     """Return the resident memory of this process, without what the C library keeps of memory that was freed."""
-    hand_back()
+    trim_heap()
     lines = Path("/proc/self/smaps_rollup").read_text().splitlines()
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("Rss:"))
 
@@ -228,14 +228,14 @@ def measure_here(backend: str, row: str, scale: float) -> int:
         return resident_bytes() - before
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the growth of each row, each measured in a process of its own."""
-    for row in given.only or ROWS:
+    for row in arguments.only or ROWS:
         grown = {}
-        for backend in given.backend or ["gl", "cl"]:
+        for backend in arguments.backend or ["gl", "cl"]:
             with ProcessPoolExecutor(1, get_context("spawn")) as alone:
-                grown[f"{backend}, MiB"] = alone.submit(measure_here, backend, row, given.scale).result() / 2**20
-        yield {"repeated": row, "times": max(10, round(ROWS[row][0] * given.scale)), **grown}
+                grown[f"{backend}, MiB"] = alone.submit(measure_here, backend, row, arguments.scale).result() / 2**20
+        yield {"repeated": row, "times": max(10, round(ROWS[row][0] * arguments.scale)), **grown}
 
 
 OPTIONS: Final = (

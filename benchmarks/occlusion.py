@@ -25,10 +25,10 @@ import rhi
 from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.content import BUILT_IN, load_scene
-from renderer.lab.comparison import Column, Frames, Record, Subject, average, compare, middle, ratio, time
+from renderer.lab.comparison import Column, Frames, Record, Subject, average, compare, median_of, ratio, time
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
-from renderer.visibility import CallbackPass, ChcPlusPlus
+from renderer.visibility import CallbackDrawer, ChcPlusPlus
 from rhi.math import multiply
 
 FRAMES = 60
@@ -36,11 +36,11 @@ TARGET = 4.0
 COLUMNS: Final[dict[str, Column]] = {"milliseconds": time(digits=2), "ratio": ratio()}
 """The columns of the frames' costs; the goal of the ratio is 1.2."""
 WALK: Final[dict[str, Column]] = {
-    "visited_per_frame": average(1), "queries_per_frame": average(1), "walk_microseconds_per_node": middle(digits=2),
-    "update_milliseconds": middle(),
+    "visited_per_frame": average(1), "queries_per_frame": average(1), "walk_microseconds_per_node": median_of(digits=2),
+    "update_milliseconds": median_of(),
 }  # fmt: skip
 """The columns of the traversal, by clocks of its own."""
-SIGHT = 150.0
+VISIBLE_DISTANCE = 150.0
 
 
 class OracleSet:
@@ -93,27 +93,27 @@ def measure_walk(text: str) -> Record:
         begin(camera)
         spent[0] = perf_counter() - began
         away = np.maximum(np.maximum(forest.lower - camera.position, camera.position - forest.upper), 0.0)
-        oracle.nodes = (np.linalg.norm(away, axis=1) < SIGHT).tolist()
+        oracle.nodes = (np.linalg.norm(away, axis=1) < VISIBLE_DISTANCE).tolist()
         spent[1] = perf_counter() - began
 
     algorithm._begin = timed_begin  # type: ignore[method-assign]
-    nothing, counts = CallbackPass(lambda rows: None), dict[str, float]()
+    nothing, counts = CallbackDrawer(lambda rows: None), dict[str, float]()
 
     def walk(frame: int) -> None:
         camera = scene.paths["ground"].camera(frame)
         began = perf_counter()
-        found = algorithm.render(camera, nothing)
+        result = algorithm.render(camera, nothing)
         taken = perf_counter() - began - spent[1]
         counts.update(
-            visited_per_frame=found.nodes_tested,
-            queries_per_frame=found.queries,
-            walk_microseconds_per_node=1e6 * taken / found.nodes_tested,
+            visited_per_frame=result.nodes_tested,
+            queries_per_frame=result.queries,
+            walk_microseconds_per_node=1e6 * taken / result.nodes_tested,
             update_milliseconds=1e3 * spent[0],
         )
 
-    about = {"scene": scene.name, "nodes": len(forest)}
-    one = Subject(about, walk, count=counts.copy, find=lambda: {"target_microseconds_per_node": TARGET})
-    return compare([one], WALK, range(600, 600 + FRAMES), warm_ups=0)[0]
+    labels = {"scene": scene.name, "nodes": len(forest)}
+    subject = Subject(labels, walk, count=counts.copy, summarize=lambda: {"target_microseconds_per_node": TARGET})
+    return compare([subject], WALK, range(600, 600 + FRAMES), warm_ups=0)[0]
 
 
 def make_hidden(count: int) -> Scene:
@@ -122,33 +122,33 @@ def make_hidden(count: int) -> Scene:
     builder = SceneBuilder(f"{count} boxes")
     mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
     hidden = rng.uniform((-60.0, -30.0, -160.0), (60.0, 30.0, -60.0), (count, 3))
-    shown = rng.uniform((-14.0, -7.0, -40.0), (14.0, 7.0, -20.0), (40, 3))
+    visible = rng.uniform((-14.0, -7.0, -40.0), (14.0, 7.0, -20.0), (40, 3))
     wall = multiply(translation((0.0, 0.0, -50.0)), scaling((200.0, 120.0, 1.0)))
-    places = np.concatenate([translation(hidden), translation(shown), wall[None]])
-    builder.add_objects(builder.add_nodes(places), mesh, material)
+    transforms = np.concatenate([translation(hidden), translation(visible), wall[None]])
+    builder.add_objects(builder.add_nodes(transforms), mesh, material)
     builder.views["front"] = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))
     return builder.build()
 
 
 def measure_doubling(backend: str | None, boxes: int) -> Iterator[Record]:
     """Yield what a frame takes, and one with twice as many boxes; the eye moves a little each frame."""
-    places = [np.array([0.02 * frame, 0.0, 0.0]) for frame in range(FRAMES + 1)]
-    eyes = [Camera.look_at(eye, eye - (0.0, 0.0, 1.0)) for eye in places]
+    positions = [np.array([0.02 * frame, 0.0, 0.0]) for frame in range(FRAMES + 1)]
+    eyes = [Camera.look_at(eye, eye - (0.0, 0.0, 1.0)) for eye in positions]
     with rhi.create_device(backend) as device, ExitStack() as stack:
         if not device.capabilities.renders:
             return
         subjects = []
         for count, scene in zip((boxes, 2 * boxes), map(make_hidden, (boxes, 2 * boxes)), strict=True):
             renderer = stack.enter_context(Renderer(device, scene, visibility=ChcPlusPlus(scene, device)))
-            about = {"backend": device.backend_name, "boxes": count}
-            subjects.append(Subject(about, Frames(renderer, *eyes)))
+            labels = {"backend": device.backend_name, "boxes": count}
+            subjects.append(Subject(labels, Frames(renderer, *eyes)))
         yield from compare(subjects, COLUMNS, range(1, FRAMES + 1), warm_ups=5)
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the row of the traversal, and those of frames of the two scenes."""
-    yield measure_walk(given.scene)
-    yield from measure_doubling(given.backend, given.boxes)
+    yield measure_walk(arguments.scene)
+    yield from measure_doubling(arguments.backend, arguments.boxes)
 
 
 OPTIONS: Final = (

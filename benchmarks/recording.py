@@ -25,10 +25,10 @@ from rhi.commands.recorder import Recorder
 from rhi.contract.descriptors import Primitive
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the commands per second and the bytes per command of each variant."""
     device = rhi.create_device("null")
-    scene = Scene(device, given.draws)
+    scene = Scene(device, arguments.draws)
 
     def through_program() -> None:
         draw, mesh = scene.program.draw, scene.mesh
@@ -68,7 +68,7 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
     for name, (run, *_) in variants.items():
         subjects.append(Subject({"variant": name}, lambda _, run=run: run(), prepare))
         subjects.append(Subject({}, lambda _, name=name: record_and_execute(name), prepare))
-    rows = compare(subjects, {"rate": rate(1.0)}, range(given.rounds))
+    rows = compare(subjects, {"rate": rate(1.0)}, range(arguments.rounds))
     for row, executed, (run, _, stream) in zip(rows[::2], rows[1::2], variants.values(), strict=True):
         prepare()
         run()

@@ -81,7 +81,7 @@ def decode(images: list[bytes]) -> None:
         np.asarray(Image.open(io.BytesIO(each)).convert("RGBA"))
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the times of each file."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -102,7 +102,7 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
             Subject({"file": what, "megabytes": round(size / 1e6)}, lambda _, run=run: run())
             for (what, run), size in zip(runs.items(), sizes, strict=True)
         ]
-        yield from compare(subjects, COLUMNS, range(given.rounds), warm_ups=0)
+        yield from compare(subjects, COLUMNS, range(arguments.rounds), warm_ups=0)
 
 
 if __name__ == "__main__":

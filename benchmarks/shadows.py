@@ -3,7 +3,7 @@
     python benchmarks/shadows.py [--backend gl] [--rounds 9] [--json]
 
 In each round all variants draw the same frame, in turn. While the eye rests all maps are kept; while it moves, the
-cascades are drawn again, and maps of lamps are kept unless their width changes.
+cascades are drawn again, and maps of lights are kept unless their width changes.
 """
 
 from __future__ import annotations
@@ -31,26 +31,31 @@ COLUMNS = {"processor_milliseconds": time(digits=1, processor=True), "processor_
 OPTIONS: Final = (options.BACKEND, options.size((480, 270)), options.rounds("rounds", 9))
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     settings = RenderSettings().change_all({"technique.name": "forward", "algorithm": "frustum"})
-    variants = {"no shadows": ("", None), **{one.value: (",shadows=1", one) for one in ShadowFilter}}
-    with rhi.create_device(given.backend) as device:
+    variants = {
+        "no shadows": ("", None),
+        **{shadow_filter.value: (",shadows=1", shadow_filter) for shadow_filter in ShadowFilter},
+    }
+    with rhi.create_device(arguments.backend) as device:
         for name, view in SCENES.items():
             with ExitStack() as opened:
                 resting, moving = [], []
                 for variant, (option, kind) in variants.items():
                     own = settings if kind is None else settings.change("shadows.filter", kind)
                     scene = load_scene(name + option)
-                    renderer = opened.enter_context(own.open(device, scene, given.size))
-                    eye = own.aim(scene.views[view])
-                    places = eye.position + np.arange(1, given.rounds + 1)[:, None] * (0.4, 0.0, 0.0) + (0.0, 0.0, 0.1)
+                    renderer = opened.enter_context(own.open(device, scene, arguments.size))
+                    eye = own.adapt_camera(scene.views[view])
+                    positions = (
+                        eye.position + np.arange(1, arguments.rounds + 1)[:, None] * (0.4, 0.0, 0.0) + (0.0, 0.0, 0.1)
+                    )
                     rest = Frames(renderer, eye)
-                    move = Frames(renderer, *(replace(eye, position=place) for place in places))
-                    about = {"scene": name, "shadows": variant}
-                    resting.append(Subject(about | {"eye": "rests"}, rest))
-                    moving.append(Subject(about | {"eye": "moves"}, move, before=lambda rest=rest: rest(0)))
+                    move = Frames(renderer, *(replace(eye, position=eye_position) for eye_position in positions))
+                    labels = {"scene": name, "shadows": variant}
+                    resting.append(Subject(labels | {"eye": "rests"}, rest))
+                    moving.append(Subject(labels | {"eye": "moves"}, move, before=lambda rest=rest: rest(0)))
                 for subjects in (resting, moving):
-                    yield from compare(subjects, COLUMNS, range(given.rounds), warm_ups=4)
+                    yield from compare(subjects, COLUMNS, range(arguments.rounds), warm_ups=4)
 
 
 if __name__ == "__main__":

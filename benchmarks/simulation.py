@@ -28,12 +28,12 @@ def make(draws: int, simulation: Simulation | None) -> Scene:
     return Scene(rhi.create_device("null", **options), draws, size=256)
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the commands per second of each variant, with constants in a uniform array or in transient memory."""
     subjects, scenes = [], []
     for suffix, transient in (("", False), (", transient", True)):
         for name, simulation in (("executed", None), ("simulated", Simulation())):
-            scene = make(given.draws, simulation)
+            scene = make(arguments.draws, simulation)
 
             def frame(_: int, scene: Scene = scene, draw: bool = transient) -> None:
                 (scene.draw_transient if draw else scene.draw)(scene.device)
@@ -41,7 +41,7 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
 
             subjects.append(Subject({"variant": name + suffix}, frame, gc.collect, device=scene.device))
             scenes.append(scene)
-    rows = compare(subjects, {"commands/s": rate(1.0)}, range(given.rounds))
+    rows = compare(subjects, {"commands/s": rate(1.0)}, range(arguments.rounds))
     for row, scene in zip(rows, scenes, strict=True):
         yield row | {"commands/s": round(len(scene.device.stream) * row["commands/s"])}
 

@@ -57,7 +57,7 @@ class Frame(sl.Struct):
 
 class Textured(sl.Struct):
     clip: sl.vec4
-    at: sl.vec2
+    uv: sl.vec2
 
 
 class Bump(sl.Struct):
@@ -66,13 +66,13 @@ class Bump(sl.Struct):
 
 
 class Particle(sl.Struct):
-    place: sl.vec2
+    position: sl.vec2
     speed: sl.vec2
 
 
 class Glyph(sl.Struct):
     position: sl.vec2
-    at: sl.vec2
+    uv: sl.vec2
 
 
 class PowTriangle(sl.Shader):
@@ -100,8 +100,8 @@ class Spheres(sl.Shader):
         travelled = 0.0
         nearest = 1.0
         for _ in range(64):
-            place = ray * travelled - sl.vec3(moved, 0.0, 3.0)
-            nearest = sl.min(sl.length(place) - 1.0, sl.length(place - sl.vec3(1.5, 0.2, 0.5)) - 0.5)
+            position = ray * travelled - sl.vec3(moved, 0.0, 3.0)
+            nearest = sl.min(sl.length(position) - 1.0, sl.length(position - sl.vec3(1.5, 0.2, 0.5)) - 0.5)
             if nearest < 0.001 or travelled > 10.0:
                 break
             travelled += nearest
@@ -137,13 +137,13 @@ class Blur(sl.Shader):
         return sl.vec4(v.position, 0.5, 1.0)
 
     def fragment(self) -> sl.vec4:
-        at = sl.fragment_coordinate()
-        place = sl.vec2(at.x, at.y) / self.frame.size
+        uv = sl.fragment_coordinate()
+        position = sl.vec2(uv.x, uv.y) / self.frame.size
         step = sl.vec2(self.frame.time, 1.0 - self.frame.time) * 1.5 / self.frame.size
-        sum = self.image.sample(place) * 0.2
+        sum = self.image.sample(position) * 0.2
         for i in range(1, 5):
-            sum += self.image.sample(place + step * float(i)) * 0.1
-            sum += self.image.sample(place - step * float(i)) * 0.1
+            sum += self.image.sample(position + step * float(i)) * 0.1
+            sum += self.image.sample(position - step * float(i)) * 0.1
         return sum
 
 
@@ -151,20 +151,20 @@ class Particles(sl.Shader):
     frame: sl.Uniform[Frame]
 
     def vertex(self, p: Particle) -> Textured:
-        return Textured(clip=sl.vec4(p.place + p.speed * sl.sin(self.frame.time), 0.5, 1.0), at=p.speed)
+        return Textured(clip=sl.vec4(p.position + p.speed * sl.sin(self.frame.time), 0.5, 1.0), uv=p.speed)
 
     def fragment(self, t: Textured) -> sl.vec4:
-        return sl.vec4(0.5 + t.at.x, 0.5, 0.5 + t.at.y, 0.25)
+        return sl.vec4(0.5 + t.uv.x, 0.5, 0.5 + t.uv.y, 0.25)
 
 
 class Text(sl.Shader):
     glyphs: sl.Texture2D
 
     def vertex(self, g: Glyph) -> Textured:
-        return Textured(clip=sl.vec4(g.position, 0.5, 1.0), at=g.at)
+        return Textured(clip=sl.vec4(g.position, 0.5, 1.0), uv=g.uv)
 
     def fragment(self, t: Textured) -> sl.vec4:
-        return sl.vec4(1.0, 1.0, 1.0, self.glyphs.sample(t.at).x)
+        return sl.vec4(1.0, 1.0, 1.0, self.glyphs.sample(t.uv).x)
 
 
 SHADERS: Final[dict[str, type[sl.Shader]]] = {
@@ -189,19 +189,19 @@ class Bench:
         device = self.device = rhi.create_device(backend)
         rng = np.random.default_rng(0)
         self.color = device.texture(size, Format.RGBA8)
-        self.middle = device.texture(size, Format.RGBA8)
+        self.median_of = device.texture(size, Format.RGBA8)
         self.image = device.texture(rng.integers(0, 256, (SIDE, SIDE, 4), np.uint8), Format.RGBA8)
         self.frames = [device.uniform(Frame(size=size, time=time)) for time in (0.0, 1.0)]
         self.screen = device.mesh({"position": np.array([(-1, -1), (3, -1), (-1, 3)], np.float32)})
         self.triangle = device.mesh({"position": np.array([(-1, -1), (1, -1), (0, 1)], np.float32)})
         particles = np.zeros(PARTICLES, Particle.dtype)
-        particles["place"] = rng.uniform(-1, 1, (PARTICLES, 2))
+        particles["position"] = rng.uniform(-1, 1, (PARTICLES, 2))
         particles["speed"] = rng.uniform(-0.5, 0.5, (PARTICLES, 2))
         self.particles = device.mesh(particles, primitive=Primitive.POINTS)
         quads = np.zeros((GLYPHS, 4), Glyph.dtype)
         square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], np.float32)
         quads["position"] = rng.uniform(-1, 0.95, (GLYPHS, 1, 2)) + square * (0.03, 0.06)
-        quads["at"] = rng.integers(0, 16, (GLYPHS, 1, 2)) / 16 + square / 16
+        quads["uv"] = rng.integers(0, 16, (GLYPHS, 1, 2)) / 16 + square / 16
         self.text = device.mesh(quads.ravel(), primitive=Primitive.QUADS)
 
     def run(self, name: str, fast: bool) -> Callable[[int], None]:
@@ -245,7 +245,7 @@ class Bench:
 
         def draw_blur() -> None:
             for source, goal, direction in (
-                (self.image, self.middle, self.frames[0]), (self.middle, target, self.frames[1]),
+                (self.image, self.median_of, self.frames[0]), (self.median_of, target, self.frames[1]),
             ):  # fmt: skip
                 with device.render_pass(goal), flat:
                     device.draw(program, self.screen, frame=direction, image=source)
@@ -256,28 +256,28 @@ class Bench:
 OPTIONS: Final = (
     options.rounds("rounds", 21),
     options.size((640, 360)),
-    options.some("--only", ["empty", *SHADERS], "is no program", ["empty", *SHADERS], "all"),
+    options.names("--only", ["empty", *SHADERS], "is no program", ["empty", *SHADERS], "all"),
     options.choice("--kernels", "which kernels cl runs", ("optimised", "quick"), "optimised"),
 )
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the times of each program's frame on both backends in milliseconds, and their ratios."""
-    os.environ["RHI_KERNELS"] = given.kernels
+    os.environ["RHI_KERNELS"] = arguments.kernels
     with ExitStack() as stack:
-        if given.kernels == "quick":  # the optimised ones of the cache would be taken instead
+        if arguments.kernels == "quick":  # the optimised ones of the cache would be taken instead
             os.environ["RHI_CACHE"] = stack.enter_context(tempfile.TemporaryDirectory())
-        benches = {backend: Bench(backend, given.size) for backend in ("gl", "cl")}
+        benches = {backend: Bench(backend, arguments.size) for backend in ("gl", "cl")}
         for bench in benches.values():
             stack.callback(bench.device.close)
-        for name in given.only:
+        for name in arguments.only:
             for fast in (False,) if name == "empty" else (False, True):
-                about = {"program": name, "precision": "fast" if fast else "default"}
+                labels = {"program": name, "precision": "fast" if fast else "default"}
                 subjects = [
-                    Subject(about | {"backend": backend}, bench.run(name, fast), device=bench.device)
+                    Subject(labels | {"backend": backend}, bench.run(name, fast), device=bench.device)
                     for backend, bench in benches.items()
                 ]
-                yield from compare(subjects, COLUMNS, range(given.rounds), warm_ups=3)
+                yield from compare(subjects, COLUMNS, range(arguments.rounds), warm_ups=3)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Gain of Deferred+ on clustered forward shading where triangles are small (GPU Zen 2017, Deferred+, Table 1.2).
 
-A rough ground with textures and a normal map, 256 lamps above it. Its triangles are chosen for the view, with edges of
+A rough ground with textures and a normal map, 256 lights above it. Its triangles are chosen for the view, with edges of
 32 pixels to 1; the techniques take turns. "gain" is the median ratio of the processor times of clustered forward
 shading and of the technique in the same round. A fragment stage runs in blocks of pixels, for those beside the triangle
 too; the smaller triangles are, the more of them.
@@ -32,7 +32,7 @@ from renderer.visibility import FrustumCulling
 
 EDGES: Final = (32.0, 8.0, 4.0, 2.0, 1.0)
 """Lengths of triangles' edges in pixels."""
-COMPARED: Final[dict[str, Callable[[], Technique]]] = {
+COMPARED_TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
     "clustered": TECHNIQUES["clustered"],
     "deferred_plus": DeferredPlus,
     "deferred_plus, multi-pass": lambda: DeferredPlus(multi_pass=True),
@@ -57,8 +57,8 @@ def make_ground() -> Scene:
         normal_texture=builder.add_image(np.clip(bumps, 0, 255).astype(np.uint8)),
     )
     builder.add_objects(builder.add_node(), builder.add_height_field(field), material)
-    places = random.uniform((-60.0, 2.0, -60.0), (60.0, 8.0, 60.0), (256, 3))
-    builder.lights.add_points(places, 18.0, intensity=10.0)
+    positions = random.uniform((-60.0, 2.0, -60.0), (60.0, 8.0, 60.0), (256, 3))
+    builder.lights.add_points(positions, 18.0, intensity=10.0)
     return builder.build()
 
 
@@ -69,24 +69,24 @@ OPTIONS: Final = (
 )
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield a row for each technique and length of edges."""
     scene = make_ground()
-    camera = Camera.look_at((0, 14, 50), (0, 0, 0)).with_aspect(given.size[0] / given.size[1])
+    camera = Camera.look_at((0, 14, 50), (0, 0, 0)).with_aspect(arguments.size[0] / arguments.size[1])
     columns = {"ms": time(processor=True), "gain": ratio(2, processor=True, inverse=True)}
-    with rhi.create_device(given.backend) as device:
-        renderers = {name: Renderer(device, scene, size=given.size) for name in COMPARED}
+    with rhi.create_device(arguments.backend) as device:
+        renderers = {name: Renderer(device, scene, size=arguments.size) for name in COMPARED_TECHNIQUES}
         for name, renderer in renderers.items():
-            renderer.technique, renderer.visibility = COMPARED[name](), FrustumCulling(scene)
+            renderer.technique, renderer.visibility = COMPARED_TECHNIQUES[name](), FrustumCulling(scene)
         for edge in EDGES:
             subjects = []
             for name, renderer in renderers.items():
                 renderer.tessellator.settings = TessellationSettings(edge_pixels=edge)
                 frames = Frames(renderer, camera)
                 frames(0)
-                about = {"edges": edge, "triangles": frames.result.statistics.triangles, "technique": name}
-                subjects.append(Subject(about, frames))
-            yield from compare(subjects, columns, range(given.rounds), warm_ups=2)
+                labels = {"edges": edge, "triangles": frames.result.statistics.triangles, "technique": name}
+                subjects.append(Subject(labels, frames))
+            yield from compare(subjects, columns, range(arguments.rounds), warm_ups=2)
 
 
 if __name__ == "__main__":

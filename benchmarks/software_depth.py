@@ -21,8 +21,8 @@ from renderer.cli.comparison import run_benchmark
 from renderer.content import load_scene
 from renderer.lab.comparison import Record, Subject, compare, time
 from renderer.scene import Scene
-from renderer.visibility import FrustumCulling, SoftwareDepth, VisibilitySettings, find_visible_objects
-from renderer.visibility.boxes.bounds import find_near, pad_boxes
+from renderer.visibility import FrustumCulling, SoftwareDepth, VisibilitySettings, list_visible_objects
+from renderer.visibility.boxes.bounds import near_mask, pad_boxes
 from renderer.visibility.gpu.occluder_depth import OccluderDepth
 from renderer.visibility.software_depth import BACKEND
 
@@ -33,41 +33,41 @@ def measure_path(scene: Scene, path: str, boxes: int, size: tuple[int, int], rou
     """Measure one path; return its row."""
     frames = scene.paths[path]
     camera = frames.camera(len(frames) // 2).with_aspect(size[0] / size[1])
-    rows = find_visible_objects(FrustumCulling(scene), camera)
+    rows = list_visible_objects(FrustumCulling(scene), camera)
     algorithm = SoftwareDepth(scene)
-    chosen = algorithm.choose_occluders(camera, rows)
+    occluders = algorithm.choose_occluders(camera, rows)
     algorithm.destroy()
     lower, upper, far = pad_boxes(camera, scene.objects.lower[rows], scene.objects.upper[rows])
-    tested = np.resize(np.flatnonzero(~find_near(camera, lower, upper, far)), boxes)
+    tested = np.resize(np.flatnonzero(~near_mask(camera, lower, upper, far)), boxes)
     centre, half = 0.5 * (lower + upper)[tested] - camera.position, 0.5 * (upper - lower)[tested]
     with rhi.create_device(BACKEND) as device:
         depth = OccluderDepth(device, scene, VisibilitySettings().occluders, boxes)
 
         def build(_: int) -> None:
-            depth.render(camera, chosen, size)
+            depth.render(camera, occluders, size)
             device.finish()
 
-        steps = [Subject({}, build, device=device), Subject({}, lambda _: depth.find_shown(centre, half))]
+        steps = [Subject({}, build, device=device), Subject({}, lambda _: depth.test_boxes(centre, half))]
         built, tested_boxes = compare(steps, COLUMNS, range(rounds), warm_ups=3)
-        shown = depth.find_shown(centre, half)
+        visible = depth.test_boxes(centre, half)
         depth.destroy()
     return {
         "path": path,
-        "occluders": len(chosen),
-        "triangles": scene.count_triangles(chosen),
+        "occluders": len(occluders),
+        "triangles": scene.count_triangles(occluders),
         "boxes": boxes,
-        "hidden_share": round(1.0 - float(shown.mean()), 3),
+        "hidden_share": round(1.0 - float(visible.mean()), 3),
         "depth_milliseconds": built["milliseconds"],
         "test_milliseconds": tested_boxes["milliseconds"],
         "kernels": built["kernels"],
     }
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the row of each path."""
-    scene = load_scene(given.scene)
+    scene = load_scene(arguments.scene)
     for path in ("ground", "sky"):
-        yield measure_path(scene, path, given.boxes, given.size, given.rounds)
+        yield measure_path(scene, path, arguments.boxes, arguments.size, arguments.rounds)
 
 
 OPTIONS = (

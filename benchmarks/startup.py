@@ -1,4 +1,4 @@
-"""The time that `import rhi` takes in a new process, and that a program takes to its first pictures.
+"""The time that `import rhi` takes in a new process, and that a program takes to its first images.
 
 Each run is a new interpreter, and the interpreter's own start isn't counted. Modules are loaded from cached bytecode,
 as those of an installed package are: a first run writes it and isn't counted.
@@ -6,7 +6,7 @@ as those of an installed package are: a first run writes it and isn't counted.
 - import: `import numpy` is timed for comparison, because `import rhi` includes it.
 - triangle: from `import rhi` until the pixels of a lit and textured triangle are read.
 - sines: a triangle whose fragment stage computes five `sin` of a vec3.
-- lit: 30 shaders with different lights, one triangle each, into one picture.
+- lit: 30 shaders with different lights, one triangle each, into one image.
 - prepared: the same 30, after `device.prepare` has finished for all of them.
 - states: in a process that has drawn with a program before, the longest and the median time of a draw and its end with
   each of 20 new combinations of blending, depth test and formats.
@@ -33,7 +33,7 @@ from typing import Any, Final
 
 from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
-from renderer.lab.comparison import Record, Subject, compare, middle
+from renderer.lab.comparison import Record, Subject, compare, median_of
 
 ROOT: Final = Path(__file__).parents[1]
 IMPORTS: Final = {"numpy": "import numpy", "rhi": "import rhi", "rhi.shading": "from rhi.shading import Shader, vec4"}
@@ -65,7 +65,7 @@ class Drawn(Shader):
     def vertex(self, v: Corner) -> Surface:
         return Surface(clip=vec4(v.position, 0.5, 1.0), normal=v.normal, uv=v.uv)
 """
-LIT: Final = """
+LIT_IMAGE: Final = """
 class Lit{number}(Drawn):
     def fragment(self, s: Surface) -> vec4:
         normal = normalize(s.normal)
@@ -116,11 +116,11 @@ with rhi.create_device(sys.argv[1]) as device:
 print(json.dumps(figures))
 """
 SCENES: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
-    "triangle": (LIT.format(number=1), ()),
+    "triangle": (LIT_IMAGE.format(number=1), ()),
     "sines": (SINES, ()),
-    "lit": ("".join(LIT.format(number=number) for number in range(1, SHADER_COUNT + 1)), ()),
-    "prepared": ("".join(LIT.format(number=number) for number in range(1, SHADER_COUNT + 1)), ("prepare",)),
-    "states": (LIT.format(number=1), ("states",)),
+    "lit": ("".join(LIT_IMAGE.format(number=number) for number in range(1, SHADER_COUNT + 1)), ()),
+    "prepared": ("".join(LIT_IMAGE.format(number=number) for number in range(1, SHADER_COUNT + 1)), ("prepare",)),
+    "states": (LIT_IMAGE.format(number=1), ("states",)),
 }
 """The shaders of each scene, and the arguments of its program."""
 
@@ -153,8 +153,8 @@ def time_scene(scene: str, backend: str) -> dict[str, float]:
         script.write_text(HEAD + shaders + TAIL)
         for state, is_off in (("cold", "true"), ("warm", "false")):
             variables = {"RHI_CACHE": f"{folder}/cache", "MESA_SHADER_CACHE_DISABLE": is_off}
-            found = run_alone(str(script), backend, *arguments, **variables)
-            figures |= {f"{name}, {state}": found[part] for part, name in list_names(scene).items()}
+            figures_alone = run_alone(str(script), backend, *arguments, **variables)
+            figures |= {f"{name}, {state}": figures_alone[part] for part, name in list_names(scene).items()}
     return figures
 
 
@@ -164,34 +164,34 @@ def list_names(scene: str) -> dict[str, str]:
     return {"seconds": "longest" if is_states else "seconds", "processor": "median" if is_states else "processor"}
 
 
-def make_subject(about: Record, run: Callable[[], dict[str, float]]) -> Subject:
+def make_subject(description: Record, run: Callable[[], dict[str, float]]) -> Subject:
     """Return the subject of what is timed in an interpreter of its own."""
-    found: dict[str, float] = {}
-    return Subject(about, lambda _: found.update(run()), count=lambda: dict(found))
+    figures: dict[str, float] = {}
+    return Subject(description, lambda _: figures.update(run()), count=lambda: dict(figures))
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the medians of the imports, and of the scenes on each backend."""
-    if "import" in given.only:
+    if "import" in arguments.only:
         subjects = [make_subject({"import": name}, partial(time_import, name)) for name in IMPORTS]
-        yield from compare(subjects, {"seconds": middle(digits=4)}, range(given.runs))
-    scenes = [name for name in SCENES if name in given.only]
-    for backend in given.backends if scenes else ():
+        yield from compare(subjects, {"seconds": median_of(digits=4)}, range(arguments.runs))
+    scenes = [name for name in SCENES if name in arguments.only]
+    for backend in arguments.backends if scenes else ():
         time_scene("triangle", backend)  # writes the bytecode
     for scene in scenes:
         subjects = [
             make_subject({"scene": scene, "backend": backend}, partial(time_scene, scene, backend))
-            for backend in given.backends
+            for backend in arguments.backends
         ]
         names = [f"{name}, {state}" for state in ("cold", "warm") for name in list_names(scene).values()]
-        yield from compare(subjects, dict.fromkeys(names, middle()), range(given.cold_runs), warm_ups=0)
+        yield from compare(subjects, dict.fromkeys(names, median_of()), range(arguments.cold_runs), warm_ups=0)
 
 
 OPTIONS: Final = (
     options.count("--runs", "runs of each import", 15),
     options.count("--cold-runs", "runs of each scene", 3),
-    options.some("--backends", ("gl", "cl", "wgpu"), "is not measured", ["gl", "cl"], "gl and cl"),
-    options.some("--only", ("import", *SCENES), "is not measured", ["import", *SCENES], "all"),
+    options.names("--backends", ("gl", "cl", "wgpu"), "is not measured", ["gl", "cl"], "gl and cl"),
+    options.names("--only", ("import", *SCENES), "is not measured", ["import", *SCENES], "all"),
 )
 
 

@@ -26,9 +26,9 @@ import rhi
 from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.content import BUILT_IN, load_scene, parse_camera
-from renderer.lab import techniques as lab
+from renderer.inspection import settle
+from renderer.lab import technique_comparison as lab
 from renderer.lab.comparison import Record, compare, ratio
-from renderer.lab.measure import settle
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling
 from renderer.techniques import TECHNIQUES, AutoTechnique, Deferred, LightPrePass, Technique
@@ -40,7 +40,7 @@ AUTO_SCENES: Final = (
     "night:lights=1024@crossing,night:lights=1024@ground#600,night:lights=4096@crossing,night:lights=4096@overview,"
     "grid@overview,grid:count=256,lights=128@field"
 )
-OTHER_WAYS: Final[dict[str, Technique]] = {
+VARIANTS: Final[dict[str, Technique]] = {
     "deferred, stencil": Deferred(stencil=True), "light_pre_pass, 1 channel": LightPrePass(specular_channels=1),
 }  # fmt: skip
 RIVALS: Final = (
@@ -85,33 +85,33 @@ def split_scenes(text: str) -> list[str]:
 def list_techniques(device: Device, *, is_rival: bool) -> dict[str, Technique]:
     """Return the techniques to compare: all and their other ways, or those that `auto` is compared with."""
     if not is_rival:
-        return {name: make() for name, make in TECHNIQUES.items()} | OTHER_WAYS
+        return {name: make() for name, make in TECHNIQUES.items()} | VARIANTS
     is_slow = "llvmpipe" in device.capabilities.device
     return {name: TECHNIQUES[name]() for name in RIVALS if not (is_slow and name == "tiled_deferred")}
 
 
-def measure_scene(device: Device, text: str, given: argparse.Namespace) -> Iterator[Record]:
+def measure_scene(device: Device, text: str, arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the rows of a scene: ratios are to forward shading, or to what `auto` has chosen."""
     scene, camera = load(text)
-    techniques = list_techniques(device, is_rival=given.auto)
-    with Renderer(device, scene, visibility="frustum", size=given.size) as renderer:
+    techniques = list_techniques(device, is_rival=arguments.auto)
+    with Renderer(device, scene, visibility="frustum", size=arguments.size) as renderer:
         renderer.technique = auto = AutoTechnique(scene, device)
         settle(renderer, camera)
-        base = auto.chosen if given.auto else "forward"
+        base = auto.current_name if arguments.auto else "forward"
         techniques = {base: techniques[base]} | techniques | {"auto": auto}
-        subjects = [lab.make_subject(renderer, name, one, camera) for name, one in techniques.items()]
-        if given.auto:
-            subjects = [replace(one, find=dict) for one in subjects]
-        rows = compare(subjects, COLUMNS, range(given.rounds), warm_ups=3)
-        lamps = renderer.plan(camera)[0].lamps_in_view
+        subjects = [lab.make_subject(renderer, name, technique, camera) for name, technique in techniques.items()]
+        if arguments.auto:
+            subjects = [replace(technique, summarize=dict) for technique in subjects]
+        rows = compare(subjects, COLUMNS, range(arguments.rounds), warm_ups=3)
+        light_count = renderer.plan(camera)[0].local_lights_in_view
         pixels = (
             max(int(np.count_nonzero(renderer.render(camera).depth.read())), 1) if device.capabilities.renders else 1
         )
-    if not given.auto:
+    if not arguments.auto:
         for row in rows:
             lights = row["light_evaluations"]
-            seen = {"lamps in view": lamps, "lights a pixel": None if lights is None else lights / pixels}
-            yield {"scene": text, **row, **seen, "auto": auto.chosen if row["technique"] == "auto" else None}
+            seen = {"lights in view": light_count, "lights a pixel": None if lights is None else lights / pixels}
+            yield {"scene": text, **row, **seen, "auto": auto.current_name if row["technique"] == "auto" else None}
         return
     *others, last = rows
     fastest, thriftiest = (min(others, key=lambda row: row[name]) for name in ("ratio", "processor_ratio"))
@@ -121,11 +121,11 @@ def measure_scene(device: Device, text: str, given: argparse.Namespace) -> Itera
     }  # fmt: skip
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the rows of all scenes."""
-    with rhi.create_device(given.backend) as device:
-        for text in split_scenes(given.scenes or (AUTO_SCENES if given.auto else SCENES)):
-            yield from measure_scene(device, text, given)
+    with rhi.create_device(arguments.backend) as device:
+        for text in split_scenes(arguments.scenes or (AUTO_SCENES if arguments.auto else SCENES)):
+            yield from measure_scene(device, text, arguments)
 
 
 OPTIONS: Final = (

@@ -34,7 +34,7 @@ SIZE: Final = (960, 540)
 FRAMES: Final = range(0, 1800, 300)
 
 
-def find_heights(field: HeightField, triangles: NDArray[np.int64]) -> Floats:
+def interpolate_heights(field: HeightField, triangles: NDArray[np.int64]) -> Floats:
     """Return the heights of triangles at all vertices of the full field: where they don't use a vertex, it lies on the
     edge between the two that it is the middle of."""
     side = len(field.heights)
@@ -43,29 +43,29 @@ def find_heights(field: HeightField, triangles: NDArray[np.int64]) -> Floats:
     is_used[triangles] = True
     for depth in range(field.levels):
         left, _, right = bisect(side, depth).T
-        middle = (left + right) // 2
-        lies = ~is_used[middle]
-        heights[middle[lies]] = 0.5 * (heights[left[lies]] + heights[right[lies]])
+        median_of = (left + right) // 2
+        lies = ~is_used[median_of]
+        heights[median_of[lies]] = 0.5 * (heights[left[lies]] + heights[right[lies]])
     return heights
 
 
-def find_errors(field: HeightField, triangles: NDArray[np.int64], camera: Camera) -> Floats:
+def compute_errors(field: HeightField, triangles: NDArray[np.int64], camera: Camera) -> Floats:
     """Return the errors in pixels of the vertices that are in the frustum and above the sea."""
     exact = field.positions().reshape(-1, 3)
-    chosen = exact.copy()
-    chosen[:, 1] = find_heights(field, triangles)
+    approximate = exact.copy()
+    approximate[:, 1] = interpolate_heights(field, triangles)
     planes = camera.frustum.planes
     seen = (exact @ planes[:, :3].T + planes[:, 3] > 0.0).all(1) & (exact[:, 1] > 0.0)
-    places = []
-    for points in (exact[seen], chosen[seen]):
+    pixels = []
+    for points in (exact[seen], approximate[seen]):
         clip = np.append(points, np.ones((len(points), 1)), axis=1) @ camera.view_projection.T
-        places.append(0.5 * clip[:, :2] / clip[:, 3:] * SIZE)
-    return np.asarray(np.linalg.norm(places[0] - places[1], axis=1))
+        pixels.append(0.5 * clip[:, :2] / clip[:, 3:] * SIZE)
+    return np.asarray(np.linalg.norm(pixels[0] - pixels[1], axis=1))
 
 
-def read_triangles(resources: SceneResources, row: int, count: int) -> NDArray[np.int64]:
+def read_triangles(resources: SceneResources, index: int, count: int) -> NDArray[np.int64]:
     """Return the triangles (count, 3) that were chosen of a field."""
-    first = int(resources.scene.meshes.ranges["first_index"][resources.scene.objects.mesh[row]])
+    first = int(resources.scene.meshes.ranges["first_index"][resources.scene.objects.mesh[index]])
     return np.asarray(resources.indices.read(first, 3 * count).astype(np.int64).reshape(-1, 3))
 
 
@@ -87,14 +87,14 @@ class Edge:
         self.renderer.render(self.camera)
         self.renderer.device.finish()
 
-    def find(self, cameras: Iterable[Camera]) -> Record:
+    def measure_views(self, cameras: Iterable[Camera]) -> Record:
         """Return the numbers of triangles and the errors of all views, which are the same in each round."""
         counts, errors = [], []
         row, field = next(iter(self.resources.scene.height_fields.items()))
         for self.camera in cameras:
             self.choose()
             counts.append(self.tessellator.fields[0].read_count())
-            errors.append(find_errors(field, read_triangles(self.resources, row, counts[-1]), self.camera))
+            errors.append(compute_errors(field, read_triangles(self.resources, row, counts[-1]), self.camera))
         every = np.concatenate(errors)
         return {
             "triangles": int(np.median(counts)),
@@ -104,29 +104,29 @@ class Edge:
         }
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the row of each length."""
-    scene = load_scene(given.scene)
+    scene = load_scene(arguments.scene)
     cameras = [parse_camera("sky", scene, frame).with_aspect(SIZE[0] / SIZE[1]) for frame in FRAMES]
     with (
-        rhi.create_device(given.backend) as device,
+        rhi.create_device(arguments.backend) as device,
         Renderer(device, scene, size=SIZE, visibility="frustum") as renderer,
     ):
         edges = [Edge(renderer, edge, cameras[0]) for edge in EDGES]
 
         def rounds() -> Iterator[int]:
-            for number in range(given.rounds * len(cameras)):
-                for one in edges:
-                    one.camera = cameras[number % len(cameras)]
+            for number in range(arguments.rounds * len(cameras)):
+                for terrain in edges:
+                    terrain.camera = cameras[number % len(cameras)]
                 yield number
 
-        subjects = [Subject({}, one.choose) for one in edges]
-        subjects += [Subject({}, one.draw, one.choose, device=device) for one in edges]
+        subjects = [Subject({}, terrain.choose) for terrain in edges]
+        subjects += [Subject({}, terrain.draw, terrain.choose, device=device) for terrain in edges]
         rows = compare(subjects, {"ms": time(digits=1, processor=True)}, rounds())
-        for one, choosing, drawing in zip(edges, rows, rows[len(edges) :], strict=False):
-            about = {"backend": given.backend, "edge": one.settings.edge_pixels}
-            found = {"choose": choosing["ms"], "draw": drawing["ms"], "kernels": drawing["kernels"]}
-            yield {**about, **one.find(cameras), **found}
+        for terrain, choosing, drawing in zip(edges, rows, rows[len(edges) :], strict=False):
+            labels = {"backend": arguments.backend, "edge": terrain.settings.edge_pixels}
+            figures = {"choose": choosing["ms"], "draw": drawing["ms"], "kernels": drawing["kernels"]}
+            yield {**labels, **terrain.measure_views(cameras), **figures}
 
 
 OPTIONS: Final = (

@@ -31,11 +31,11 @@ OPTIONS: Final = (
 )
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the glyphs in a millisecond of each step and text on each device."""
-    for backend in given.backends.split(","):
+    for backend in arguments.backends.split(","):
         with rhi.create_device(backend) as device:
-            yield from measure_device(device, given.rounds)
+            yield from measure_device(device, arguments.rounds)
 
 
 def measure_device(device: rhi.Device, rounds: int) -> Iterator[Record]:
@@ -60,8 +60,8 @@ def measure_device(device: rhi.Device, rounds: int) -> Iterator[Record]:
     for step, run in {"lay out": lay, "text": add, "draw": draw}.items():
         for name, text in TEXTS.items():
             glyphs = len(lay_out(canvas.font, text).glyphs)
-            about = {"backend": device.backend_name, "step": step, "text": name, "glyphs": glyphs}
-            subjects.append(Subject(about, partial(run, text), device=device))
+            labels = {"backend": device.backend_name, "step": step, "text": name, "glyphs": glyphs}
+            subjects.append(Subject(labels, partial(run, text), device=device))
     for row in compare(subjects, {"glyphs/ms": rate(1e-3, processor=True)}, range(rounds), warm_ups=30):
         yield row | {"glyphs/ms": row["glyphs"] * row["glyphs/ms"]}
 

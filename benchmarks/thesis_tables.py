@@ -49,26 +49,26 @@ COUNTS: Final[dict[str, dict[str, list[int]]]] = _THESIS["counts"]
 none."""
 
 
-def measure(given: argparse.Namespace, backend: str) -> dict[str, Any]:
+def measure(arguments: argparse.Namespace, backend: str) -> dict[str, Any]:
     """Compare the algorithms on one backend, as `compare visibility` does, and return what it reports as JSON."""
-    stride = FRAME_COUNT // given.frames
+    stride = FRAME_COUNT // arguments.frames
     asked = {
-        "camera-path": given.path, "frame": (stride - 1 - given.warm_up) // 2, "frames": given.frames, "stride": stride,
-        "warm-up": given.warm_up, "size": "{}x{}".format(*given.size), "backend": backend,
+        "camera-path": arguments.path, "frame": (stride - 1 - arguments.warm_up) // 2, "frames": arguments.frames,
+        "stride": stride, "warm-up": arguments.warm_up, "size": "{}x{}".format(*arguments.size), "backend": backend,
         "queries": "native,emulated", "settings": SETTINGS / f"{backend}.json",
     }  # fmt: skip
     parser = Parser()
     add_options(parser, COMMAND.options)
     report = measure_visibility(parser.parse_args(["city", *(f"--{name}={value}" for name, value in asked.items())]))
-    return {**report.about, "rows": report.rows}
+    return {**report.metadata, "rows": report.rows}
 
 
-def find_rows(report: dict[str, Any]) -> dict[str, Any]:
+def rows_by_algorithm(report: dict[str, Any]) -> dict[str, Any]:
     """Return the rows of a report by the names of their algorithms."""
     return {row["algorithm"]: row for row in report["rows"]}
 
 
-SHARES: Final = (
+RATIOS: Final = (
     ("triangles", "chc", "frustum"),
     ("triangles", "chc_plus_plus", "frustum"),
     ("triangles", "optimized_chc_plus_plus", "frustum"),
@@ -80,53 +80,53 @@ SHARES: Final = (
 """(counter, algorithm, the algorithm that it is compared with)"""
 
 
-def show_shares(path: str, reports: list[dict[str, Any]]) -> str:
+def format_ratios(path: str, reports: list[dict[str, Any]]) -> str:
     """Return the table of an algorithm's counts as shares of another's, on our platforms and in the thesis."""
     header = ["share", *(report["backend"] + mark for report in reports for mark in MARKS), "thesis"]
     cells = []
-    for counter, name, other in SHARES:
+    for counter, name, other in RATIOS:
         label = f"{counter.replace('_', ' ')}: {name} of {other}"
         line = [label]
-        for rows in map(find_rows, reports):
+        for rows in map(rows_by_algorithm, reports):
             for mark in MARKS:
                 base = rows[other + mark if other + mark in rows else other]
                 line.append(f"{rows[name + mark][counter] / base[counter]:.2f}")
-        place = COUNTED.index(counter)
-        line.append(f"{COUNTS[path][name][place] / COUNTS[path][other][place]:.2f}")
+        column = COUNTED.index(counter)
+        line.append(f"{COUNTS[path][name][column] / COUNTS[path][other][column]:.2f}")
         cells.append(line)
     return format_table(header, cells, markdown=True)
 
 
-def show_times(path: str, reports: list[dict[str, Any]]) -> str:
+def format_times(path: str, reports: list[dict[str, Any]]) -> str:
     """Return the table of times, as ratios to no culling, on our platforms and on the thesis's."""
-    names = list(dict.fromkeys(name.partition(" ")[0] for report in reports for name in find_rows(report)))
+    names = list(dict.fromkeys(name.partition(" ")[0] for report in reports for name in rows_by_algorithm(report)))
     header, cells = ["algorithm"], [[name] for name in names]
     for report in reports:
         for mark in MARKS:
             header.append(report["backend"] + mark)
             for name, line in zip(names, cells, strict=True):
-                row = find_rows(report).get(name + mark)
+                row = rows_by_algorithm(report).get(name + mark)
                 line.append("" if row is None else f"{row['ratio']:.2f}")
     header += PLATFORMS
     base = TIMES[path]["none"]
     for name, line in zip(names, cells, strict=True):
-        known = TIMES[path].get(name, [None] * len(PLATFORMS))
-        line += ["" if one is None else f"{one / of:.2f}" for one, of in zip(known, base, strict=True) if of]
+        published = TIMES[path].get(name, [None] * len(PLATFORMS))
+        line += ["" if time is None else f"{time / of:.2f}" for time, of in zip(published, base, strict=True) if of]
     return format_table(header, cells, markdown=True)
 
 
-def show_counts(path: str, report: dict[str, Any]) -> str:
+def format_counts(path: str, report: dict[str, Any]) -> str:
     """Return the table of counts of one of our platforms, each beside the thesis's."""
     header = ["algorithm", "ms"]
     for name in COUNTED:
         header += [name.replace("_", " ").replace(" changes", "s"), "thesis"]
     header += ["wrong pixels", "tied pixels", "stalled ms", "kernels"]
     cells: list[list[object]] = []
-    for name, row in find_rows(report).items():
+    for name, row in rows_by_algorithm(report).items():
         line: list[object] = [name, row["milliseconds"]]
-        known = COUNTS[path].get(name.partition(" ")[0], [])
-        for place, counted in enumerate(COUNTED):
-            line += [row[counted], known[place] if place < len(known) else ""]
+        published = COUNTS[path].get(name.partition(" ")[0], [])
+        for column, counted in enumerate(COUNTED):
+            line += [row[counted], published[column] if column < len(published) else ""]
         cells.append(
             [*line, row["wrong_pixels"], row["tied_pixels"], row["stalled_milliseconds"], row["kernels"] or ""]
         )
@@ -136,20 +136,20 @@ def show_counts(path: str, report: dict[str, Any]) -> str:
 def plot(path: str, reports: list[dict[str, Any]], file: Path) -> None:
     """Write the thesis's Figure 7.7 or 7.8: frustum culling and CHC++ on all platforms."""
     groups: list[tuple[str, list[float]]] = []
-    shown = ("frustum", "chc_plus_plus", "optimized_chc_plus_plus")
+    algorithms = ("frustum", "chc_plus_plus", "optimized_chc_plus_plus")
     for report in reports:
         for mark in MARKS:
-            rows = find_rows(report)
-            found = [rows["frustum"], *(rows[name + mark] for name in shown[1:])]
-            groups.append((f"{report['backend']}{mark}", [row["ratio"] for row in found]))
-    for place, platform in enumerate(PLATFORMS):
-        times = [TIMES[path][name][place] for name in ("none", *shown)]
+            rows = rows_by_algorithm(report)
+            compared = [rows["frustum"], *(rows[name + mark] for name in algorithms[1:])]
+            groups.append((f"{report['backend']}{mark}", [row["ratio"] for row in compared]))
+    for index, platform in enumerate(PLATFORMS):
+        times = [TIMES[path][name][index] for name in ("none", *algorithms)]
         assert times[0] is not None
-        groups.append((platform, [float("nan") if one is None else one / times[0] for one in times[1:]]))
+        groups.append((platform, [float("nan") if time is None else time / times[0] for time in times[1:]]))
     with draw_chart(file, f"{path} level: time as a ratio to no culling") as figure:
         axes = figure.add_subplot()
-        for place, (name, color) in enumerate(zip(shown, ("#bbbbbb", "#4477aa", "#66ccee"), strict=True)):
-            bars = axes.bar([at + 0.27 * place for at in range(len(groups))], [g[1][place] for g in groups], 0.25,
+        for index, (name, color) in enumerate(zip(algorithms, ("#bbbbbb", "#4477aa", "#66ccee"), strict=True)):
+            bars = axes.bar([at + 0.27 * index for at in range(len(groups))], [g[1][index] for g in groups], 0.25,
                             label=name, color=color)  # fmt: skip
             axes.bar_label(bars, fmt=lambda value: f"{value:.2f}" if value == value else "", fontsize="small")
         axes.axhline(1.0, color="grey", linewidth=0.8)
@@ -168,16 +168,16 @@ def describe(path: str, reports: list[dict[str, Any]]) -> str:
     )
     parts = [
         fill(intro, 118),
-        show_times(path, reports),
+        format_times(path, reports),
         "Shares of what another algorithm draws or queries:",
-        show_shares(path, reports),
+        format_ratios(path, reports),
     ]
     for report in reports:
         b, n = report["optimized"]["batch"], report["optimized"]["persistence"]
         parts += [
             f"{report['backend']} ({report['device']}; optimized: b = {b}, n = {n}):",
-            "<!-- figures: ground level -->\n" * (path == "ground" and report["backend"] == "gl")
-            + show_counts(path, report),
+            "<!-- table: ground level -->\n" * (path == "ground" and report["backend"] == "gl")
+            + format_counts(path, report),
         ]
     return "\n\n".join(parts)
 
@@ -185,8 +185,8 @@ def describe(path: str, reports: list[dict[str, Any]]) -> str:
 def insert(page: Path, path: str, text: str) -> None:
     """Replace the page's section between the path's two markers."""
     begin, end = f"<!-- thesis_tables.py {path} -->\n", "\n<!-- end of thesis_tables.py -->"
-    before, found, rest = page.read_text().partition(begin)
-    if not found:
+    before, marker, rest = page.read_text().partition(begin)
+    if not marker:
         raise SystemExit(f"error: {page} has no line {begin.strip()}")
     after = rest.partition(end)[2]
     page.write_text(f"{before}{begin}\n{text}\n{end}{after}")
@@ -198,28 +198,28 @@ def main() -> None:
     parser.add_argument("--backends", default="gl,cl", help="our platforms (default: %(default)s)")
     parser.add_argument("--frames", type=parse_count, default=60, help="counted frames (default: %(default)s)")
     parser.add_argument("--warm-up", type=parse_frame, default=4, help="frames before each (default: %(default)s)")
-    parser.add_argument("--size", **size().told)
+    parser.add_argument("--size", **size().keywords)
     parser.add_argument("--figure", type=Path, metavar="F.png", help="write the figure")
     parser.add_argument("--into", type=Path, metavar="PAGE.md", help="replace the tables and the figure of this page")
     parser.add_argument("--save", type=Path, metavar="F.json", help="keep the results")
     parser.add_argument("--load", type=Path, nargs="+", metavar="F.json", help="print these results")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     os.environ.setdefault("RHI_KERNELS", "optimised")  # as a long run has them
-    if given.load is not None:
-        reports = [report for file in given.load for report in json.loads(file.read_text())]
+    if arguments.load is not None:
+        reports = [report for file in arguments.load for report in json.loads(file.read_text())]
     else:
-        reports = [measure(given, backend) for backend in given.backends.split(",")]
-    if given.save is not None:
-        given.save.write_text(json.dumps(reports, indent=1) + "\n")
-    text = describe(given.path, reports)
+        reports = [measure(arguments, backend) for backend in arguments.backends.split(",")]
+    if arguments.save is not None:
+        arguments.save.write_text(json.dumps(reports, indent=1) + "\n")
+    text = describe(arguments.path, reports)
     print(text)
-    if given.figure is not None:
-        plot(given.path, reports, given.figure)
-    if given.into is not None:
-        image = f"images/{given.path}-level.png"
-        plot(given.path, reports, given.into.parent / image)
-        caption = f"Frustum culling and CHC++ at {given.path} level on all platforms"
-        insert(given.into, given.path, f"![{caption}]({image})\n\n{text}")
+    if arguments.figure is not None:
+        plot(arguments.path, reports, arguments.figure)
+    if arguments.into is not None:
+        image = f"images/{arguments.path}-level.png"
+        plot(arguments.path, reports, arguments.into.parent / image)
+        caption = f"Frustum culling and CHC++ at {arguments.path} level on all platforms"
+        insert(arguments.into, arguments.path, f"![{caption}]({image})\n\n{text}")
 
 
 if __name__ == "__main__":

@@ -42,9 +42,9 @@ def record(commands: int, changed: int = -1) -> Trace:
         return Trace(device.stream, "null")
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the commands per second of each kind of work, and its milliseconds."""
-    trace, other = record(given.commands), record(given.commands, given.commands // 4)
+    trace, other = record(arguments.commands), record(arguments.commands, arguments.commands // 4)
     folder = tempfile.TemporaryDirectory()
     file = Path(folder.name) / "trace.zip"
 
@@ -65,7 +65,7 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
         save(trace, file)
         subjects = [Subject({"work": name}, run, gc.collect) for name, run in work.items()]
         columns = {"commands/s": rate(len(trace)), "milliseconds": time()}
-        for row in compare(subjects, columns, range(given.rounds)):
+        for row in compare(subjects, columns, range(arguments.rounds)):
             yield row | {"commands/s": round(row["commands/s"])}
 
 

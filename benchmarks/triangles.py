@@ -21,13 +21,13 @@ from renderer.lab.comparison import Record
 from rhi.conformance.triangles import BATCH, CELL, CUT, WHOLE, examine
 
 
-def measure(given: argparse.Namespace) -> Iterator[Record]:
+def measure(arguments: argparse.Namespace) -> Iterator[Record]:
     """Yield the row of each family in each viewport."""
     cases = [(family, float(CELL)) for family in (*CUT, *WHOLE)] + [(family, 16384.0) for family in CUT]
-    batches = -(-given.triangles // (BATCH * len(cases)))
-    with rhi.create_device(given.backend) as device:
+    batches = -(-arguments.triangles // (BATCH * len(cases)))
+    with rhi.create_device(arguments.backend) as device:
         for family, wide in cases:
-            results = [examine(device, family, given.seed + number, wide) for number in range(batches)]
+            results = [examine(device, family, arguments.seed + number, wide) for number in range(batches)]
             errors = ("depth_error", "depth_beyond", "weight_error", "weight_beyond")
             yield {
                 "family": family.__name__, "viewport": round(wide), "triangles": batches * BATCH,
@@ -40,7 +40,7 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
 OPTIONS: Final = (
     options.option("--backend", "the device", "cl"),
     options.count("--triangles", "number of triangles", 100_000),
-    options.count("--seed", "first seed", 0, least=0),
+    options.count("--seed", "first seed", 0, minimum=0),
 )
 
 

@@ -3,7 +3,7 @@
     pip install "rhi[viewer]"
     python examples/orbit_viewer.py [--backend cl] [--canvas page] [--frames N] [--immediate]
 
-Drag to turn, scroll to zoom; F11 fills the display, F12 saves a picture. It runs in a Qt widget, a browser page and a
+Drag to turn, scroll to zoom; F11 fills the display, F12 saves an image. It runs in a Qt widget, a browser page and a
 notebook, too.
 """
 
@@ -32,7 +32,7 @@ class View(Struct):
 
 
 class Ball(Struct):
-    place: vec3
+    position: vec3
     radius: float
     color: vec3
 
@@ -43,26 +43,26 @@ class Corner(Struct):
 
 class Surface(Struct):
     clip: vec4
-    place: vec3
+    position: vec3
     normal: vec3
     color: vec3
 
 
 class Balls(Shader):
-    """Lights each ball by one lamp, with a highlight."""
+    """Lights each ball by one light, with a highlight."""
 
     view: Uniform[View]
     balls: Storage[Ball]
 
     def vertex(self, v: Corner) -> Surface:
         ball = self.balls[sl.instance_index()]
-        place = v.position * ball.radius + ball.place
-        clip = self.view.view_projection @ vec4(place, 1.0)
-        return Surface(clip=clip, place=place, normal=v.position, color=ball.color)
+        position = v.position * ball.radius + ball.position
+        clip = self.view.view_projection @ vec4(position, 1.0)
+        return Surface(clip=clip, position=position, normal=v.position, color=ball.color)
 
     def fragment(self, s: Surface) -> vec4:
         sun, normal = sl.normalize(vec3(0.4, 0.8, 0.5)), sl.normalize(s.normal)
-        mirrored = sl.reflect(sl.normalize(s.place - self.view.eye), normal)
+        mirrored = sl.reflect(sl.normalize(s.position - self.view.eye), normal)
         shine = sl.pow(max(sl.dot(mirrored, sun), 0.0), 40.0) * 0.5
         return vec4(s.color * (max(sl.dot(normal, sun), 0.0) * 0.85 + 0.15) + shine, 1.0)
 
@@ -81,7 +81,7 @@ class Viewer:
         self.targets = screen.targets(Format.RGBA8_SRGB, Format.D32F, samples=4)
         self.camera = OrbitCamera(screen, distance=9.0)
         rows, rng = np.zeros(COUNT, Ball.dtype), np.random.default_rng(3)
-        rows["place"] = np.indices((5, 5, 5)).reshape(3, -1).T - 2.0
+        rows["position"] = np.indices((5, 5, 5)).reshape(3, -1).T - 2.0
         rows["radius"], rows["color"] = rng.uniform(0.15, 0.45, COUNT), rng.uniform(0.05, 0.8, (COUNT, 3))
         positions, indices = make_sphere()
         self.sphere, self.balls = device.mesh({"position": positions}, indices), device.storage(Ball, rows)
@@ -113,10 +113,10 @@ def main() -> None:
     parser.add_argument("--canvas", default="window", choices=sorted(CANVASES))
     parser.add_argument("--frames", type=int, default=0, help="how many; 0: until the window is closed")
     parser.add_argument("--immediate", action="store_true", help="don't wait for the display's refresh")
-    given = parser.parse_args()
+    options = parser.parse_args()
     try:
-        with open_screen(given.backend, canvas=given.canvas, title="orbit", vsync=not given.immediate) as screen:
-            screen.run(Viewer(screen, given.frames).draw)
+        with open_screen(options.backend, canvas=options.canvas, title="orbit", vsync=not options.immediate) as screen:
+            screen.run(Viewer(screen, options.frames).draw)
             print(f"{screen.counter.frames} frames, {screen.counter.describe()}")
     except rhi.DeviceError as error:
         sys.exit(f"{error.rule.sentence}: {error.given}; {error.tip}")

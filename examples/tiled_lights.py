@@ -1,4 +1,4 @@
-"""A small renderer on `rhi`: boxes as instances, a sun with a shadow map, 192 lamps, MSAA, culling by queries.
+"""A small renderer on `rhi`: boxes as instances, a sun with a shadow map, 192 lights, MSAA, culling by queries.
 
     python examples/tiled_lights.py [--backend NAME] [--frames N] [--output FILE.png]
 
@@ -7,10 +7,10 @@ The passes of a frame, and the part of the interface that each one shows:
 1. `depth`: the boxes of all cells that were visible in the last frame: one `draw_many`.
 2. `queries`: the bounds of every cell, tested against that depth: one `draw_counted`, read in the next frame.
 3. `shadows`: all boxes as the sun sees them: one instanced draw with a slope-scaled depth bias.
-4. `lights`: a compute shader finds, for each tile of 16×16 pixels, the lamps that reach the depths in it.
-5. `view`: the visible boxes again, with four samples a pixel, each lit by the lamps of its tile, and resolved.
+4. `lights`: a compute shader finds, for each tile of 16×16 pixels, the lights that reach the depths in it.
+5. `view`: the visible boxes again, with four samples a pixel, each lit by the lights of its tile, and resolved.
 
-The same lines run on every backend that draws (tests/examples compares their pictures), and on the null device.
+The same lines run on every backend that draws (tests/examples compares their images), and on the null device.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import rhi.shading as sl
 from rhi.math import look_at, orthographic, perspective
 
 TILE: Final = 16
-LAMPS: Final = 192
+LIGHTS: Final = 192
 CELLS: Final = 12
 """Number of cells along each side of the plain; each has 5×5 boxes."""
 SHADOW_SIZE: Final = 2048
@@ -59,7 +59,7 @@ class Box(sl.Struct):
     color: sl.vec3
 
 
-class Lamp(sl.Struct):
+class PointLight(sl.Struct):
     position: sl.vec3
     reach: float
     color: sl.vec3
@@ -95,18 +95,18 @@ class Shadow(Depth):
     is_shadow = True
 
 
-class FindLamps(sl.Shader):
-    """A work-group for each tile finds the range of depths in it, then the lamps that reach the box around that
+class CullLights(sl.Shader):
+    """A work-group for each tile finds the range of depths in it, then the lights that reach the box around that
     range."""
 
     work_group = (TILE, TILE)
     view: sl.Uniform[View]
-    lamps: sl.Storage[Lamp]
+    lights: sl.Storage[PointLight]
     depth: sl.Texture2D
     counts: sl.StorageRW[int]
     lists: sl.StorageRW[int]
     depths = sl.shared(int, 2)  # bits of the nearest and the farthest depth: positive floats are ordered like ints
-    found = sl.shared(int, 1)
+    light_count = sl.shared(int, 1)
 
     def unproject(self, pixel: sl.vec2, depth: float) -> sl.vec3:
         size = sl.vec2(self.view.size)
@@ -117,7 +117,7 @@ class FindLamps(sl.Shader):
         if sl.local_index() == 0:
             self.depths[0] = 0
             self.depths[1] = sl.float_bits_to_int(1.0)
-            self.found[0] = 0
+            self.light_count[0] = 0
         sl.barrier()
         pixel = sl.global_id().xy
         if pixel.x < self.view.size.x and pixel.y < self.view.size.y:
@@ -137,22 +137,22 @@ class FindLamps(sl.Shader):
                 point = self.unproject(corner, far if i < 4 else near)
                 low = sl.min(low, point)
                 high = sl.max(high, point)
-            for first in range(0, len(self.lamps), TILE * TILE):
+            for first in range(0, len(self.lights), TILE * TILE):
                 i = first + sl.local_index()
-                if i < len(self.lamps):
-                    lamp = self.lamps[i]
-                    if sl.distance(sl.clamp(lamp.position, low, high), lamp.position) < lamp.reach:
-                        self.lists[tile * LAMPS + sl.atomic_add(self.found[0], 1)] = i
+                if i < len(self.lights):
+                    point_light = self.lights[i]
+                    if sl.distance(sl.clamp(point_light.position, low, high), point_light.position) < point_light.reach:
+                        self.lists[tile * LIGHTS + sl.atomic_add(self.light_count[0], 1)] = i
         sl.barrier()
         if sl.local_index() == 0:
-            self.counts[tile] = self.found[0]
+            self.counts[tile] = self.light_count[0]
 
 
 class Lit(sl.Shader):
     precision = sl.Precision.FAST  # small powers of cosines may become 0
     view: sl.Uniform[View]
     boxes: sl.Storage[Box]
-    lamps: sl.Storage[Lamp]
+    lights: sl.Storage[PointLight]
     counts: sl.Storage[int]
     lists: sl.Storage[int]
     shadow: sl.DepthTexture2D
@@ -184,12 +184,12 @@ class Lit(sl.Shader):
         at = sl.ivec2(sl.fragment_coordinate().xy) // TILE
         tile = sl.uniform(at.y * self.view.tiles.x + at.x)  # a block of pixels lies in one tile: its list is read once
         for k in range(self.counts[tile]):
-            lamp = self.lamps[self.lists[tile * LAMPS + k]]
-            to_lamp = lamp.position - s.world
-            far = sl.length(to_lamp)
-            direction = to_lamp / max(far, 1e-3)
-            window = sl.saturate(1.0 - (far / lamp.reach) ** 4)
-            power = lamp.color * (window * window / (far * far + 0.05) * sl.saturate(sl.dot(normal, direction)))
+            point_light = self.lights[self.lists[tile * LIGHTS + k]]
+            to_light = point_light.position - s.world
+            far = sl.length(to_light)
+            direction = to_light / max(far, 1e-3)
+            window = sl.saturate(1.0 - (far / point_light.reach) ** 4)
+            power = point_light.color * (window * window / (far * far + 0.05) * sl.saturate(sl.dot(normal, direction)))
             light += power
             shine += power * sl.saturate(sl.dot(normal, sl.normalize(direction + to_eye))) ** 32
         color = s.color * light + 0.6 * shine
@@ -204,7 +204,7 @@ class Renderer:
         self.device, self.size = device, size
         self.tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
         self.depth_only, self.shadow_only = device.program(Depth), device.program(Shadow)
-        self.find_lamps, self.lit = device.program(FindLamps), device.program(Lit)
+        self.cull_lights, self.lit = device.program(CullLights), device.program(Lit)
         self.sky = (*sl.evaluate(film_curve, HAZE).tolist(), 1.0)  # the shader's function, evaluated on NumPy
         self.image = device.texture(size, rhi.Format.RGBA8_SRGB, label="image")
         self.colors = device.texture(size, rhi.Format.RGBA8_SRGB, samples=samples, label="samples of color")
@@ -224,10 +224,10 @@ class Renderer:
         bounds["center"], bounds["half"] = (low + high) / 2, (high - low) / 2 + 0.01
         self.boxes = device.storage(Box, boxes, label="boxes")
         self.bounds = device.storage(Box, bounds, label="bounds of cells")
-        self.lamps = device.storage(Lamp, make_lamps(boxes), label="lamps")
+        self.lights = device.storage(PointLight, make_lights(boxes), label="lights")
         tiles = self.tiles[0] * self.tiles[1]
-        self.counts = device.storage(int, tiles, label="lamps of each tile")
-        self.lists = device.storage(int, tiles * LAMPS, label="lists of lamps")
+        self.counts = device.storage(int, tiles, label="lights of each tile")
+        self.lists = device.storage(int, tiles * LIGHTS, label="light lists")
         self.queries = device.query_set(len(self.count))
         self.visible = np.ones(len(self.count), bool)
         self.is_queried = False
@@ -266,8 +266,8 @@ class Renderer:
             device.draw(self.shadow_only, self.cube, len(self.boxes), view=view, boxes=self.boxes)
         with device.event("lights"):
             device.dispatch(
-                self.find_lamps, self.tiles,
-                view=view, lamps=self.lamps, depth=self.depth, counts=self.counts, lists=self.lists,
+                self.cull_lights, self.tiles,
+                view=view, lights=self.lights, depth=self.depth, counts=self.counts, lists=self.lists,
             )  # fmt: skip
         with (
             device.event("view"),
@@ -275,7 +275,7 @@ class Renderer:
         ):
             device.draw_many(
                 self.lit, self.cube, draws, view=view, boxes=self.boxes, shadow=self.shadow,
-                lamps=self.lamps, counts=self.counts, lists=self.lists,
+                lights=self.lights, counts=self.counts, lists=self.lists,
             )  # fmt: skip
         device.present(self.image)
 
@@ -317,16 +317,16 @@ def make_boxes() -> tuple[NDArray[np.void], NDArray[np.intp]]:
     return boxes.ravel(), np.arange(0, CELLS * CELLS * 26 + 1, 26)
 
 
-def make_lamps(boxes: NDArray[np.void]) -> NDArray[np.void]:
-    """Make lamps of all colours between the boxes."""
+def make_lights(boxes: NDArray[np.void]) -> NDArray[np.void]:
+    """Make lights of all colours between the boxes."""
     rng = np.random.default_rng(11)
-    lamps = np.zeros(LAMPS, Lamp.dtype)
-    near = boxes[rng.choice(len(boxes), len(lamps), replace=False)]
-    lamps["position"] = near["center"] * (1, 0, 1) + [0.62, 0.45, 0.62]
-    lamps["reach"] = rng.uniform(3.0, 5.0, len(lamps))
-    hue = rng.random((len(lamps), 1)) + np.array([0, 0.33, 0.67])
-    lamps["color"] = 1.6 + 1.4 * np.cos(2 * np.pi * hue)
-    return lamps
+    lights = np.zeros(LIGHTS, PointLight.dtype)
+    near = boxes[rng.choice(len(boxes), len(lights), replace=False)]
+    lights["position"] = near["center"] * (1, 0, 1) + [0.62, 0.45, 0.62]
+    lights["reach"] = rng.uniform(3.0, 5.0, len(lights))
+    hue = rng.random((len(lights), 1)) + np.array([0, 0.33, 0.67])
+    lights["color"] = 1.6 + 1.4 * np.cos(2 * np.pi * hue)
+    return lights
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -340,14 +340,14 @@ def main(arguments: list[str] | None = None) -> int:
         default=Path("tiled_lights.png"),
         help="image to write (default: tiled_lights.png)",
     )
-    given = parser.parse_args(arguments)
-    with rhi.create_device(given.backend, timing=True) as device:
+    options = parser.parse_args(arguments)
+    with rhi.create_device(options.backend, timing=True) as device:
         if device.backend_name == "null":
             from rhi.backends.null import NullBackend
 
             device.backend_as(NullBackend).count_samples(lambda draw: 1)  # everything is visible
         renderer = Renderer(device)
-        for frame in range(given.frames):
+        for frame in range(options.frames):
             renderer.render((15.0 - 0.05 * frame, 7.5, 31.0), (-1.0, 0.0, 0.0))
         device.finish()
         print(f"{device.backend_name}, {device.capabilities.device}")
@@ -355,8 +355,8 @@ def main(arguments: list[str] | None = None) -> int:
         for timer in device.timers:
             print(timer.format())
         if device.capabilities.renders:
-            renderer.image.save(given.output)
-            print(given.output)
+            renderer.image.save(options.output)
+            print(options.output)
     return 0
 
 

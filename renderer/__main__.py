@@ -10,7 +10,7 @@ def run() -> int:
     if not hasattr(rhi, "__path__"):
         print(f"error: {rhi.__file__} hides the package rhi: rhi-renderer, or python -P -m renderer", file=sys.stderr)
         return 2
-    from rhi.errors.readers import run_for_reader
+    from rhi.errors.pipes import run_until_pipe_closes
 
     if sys.argv[1:2] == ["view"]:  # before the renderer's shaders are imported
         rhi.install_fallback()
@@ -23,7 +23,7 @@ def run() -> int:
 
         print(f"error: {describe_missing(missing.name, 'renderer')}", file=sys.stderr)
         return 2
-    return run_for_reader(main)
+    return run_until_pipe_closes(main)
 
 
 if __name__ == "__main__":

@@ -18,29 +18,29 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.frame import (
-    AS_GIVEN,
-    EXACT_GLOW,
+    EXACT_BLOOM,
+    SAMPLER_DEFAULTS,
     Blending,
+    BloomSettings,
     Frame,
-    GlowSettings,
+    FrameEffects,
     Layer,
-    Needs,
     Plan,
     SceneLayer,
     SceneResources,
-    SeenFeatures,
     Targets,
     TextureSettings,
     View,
-    find_needs,
+    VisibleFeatures,
+    collect_frame_effects,
     make_plan,
 )
-from renderer.frame.images import SceneImages
+from renderer.frame.scene_images import SceneImages
 from renderer.scene import Camera, Scene, Simulator
-from renderer.scene.catching_up import count_steps
+from renderer.scene.catch_up import count_steps
 from renderer.scene.finite import check_finite
 from renderer.shadows import ShadowMaps, shadow_passes
-from renderer.stereo import EyePair, Stereo, fit_picture
+from renderer.stereo import EyePair, Stereo, eye_image_size
 from renderer.techniques import AutoTechnique, Forward, Technique
 from renderer.techniques.inspection import Inspection
 from renderer.techniques.parts.depth import bind_depth_programs
@@ -85,13 +85,13 @@ class FrameStatistics:
 class FrameResult:
     """A submitted frame.
 
-    `image`, `depth` and all other contents of the frame, `targets`, are overwritten by the next frame. All but `image`
-    have the size at which the frame was drawn (`Renderer.scale`). `visibility` is
-    the cost of finding the visible objects, None if the technique didn't do so. Where the device decides what is drawn,
-    the first use of `visible` or `statistics` waits for the device; they can be read until the next frame.
+    `image`, `depth` and all other contents of the frame, `targets`, are overwritten by the next frame. All but
+    `image` have the size at which the frame was drawn (`Renderer.scale`). `visibility` is the cost of finding the
+    visible objects, None if the technique didn't do so. Where the device decides what is drawn, the first use of
+    `visible` or `statistics` waits for the device; they can be read until the next frame.
 
-    With two eyes, `image` shows both, and `pictures` and `frames` are the left and the right one's; `depth`, `targets`
-    and `visibility` are the left one's, and `statistics` are those of both together.
+    With two eyes, `image` shows both, and `eye_images` and `frames` are the left and the right one's; `depth`,
+    `targets` and `visibility` are the left one's, and `statistics` are those of both together.
     """
 
     image: Texture
@@ -102,32 +102,32 @@ class FrameResult:
     _counters: dict[str, int]
 
     @property
-    def pictures(self) -> tuple[Texture, ...]:
-        """The picture of each eye."""
+    def eye_images(self) -> tuple[Texture, ...]:
+        """The image of each eye."""
         return tuple(frame.targets.image for frame in self.frames)
 
     @property
     def visible(self) -> NDArray[np.int64]:
-        """The rows of the objects drawn, with two eyes ascending."""
-        rows = [frame.drawn.rows for frame in self.frames]
+        """The indices of the objects drawn; with two eyes, ascending."""
+        rows = [frame.draw_result.object_indices for frame in self.frames]
         return rows[0] if len(rows) == 1 else np.unique(np.concatenate(rows))
 
     @cached_property
     def statistics(self) -> FrameStatistics:
         """The cost of the frame."""
-        drawn = [frame.drawn for frame in self.frames]
-        triangles = sum(one.triangles for one in drawn)
-        draws = sum(len(one.rows) for one in drawn)
+        results = [frame.draw_result for frame in self.frames]
+        triangles = sum(result.triangles for result in results)
+        draws = sum(len(result.object_indices) for result in results)
         return FrameStatistics(triangles=triangles, draws=draws, **self._counters)
 
 
 class Renderer:
     """Draws one scene on one device.
 
-    The attributes `technique`, `visibility`, `blending`, `precision` and `glow` may be exchanged between any two
-    frames, and `layers` changed, which are drawn over each frame in their order, those that belong to the scene first.
-    With `simulates_unseen`, by default off, what an absence would change, such as cloth, is simulated in every frame.
-    `show` ends a frame with its image: by default it is `Device.present`; a window puts its own in that place.
+    The attributes `technique`, `visibility`, `blending`, `precision` and `bloom` may be exchanged between any two
+    frames, and `layers` changed, which are drawn over each frame in their order, those that belong to the scene
+    first. With `simulates_hidden`, by default off, what an absence would change, such as cloth, is simulated in every
+    frame. `show` ends a frame with its image: by default it is `Device.present`; a window puts its own in that place.
     """
 
     def __init__(
@@ -140,58 +140,57 @@ class Renderer:
         size: tuple[int, int] = (960, 540),
         blending: Blending = Blending.SORTED,
         precision: Precision = Precision.FAST,
-        textures: TextureSettings = AS_GIVEN,
-        glow: GlowSettings = EXACT_GLOW,
+        textures: TextureSettings = SAMPLER_DEFAULTS,
+        bloom: BloomSettings = EXACT_BLOOM,
         validation: bool = False,
     ) -> None:
         """Create the targets and upload the scene.
 
         Args:
             technique: how the scene is drawn; forward shading by default. `AutoTechnique` measures which one is the
-                fastest; its picture may change by 2 of 255 levels when it changes its mind.
+                fastest; its image may change by 2 of 255 levels when it changes its mind.
             visibility: an algorithm made for `scene`, or the name of one; `auto` measures which one is the fastest.
             size: (width, height) of the image in pixels.
             blending: how transparent surfaces that cover each other are put together.
             precision: that of the techniques' shaders; with FAST, of those that don't ask for EXACT themselves.
             textures: how well the scene's textures are read.
-            glow: how exactly glow is made.
-            validation: whether to check samples of what is simulated: each batch has one object whose vertices must be
-                inside its bounds (`scene-left-bounds`).
-        """
+            bloom: how exactly bloom is computed.
+            validation: whether to check samples of what is simulated: each batch has one object whose vertices must
+                be inside its bounds (`scene-left-bounds`)."""
         self.device = device
         self.scene = scene
         self.technique: Technique = technique or Forward()
         self.blending = blending
         self.precision = precision
-        self.glow = glow
+        self.bloom = bloom
         self._animation_step, self._animation_lag = 0.0, ANIMATION_LAG
-        self.simulates_unseen = False
+        self.simulates_hidden = False
         self.layers: list[Layer] = []
         self.show: Callable[[Texture], None] = device.present
-        self._own: list[VisibilityAlgorithm] = []
+        self._owned_algorithms: list[VisibilityAlgorithm] = []
         if isinstance(visibility, str):
             visibility = make_visibility(visibility, scene, device)
-            self._own.append(visibility)
+            self._owned_algorithms.append(visibility)
         self._plans: dict[tuple[object, ...], Plan[Frame]] = {}
-        self._seen = SeenFeatures(scene)
-        self._needs: Needs | None = None  # of the last frame
-        self._planned: Technique | None = None
-        self._drawn: Plan[Frame] | None = None  # the plan of the last frame
+        self._recent_features = VisibleFeatures(scene)
+        self._effects: FrameEffects | None = None  # of the last frame
+        self._planned_technique: Technique | None = None
+        self._last_plan: Plan[Frame] | None = None  # the plan of the last frame
         self._size, self._scale = size, 1.0
         self._pair: EyePair | None = None
-        with ExitStack() as made:
+        with ExitStack() as stack:
             self._targets = Targets(device, size)
-            made.callback(self._targets.destroy)
+            stack.callback(self._targets.destroy)
             self._view = View(device, "eye", visibility)
-            made.callback(self._view.destroy)
+            stack.callback(self._view.destroy)
             self._resources = SceneResources(device, scene, textures)
             self._validation = self.simulator.validation = validation
-            made.pop_all()
+            stack.pop_all()
 
     @property
     def animation_step(self) -> float:
-        """The seconds after which what moves by itself moves on, 0 for every frame. It may be exchanged between any two
-        frames.
+        """The interval in seconds at which animations advance; 0 advances them in every frame. It may be exchanged
+        between any two frames.
 
         In the frames between, simulations, transforms and the shadows of what moves stay as they are.
         """
@@ -199,37 +198,36 @@ class Renderer:
 
     @animation_step.setter
     def animation_step(self, seconds: float) -> None:
-        rules.check_amount(rules.BAD_STEP, "Renderer.animation_step = …", seconds)
+        rules.check_non_negative(rules.BAD_STEP, "Renderer.animation_step = …", seconds)
         self._animation_step = seconds
 
     @property
     def animation_lag(self) -> float:
-        """The pixels by which what is small on the screen may be late, 0 for nothing. It may be exchanged between any
-        two frames.
+        """How far in pixels the animation of small objects may lag behind; 0 allows no lag. It may be exchanged
+        between any two frames.
 
-        What would move by less than that in some frames, at `SPEED` of its diameters a second, moves on only then. What
-        is no larger rests. Animations without bounds move on in every frame.
+        What would move by less than that in some frames, at `MAX_EXPECTED_SPEED` of its diameters a second, moves on
+        only then. What is no larger rests. Animations without bounds move on in every frame.
         """
         return self._animation_lag
 
     @animation_lag.setter
     def animation_lag(self, pixels: float) -> None:
-        rules.check_amount(rules.BAD_LAG, "Renderer.animation_lag = …", pixels)
+        rules.check_non_negative(rules.BAD_LAG, "Renderer.animation_lag = …", pixels)
         self._animation_lag = pixels
 
     @property
     def light_cutoff(self) -> float:
-        """The light of a lamp that is too faint to matter, 0 for none. It may be exchanged between any two frames.
+        """Irradiance below which a local light is cut off; 0 cuts none. It may be exchanged between any two frames.
 
-        Lamps end where less of their light arrives; 1 is what a directional light of intensity 1 gives. So fewer lamps
-        reach a surface, and up to 1.1 times as much of each is missing.
-        """
+        Local lights end where less of their light arrives; 1 is what a directional light of intensity 1 gives. So fewer
+        local lights reach a surface, and up to 1.1 times as much of each is missing."""
         return self._resources.light_cutoff
 
     @light_cutoff.setter
-    def light_cutoff(self, least: float) -> None:
-        rules.check_amount(rules.BAD_CUTOFF, "Renderer.light_cutoff = …", least)
-        self._resources.light_cutoff = least
+    def light_cutoff(self, cutoff: float) -> None:
+        rules.check_non_negative(rules.BAD_CUTOFF, "Renderer.light_cutoff = …", cutoff)
+        self._resources.light_cutoff = cutoff
 
     @property
     def view(self) -> View:
@@ -275,7 +273,11 @@ class Renderer:
     @stereo.setter
     def stereo(self, stereo: Stereo | None) -> None:
         pair, size = self._pair, self._size
-        if pair is None or stereo is None or fit_picture(stereo.output, size) != fit_picture(pair.stereo.output, size):
+        if (
+            pair is None
+            or stereo is None
+            or eye_image_size(stereo.output, size) != eye_image_size(pair.stereo.output, size)
+        ):
             self._resize(size, stereo, self._scale)
         else:
             pair.stereo = stereo
@@ -284,7 +286,7 @@ class Renderer:
         """Create what is needed for images of `size` with one eye or two. If it can't be, all stays as it was."""
         pair = None if stereo is None else EyePair(self.device, stereo, size, self._view, scale)
         try:
-            self._targets.resize(size if stereo is None else fit_picture(stereo.output, size), scale)
+            self._targets.resize(size if stereo is None else eye_image_size(stereo.output, size), scale)
         except BaseException:
             if pair is not None:
                 pair.destroy()
@@ -338,16 +340,16 @@ class Renderer:
         auto = self.technique
         if not isinstance(auto, AutoTechnique):
             return self._draw(camera, seconds)[0]
-        auto.look(camera, self.size)
+        auto.check_view(camera, self.size)
         is_timed = auto.is_trying and not self._is_trying_visibility
         if is_timed:
             self.device.finish()
         began = perf_counter()
-        result, needs = self._draw(camera, seconds)
+        result, effects = self._draw(camera, seconds)
         if is_timed:
             self.device.finish()
         is_timed = is_timed and not self._is_trying_visibility  # which may have begun to
-        auto.note(perf_counter() - began if is_timed else None, camera, needs)
+        auto.note(perf_counter() - began if is_timed else None, camera, effects)
         return result
 
     @property
@@ -361,8 +363,8 @@ class Renderer:
     def _is_trying_visibility(self) -> bool:
         return isinstance(self.visibility, AutoCulling) and self.visibility.is_trying
 
-    def _draw(self, camera: Camera, seconds: float) -> tuple[FrameResult, Needs]:
-        """Draw a frame; return it and what it needed."""
+    def _draw(self, camera: Camera, seconds: float) -> tuple[FrameResult, FrameEffects]:
+        """Draw a frame; return it and its effects."""
         device, resources, pair = self.device, self._resources, self._pair
         before = device.statistics
         check_finite("render", seconds=seconds, position=camera.position, rotation=camera.rotation)
@@ -371,32 +373,32 @@ class Renderer:
         if self._animation_step:
             seconds = count_steps(seconds, self._animation_step) * self._animation_step
         self.scene.seconds = seconds
-        expected = self.simulator.drawn
+        expected = self.simulator.drawn_objects
         self.simulator.begin_frame(seconds)
         self.scene.refresh()
         self.simulator.slow_down(around, self._targets.size[1], self._animation_lag)
         eyes = [self._view] if pair is None or pair.stereo.is_reprojected else [self._view, pair.view]
         resources.update(*(eye.camera for eye in eyes), views=[eye.buffer for eye in eyes])
-        resources.hidden.begin_frame(None if self.simulates_unseen or pair is not None else around)
-        resources.expect(around, expected, self.simulator.diverging if self.simulates_unseen else None)
-        needs = self._find_needs(around, self._seen.settle(around))
-        plan = self._plan(needs)
-        if plan is not self._drawn:
-            self._drawn = plan
-            if not needs.casts_shadows:
+        resources.hidden.begin_frame(None if self.simulates_hidden or pair is not None else around)
+        resources.simulate_expected(around, expected, self.simulator.diverging if self.simulates_hidden else None)
+        effects = self._collect_effects(around, self._recent_features.choose_shader_features(around))
+        plan = self._plan(effects)
+        if plan is not self._last_plan:
+            self._last_plan = plan
+            if not effects.has_shadow_casters:
                 resources.release(ShadowMaps)
-        left = Frame(device, self._view, resources, self._targets, needs, precision=self.precision)
+        left = Frame(device, self._view, resources, self._targets, effects, precision=self.precision)
         frames = [left]
         self._run(plan, left)
         if left.statistics is not None:
-            left.drawn.note_hidden()
+            left.draw_result.record_hidden()
         if pair is not None:
-            right = Frame(device, pair.view, resources, pair.targets, needs, left, self.precision)
+            right = Frame(device, pair.view, resources, pair.targets, effects, left, self.precision)
             frames.append(right)
             moved = pair.plan(has_layers=bool(self.layers))
             if moved is None:
                 resources.look_from(1)
-                left.drawn.fetch_lists()  # the right eye makes others
+                left.draw_result.fetch_lists()  # the right eye makes others
             with device.event(pair.view.name):
                 self._run(moved or plan, right)
         after = device.statistics
@@ -415,9 +417,9 @@ class Renderer:
         self.show(image)
         counters = {name: getattr(after, name) - getattr(before, name) for name in _COUNTERS}
         counters["simulation_steps"] = self.simulator.steps
-        counters["skipped_simulations"] = len(self.simulator) - self.simulator.seen
+        counters["skipped_simulations"] = len(self.simulator) - self.simulator.drawn_count
         result = FrameResult(image, left.targets.depth, left.targets, left.statistics, tuple(frames), counters)
-        return result, needs
+        return result, effects
 
     def _aim(self, camera: Camera) -> Camera:
         """Aim the views of a frame through `camera`; return a camera that sees all that they see."""
@@ -439,47 +441,47 @@ class Renderer:
     def _run(self, plan: Plan[Frame], frame: Frame) -> None:
         """Run the passes of a plan."""
         frame.targets.provide(plan.textures)
-        for one in plan.passes:
-            with self.device.event(one.name):
-                one.run(frame)
+        for frame_pass in plan.passes:
+            with self.device.event(frame_pass.name):
+                frame_pass.run(frame)
 
-    def plan(self, camera: Camera) -> tuple[Needs, Plan[Frame]]:
-        """Return what a frame of `camera` needs, and its plan; nothing is drawn."""
+    def plan(self, camera: Camera) -> tuple[FrameEffects, Plan[Frame]]:
+        """Return the effects of a frame of `camera`, and its plan. Nothing is drawn."""
         camera = self._fit(camera)
         if self._pair is not None:
             camera = self._pair.stereo.rig.enclose(camera)
-        needs = self._find_needs(camera)
-        return needs, self._plan(needs)
+        effects = self._collect_effects(camera)
+        return effects, self._plan(effects)
 
-    def _find_needs(self, camera: Camera, seen: frozenset[str] | None = None) -> Needs:
+    def _collect_effects(self, camera: Camera, recent_features: frozenset[str] | None = None) -> FrameEffects:
         resources = self._resources
-        self._needs = find_needs(
-            self.scene, camera, reaches=resources.reaching, blending=self.blending, glow=self.glow, seen=seen,
-            lights=resources.lights, last=self._needs,
+        self._effects = collect_frame_effects(
+            self.scene, camera, reaches=resources.reaching, blending=self.blending, bloom=self.bloom,
+            visible_features=recent_features, lights=resources.lights, last=self._effects,
         )  # fmt: skip
-        return self._needs
+        return self._effects
 
-    def _plan(self, needs: Needs) -> Plan[Frame]:
-        """Return the plan of a frame with these needs; it is made once."""
+    def _plan(self, effects: FrameEffects) -> Plan[Frame]:
+        """Return the plan of a frame with these effects; each is made once."""
         technique = self.technique
         if isinstance(technique, AutoTechnique):
             technique = technique.current
-        if self._planned is not technique:
+        if self._planned_technique is not technique:
             self._plans.clear()
-            self._planned = technique
-        plan = self._plans.get(needs.key)
+            self._planned_technique = technique
+        plan = self._plans.get(effects.key)
         if plan is None:
             is_lit = not isinstance(technique, Inspection) or technique.is_lit
-            before = [*tessellation_passes(needs), *(shadow_passes(needs, bind_depth_programs) if is_lit else ())]
-            plan = self._plans[needs.key] = make_plan([*before, *technique.declare(needs)])
+            before = [*tessellation_passes(effects), *(shadow_passes(effects, bind_depth_programs) if is_lit else ())]
+            plan = self._plans[effects.key] = make_plan([*before, *technique.declare(effects)])
         return plan
 
     def destroy(self) -> None:
         """Destroy all resources on the device, except those of layers and of a visibility algorithm that was passed
         in."""
-        for visibility in self._own:
+        for visibility in self._owned_algorithms:
             visibility.destroy()
-        self._own.clear()
+        self._owned_algorithms.clear()
         if self._pair is not None:
             self._pair.destroy()
         self._targets.destroy()

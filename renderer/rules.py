@@ -16,7 +16,7 @@ from numbers import Real
 from typing import Any, Final, NoReturn, get_args, get_type_hints
 
 from rhi.errors import RhiError, Rule, refuse
-from rhi.errors.arguments import as_whole, describe_choices
+from rhi.errors.arguments import describe_choices, to_integer
 
 # Model files
 MISSING_FILE: Final = Rule("scene-missing-file", "the model file does not exist")
@@ -59,8 +59,8 @@ BAD_INDEX: Final = Rule("scene-bad-index", "an id must name something that was a
 BAD_MATERIAL: Final = Rule("scene-bad-material", "a material's value is out of its range")
 BAD_IMAGE: Final = Rule("scene-bad-image", "an image is an array of shape (height, width, 4), uint8, not empty")
 BAD_LIGHT: Final = Rule("scene-bad-light", "a light's value is out of its range")
-BAD_AIR: Final = Rule("scene-bad-air", "a value of fog or glow is out of its range")
-BAD_GLOW: Final = Rule("glow-bad-settings", "a setting of glow is out of its range")
+BAD_EFFECT: Final = Rule("scene-bad-effect", "a value of fog or bloom is out of its range")
+BAD_BLOOM: Final = Rule("bloom-bad-settings", "a setting of bloom is out of its range")
 NOT_FINITE: Final = Rule(
     "scene-not-finite",
     "the numbers of a scene, a camera and a time are finite",
@@ -71,7 +71,9 @@ STATIC_NODE: Final = Rule(
     "a static node can't be moved",
     "add the node, or one of its ancestors, with dynamic=True",
 )
-BOUND_NODE: Final = Rule("scene-bound-node", "what is animated within bounds keeps its parents, down to the objects")
+FIXED_PARENT: Final = Rule(
+    "scene-fixed-parent", "what is animated within bounds keeps its parents, down to the objects"
+)
 FIXED_MESH: Final = Rule(
     "scene-fixed-mesh",
     "a mesh can be replaced where bounds follow a node, by one that is neither simulated nor a height field",
@@ -91,8 +93,8 @@ SHARED_MESH: Final = Rule(
     "a simulated object needs a simulation and a mesh of its own",
     "add a mesh for each member",
 )
-UNBOUND_MESH: Final = Rule(
-    "scene-unbound-mesh",
+UNBOUNDED_MESH: Final = Rule(
+    "scene-unbounded-mesh",
     "the mesh of a simulated object needs bounds that hold at all times",
     "pass add_mesh(bounds=...): hidden objects aren't stepped, so their bounds must be known in advance",
 )
@@ -128,8 +130,8 @@ UNKNOWN_CAMERA: Final = Rule(
     "the text names no camera of the scene",
     "give a name, a position x,y,z, or a position and a target x,y,z,x,y,z",
 )
-BAD_WALK: Final = Rule(
-    "camera-bad-walk", "the file is not a walk-through", "CameraPath.record(cameras).save(path) writes one"
+BAD_CAMERA_PATH: Final = Rule(
+    "camera-bad-path", "the file is not a walk-through", "CameraPath.record(cameras).save(path) writes one"
 )
 FRAME_RANGE: Final = Rule("camera-frame-range", "the camera path has no such frame")
 
@@ -137,7 +139,7 @@ BAD_STEREO: Final = Rule("stereo-bad-value", "a value of a pair of eyes is out o
 NO_STEREO: Final = Rule(
     "stereo-one-eye", "one eye has no distance from another", "add --stereo dubois, or another output"
 )
-UNKNOWN_STEREO: Final = Rule("stereo-unknown-output", "there is no way of this name to show two pictures in one")
+UNKNOWN_STEREO: Final = Rule("stereo-unknown-output", "there is no way of this name to show two images in one")
 
 # Visibility
 BAD_BOUNDS: Final = Rule("visibility-bad-bounds", "bounds are finite arrays of shape (n, 3), with lower at most upper")
@@ -147,8 +149,8 @@ CANNOT_RUN: Final = Rule(
     "the device can't run this visibility algorithm",
     "choose another algorithm, or another device: --backend gl or cl",
 )
-NO_CONDITIONS: Final = Rule(
-    "visibility-no-conditions",
+NO_CONDITIONAL_RENDERING: Final = Rule(
+    "visibility-no-conditional-rendering",
     "conditional culling needs a device with conditional rendering and native occlusion queries",
     "chc_plus_plus needs only occlusion queries",
 )
@@ -157,8 +159,8 @@ NO_COMPUTE: Final = Rule(
     "culling on the device needs compute shaders and draws",
     "frustum culling needs neither",
 )
-NO_SCENE_PASS: Final = Rule(
-    "visibility-no-scene-pass",
+NO_RENDERER: Final = Rule(
+    "visibility-no-renderer",
     "the algorithm needs the buffers or the depth of a renderer's pass",
     "give it to a Renderer as its `visibility`; `result.visible` are the rows that it drew",
 )
@@ -190,8 +192,8 @@ DRAWN_OVER_TWICE: Final = Rule(
     "let the second pass draw over the first one's result",
 )
 UNWRITTEN: Final = Rule("plan-unwritten", "contents that a pass or the frame needs are written by one of its passes")
-UNKNOWN_CONTENTS: Final = Rule("plan-unknown-contents", "no texture of the frame's plan has these contents")
-PLAN_CIRCLE: Final = Rule("plan-circle", "the passes of a frame don't wait for each other in a circle")
+UNKNOWN_RESOURCE: Final = Rule("plan-unknown-resource", "no texture of the frame's plan has these contents")
+PLAN_CYCLE: Final = Rule("plan-cycle", "the passes of a frame don't wait for each other in a circle")
 
 # Techniques
 ONE_SAMPLE: Final = Rule(
@@ -200,21 +202,26 @@ ONE_SAMPLE: Final = Rule(
     "smooth its image with --fxaa, or use --technique forward, forward_plus, clustered, tiled_deferred, "
     "clustered_deferred or deferred_plus",
 )
-MANY_MATERIALS: Final = Rule(
-    "technique-many-materials",
+TOO_MANY_MATERIALS: Final = Rule(
+    "technique-too-many-materials",
     "a packed geometry buffer holds 16 bits of a pixel's material",
     "use --technique clustered",
 )
-NO_WIREFRAME: Final = Rule("technique-no-wireframe", "this picture needs a device that draws the edges of triangles")
+MISSING_BINDING: Final = Rule(
+    "technique-missing-binding",
+    "a shader binds by name what its frame has",
+    "pass what only this shader has with the draw (own={name: ...}), or add it to `FrameBindings`",
+)
+NO_WIREFRAME: Final = Rule("technique-no-wireframe", "a wireframe needs a device that draws the edges of triangles")
 BAD_STEP: Final = Rule("animation-step", "what moves is shown at whole multiples of a step in seconds")
 BAD_LAG: Final = Rule("animation-lag", "what is small on the screen may be late by some pixels")
-BAD_CUTOFF: Final = Rule("light-cutoff", "lamps end where less than an amount of their light arrives")
-BAD_SCALE: Final = Rule("render-scale", "images are drawn at a scale of the size that is shown")
+BAD_CUTOFF: Final = Rule("light-cutoff", "local lights end where less than an amount of their light arrives")
+BAD_SCALE: Final = Rule("render-scale", "a frame is drawn at a scale of its size")
 BAD_EDGE: Final = Rule("tessellation-edge", "edges are split down to a length in pixels")
 BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique is out of its range")
 
 # Settings
-BAD_CHOICE: Final = Rule("renderer-settings", "a setting of the renderer has a value of another kind")
+BAD_RENDER_SETTING: Final = Rule("renderer-settings", "a setting of the renderer has a value of another kind")
 BAD_TEXTURES: Final = Rule("texture-settings", "a setting of textures is out of its range")
 
 # Shadows
@@ -231,34 +238,36 @@ UNKNOWN_COMMAND: Final = Rule(
 BAD_ARGUMENT: Final = Rule(
     "viewer-bad-argument", "a command's argument is not one that it takes", "Tab in the console lists them"
 )
-NO_PICTURE: Final = Rule(
-    "viewer-no-picture", "the device draws nothing, so there is no picture", "choose another one: --backend gl or cl"
+NO_SCREENSHOT: Final = Rule(
+    "viewer-no-screenshot", "the device draws nothing, so there is no image", "choose another one: --backend gl or cl"
 )
 CANNOT_LISTEN: Final = Rule("viewer-cannot-listen", "the port can't be listened to", "choose another one")
 
 # Measurements
 
 NO_IMAGES: Final = Rule("measure-no-images", "the textured pass needs a scene with images")
-FEW_LIGHTS: Final = Rule("measure-few-lights", "the scene has fewer point and spot lights than are compared")
+TOO_FEW_LIGHTS: Final = Rule("measure-too-few-lights", "the scene has fewer point and spot lights than are compared")
 FIXED_SCENE: Final = Rule(
     "measure-fixed-scene",
     "a scene without an option for it can't be compared with another number of objects or lights",
     "leave out --objects or --lights: the scene is compared as it is",
 )
-UNKNOWN_KNOB: Final = Rule("accuracy-unknown-knob", "no choice between accuracy and time has this name")
+UNKNOWN_QUALITY_SETTING: Final = Rule("accuracy-unknown-setting", "no choice between accuracy and time has this name")
 OUT_OF_REACH: Final = Rule("accuracy-out-of-reach", "no settings that were tried are as fast and as accurate as that")
-NO_KNOBS: Final = Rule("accuracy-no-knobs", "none of these knobs matters for this scene and device")
+NO_QUALITY_SETTINGS: Final = Rule(
+    "accuracy-no-settings", "none of these quality settings matters for this scene and device"
+)
 UNKNOWN_CASE: Final = Rule("exam-unknown-case", "the exam has no case of this number")
-NO_PICTURES: Final = Rule("measure-no-pictures", "a backend that draws no pictures has no passes to time")
+NO_RENDERING: Final = Rule("measure-no-rendering", "a backend that draws no images has no passes to time")
 NO_SHADERS: Final = Rule("measure-no-shaders", "a device that runs no shaders stores no values")
 
 
 def describe(error: RhiError) -> str:
     """Return an error as one line: what is wrong, what was given, what is allowed, a tip and the rule."""
     allowed = f" (allowed: {error.allowed})" if error.allowed else ""
-    given = f": {error.given}" if error.given else ""
+    value = f": {error.given}" if error.given else ""
     tip = f"; {error.tip}" if error.tip else ""
-    line = f"{error.rule.sentence.rstrip('.')}{given}{allowed}{tip} [{error.rule.id}]"
+    line = f"{error.rule.sentence.rstrip('.')}{value}{allowed}{tip} [{error.rule.id}]"
     return " ".join(line.split())
 
 
@@ -270,50 +279,50 @@ def describe_missing(module: str | None, extra: str) -> str:
     )
 
 
-def refuse_name(rule: Rule, call: str, given: str, allowed: Iterable[str]) -> NoReturn:
-    """Refuse the name `given`, listing the `allowed` names and suggesting the nearest one, if any is similar."""
+def refuse_name(rule: Rule, call: str, name: str, allowed: Iterable[str]) -> NoReturn:
+    """Refuse `name`, listing the `allowed` names and suggesting the nearest one, if any is similar."""
     names = list(allowed)
-    near = get_close_matches(given.lower(), names, n=1)
-    refuse(rule, call, given, ", ".join(names), f"did you mean {near[0]!r}?" if near else "")
+    near = get_close_matches(name.lower(), names, n=1)
+    refuse(rule, call, name, ", ".join(names), f"did you mean {near[0]!r}?" if near else "")
 
 
-def check_amount(rule: Rule, call: str, value: float) -> None:
+def check_non_negative(rule: Rule, call: str, value: float) -> None:
     """Refuse a number that isn't 0 or more, and finite."""
     if not 0.0 <= value < inf:
         refuse(rule, call, value, "0 or more, finite")
 
 
 def check_scale(call: str, value: float) -> None:
-    """Refuse the scale of a picture that no bilinear sample could bring to the size that is shown."""
+    """Refuse an image scale that one bilinear sample couldn't resize to the frame's size."""
     if not 0.1 <= value <= 2.0:
         refuse(BAD_SCALE, call, value, "0.1 to 2")
 
 
-def check_kinds(settings: Any, rule: Rule) -> None:
+def check_types(settings: Any, rule: Rule) -> None:
     """Refuse settings, a dataclass, with a value of another type than its field's. NumPy's numbers become Python's."""
     owner: type = type(settings)
-    for name, kinds in _list_kinds(owner):
+    for name, kinds in _list_types(owner):
         value = getattr(settings, name)
-        if not any(_is_of(value, kind) for kind in kinds):
-            allowed = " or ".join(_describe_kind(kind) for kind in kinds)
+        if not any(_is_instance(value, kind) for kind in kinds):
+            allowed = " or ".join(_describe_type(kind) for kind in kinds)
             refuse(rule, f"{owner.__name__}({name}=...)", repr(value), allowed)
         if kinds[0] in (int, float) and type(value) not in (int, float):
             object.__setattr__(settings, name, kinds[0](value))
 
 
 @cache
-def _list_kinds(owner: type) -> tuple[tuple[str, tuple[type, ...]], ...]:
+def _list_types(owner: type) -> tuple[tuple[str, tuple[type, ...]], ...]:
     """Return the fields of a dataclass, each with the types that its value may have."""
     hints = get_type_hints(owner)
-    return tuple((one.name, get_args(hints[one.name]) or (hints[one.name],)) for one in fields(owner))
+    return tuple((field.name, get_args(hints[field.name]) or (hints[field.name],)) for field in fields(owner))
 
 
-def _is_of(value: object, kind: type) -> bool:
+def _is_instance(value: object, kind: type) -> bool:
     if kind is int:
-        return as_whole(value) is not None
+        return to_integer(value) is not None
     return isinstance(value, Real) and not isinstance(value, bool) if kind is float else isinstance(value, kind)
 
 
-def _describe_kind(kind: type) -> str:
+def _describe_type(kind: type) -> str:
     words = {bool: "True or False", int: "a whole number", float: "a number", str: "a text", type(None): "None"}
     return describe_choices(kind) if issubclass(kind, Enum) else words.get(kind, f"a {kind.__name__}")

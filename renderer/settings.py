@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any, Final, Self, get_args, get_type_hints
 
 from renderer import rules
-from renderer.frame import Blending, GlowSettings, TextureSettings
+from renderer.frame import Blending, BloomSettings, TextureSettings
 from renderer.renderer import ANIMATION_LAG, FrameResult, Renderer
-from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, Shot, StereoRig
+from renderer.scene import Camera, Depth, Orthographic, PathFrame, Perspective, Scene, StereoRig
 from renderer.scene.files import read_json
 from renderer.shadows import ShadowSettings
 from renderer.stereo import Stereo
@@ -33,16 +33,17 @@ class RenderSettings:
     """The settings of all parts of the renderer.
 
     Attributes:
-        technique: what lights surfaces. algorithm: the name of what finds visible objects. visibility: its parameters.
+        technique: what lights surfaces. algorithm: the name of what finds visible objects. visibility: its
+        parameters.
         shadows: the choices of shadow maps. textures: how well textures are read.
         tessellation: how small the triangles of height fields are.
-        blending: how transparent surfaces that cover each other are put together. glow: how exactly glow is made.
+        blending: how transparent surfaces that cover each other are blended. bloom: how exactly bloom is computed.
         precision: that of the techniques' shaders. depth: the direction of depth.
         animation_step: the seconds after which what moves by itself moves on, 0 for every frame.
         animation_lag: the pixels by which what is small on the screen may be late, 0 for nothing.
-        light_cutoff: the light of a lamp that is too faint to matter, 0 for none.
-        simulates_unseen: whether what an absence would change, such as cloth, is simulated where it isn't drawn.
-        reprojects: whether a second eye's picture is made from the first one's.
+        light_cutoff: the light of a light that is too faint to matter, 0 for none.
+        simulates_hidden: whether what an absence would change, such as cloth, is simulated where it isn't drawn.
+        reprojects: whether a second eye's image is made from the first one's.
         scale: the size at which frames are drawn, in that of the image that is shown: 0.1 to 2.
     """
 
@@ -53,24 +54,24 @@ class RenderSettings:
     textures: TextureSettings = field(default_factory=TextureSettings)
     tessellation: TessellationSettings = field(default_factory=TessellationSettings)
     blending: Blending = Blending.SORTED
-    glow: GlowSettings = field(default_factory=GlowSettings)
+    bloom: BloomSettings = field(default_factory=BloomSettings)
     precision: Precision = Precision.FAST
     depth: Depth = Depth.REVERSED
     animation_step: float = 0.0
     animation_lag: float = ANIMATION_LAG
     light_cutoff: float = 0.0
-    simulates_unseen: bool = False
+    simulates_hidden: bool = False
     reprojects: bool = False
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        rules.check_kinds(self, rules.BAD_CHOICE)
+        rules.check_types(self, rules.BAD_RENDER_SETTING)
         if self.algorithm not in ALGORITHMS:
             call = "RenderSettings(algorithm=...)"
             rules.refuse_name(rules.UNKNOWN_ALGORITHM, call, self.algorithm, ALGORITHMS)
-        rules.check_amount(rules.BAD_STEP, "RenderSettings(animation_step=...)", self.animation_step)
-        rules.check_amount(rules.BAD_LAG, "RenderSettings(animation_lag=...)", self.animation_lag)
-        rules.check_amount(rules.BAD_CUTOFF, "RenderSettings(light_cutoff=...)", self.light_cutoff)
+        rules.check_non_negative(rules.BAD_STEP, "RenderSettings(animation_step=...)", self.animation_step)
+        rules.check_non_negative(rules.BAD_LAG, "RenderSettings(animation_lag=...)", self.animation_lag)
+        rules.check_non_negative(rules.BAD_CUTOFF, "RenderSettings(light_cutoff=...)", self.light_cutoff)
         rules.check_scale("RenderSettings(scale=...)", self.scale)
 
     def get(self, path: str) -> Any:
@@ -85,28 +86,28 @@ class RenderSettings:
         return list(_list_paths(self))
 
     def change(self, path: str, value: Any) -> Self:
-        """Return settings of which one is another, by its path."""
+        """Return settings with another value of the setting at a path."""
         changed: Self = _change(self, path.split("."), value)
         return changed
 
     def change_all(self, changes: Mapping[str, Any]) -> Self:
-        """Return settings of which some are others, by their paths; settings that limit each other come first."""
+        """Return settings with other values, by their paths; settings that limit others are changed first."""
         settings = self
         for path, value in changes.items():
             settings = settings.change(path, value)
         return settings
 
-    def aim(self, camera: Camera) -> Camera:
-        """Return a camera with the direction of depth that is set."""
-        lens = camera.projection
-        assert isinstance(lens, Perspective | Orthographic)
-        if lens.depth is self.depth:
+    def adapt_camera(self, camera: Camera) -> Camera:
+        """Return a camera with the depth direction of the settings."""
+        projection = camera.projection
+        assert isinstance(projection, Perspective | Orthographic)
+        if projection.depth is self.depth:
             return camera
-        return camera.with_projection(replace(lens, depth=self.depth))
+        return camera.with_projection(replace(projection, depth=self.depth))
 
-    def render(self, renderer: Renderer, shot: Shot) -> FrameResult:
-        """Draw a shot with the direction of depth that is set."""
-        return renderer.render(self.aim(shot.camera), shot.seconds)
+    def render(self, renderer: Renderer, path_frame: PathFrame) -> FrameResult:
+        """Render a path frame with the depth direction of the settings."""
+        return renderer.render(self.adapt_camera(path_frame.camera), path_frame.seconds)
 
     @contextmanager
     def open(
@@ -120,34 +121,36 @@ class RenderSettings:
         """Yield a renderer that has these settings, and destroy it at the end. Cameras must be aimed (`aim`).
 
         Args:
-            rig: with one, two eyes are drawn, side by side. technique: one that draws instead of that of the settings.
-        """
+            rig: with one, two eyes are drawn, side by side. technique: one that draws instead of that of the
+        settings."""
         check_algorithm(self.algorithm, device, "RenderSettings.open")
         visibility = make_visibility(self.algorithm, scene, device, self.visibility)
         try:
             with Renderer(device, scene, visibility=visibility, size=size, textures=self.textures) as renderer:
-                self.exchange(renderer, technique)
+                self.apply_to(renderer, technique)
                 if rig is not None:
                     renderer.stereo = Stereo(rig, "side_by_side", is_reprojected=self.reprojects)
                 yield renderer
         finally:
             visibility.destroy()
 
-    def exchange(self, renderer: Renderer, technique: Technique | None = None) -> None:
+    def apply_to(self, renderer: Renderer, technique: Technique | None = None) -> None:
         """Give a renderer those of these settings that may be exchanged between two frames: all but how textures are
         read, and which objects are found. `technique` draws instead of that of the settings."""
         renderer.technique = technique or self.technique.make(renderer.scene, renderer.device)
-        renderer.blending, renderer.precision, renderer.glow = self.blending, self.precision, self.glow
+        renderer.blending, renderer.precision, renderer.bloom = self.blending, self.precision, self.bloom
         renderer.shadows.settings = self.shadows
         renderer.tessellator.settings = self.tessellation
         renderer.animation_step, renderer.animation_lag = self.animation_step, self.animation_lag
-        renderer.light_cutoff, renderer.simulates_unseen = self.light_cutoff, self.simulates_unseen
+        renderer.light_cutoff, renderer.simulates_hidden = self.light_cutoff, self.simulates_hidden
         renderer.scale = self.scale
 
-    def save(self, path: Path, **found: Any) -> None:
-        """Write the settings as JSON. `found` is written too, to say how they were found; `load` ignores it."""
-        parts = {one.name: to_plain(getattr(self, one.name)) for one in fields(self)}
-        path.write_text(json.dumps({_FORMAT: parts, "visibility": parts.pop("visibility"), **found}, indent=2) + "\n")
+    def save(self, path: Path, **metadata: Any) -> None:
+        """Write the settings as JSON. `metadata` is written too, to say how they were found; `load` ignores it."""
+        parts = {setting.name: to_json(getattr(self, setting.name)) for setting in fields(self)}
+        path.write_text(
+            json.dumps({_FORMAT: parts, "visibility": parts.pop("visibility"), **metadata}, indent=2) + "\n"
+        )
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -160,11 +163,14 @@ class RenderSettings:
         """
         call = f"RenderSettings.load({str(path)!r})"
         try:
-            found = read_json(path)
-            parts = {**found.get(_FORMAT, {}), **({"visibility": found["visibility"]} if "visibility" in found else {})}
+            content = read_json(path)
+            parts = {
+                **content.get(_FORMAT, {}),
+                **({"visibility": content["visibility"]} if "visibility" in content else {}),
+            }
             if not parts:
                 refuse(rules.BAD_SETTINGS, call, f"neither {_FORMAT} nor visibility")
-            settings: Self = from_plain(cls, parts, call, cls())
+            settings: Self = from_json(cls, parts, call, cls())
         except RhiError:
             raise
         except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -177,8 +183,8 @@ _FORMAT: Final = "rendering"
 
 
 def _list_paths(part: Any, above: str = "") -> Iterator[str]:
-    for one in fields(part):
-        value, path = getattr(part, one.name), f"{above}{one.name}"
+    for setting in fields(part):
+        value, path = getattr(part, setting.name), f"{above}{setting.name}"
         if is_dataclass(value):
             yield from _list_paths(value, f"{path}.")
         else:
@@ -191,21 +197,21 @@ def _change(part: Any, names: list[str], value: Any) -> Any:
     return replace(part, **{names[0]: value})
 
 
-def to_plain(value: Any) -> Any:
+def to_json(value: Any) -> Any:
     """Return settings as JSON has them: objects by their fields, and choices by their values."""
     if isinstance(value, Enum):
         return value.value
     if is_dataclass(value):
-        return {one.name: to_plain(getattr(value, one.name)) for one in fields(value)}
+        return {setting.name: to_json(getattr(value, setting.name)) for setting in fields(value)}
     return value
 
 
-def from_plain(kind: Any, value: Any, call: str, default: Any = None) -> Any:
-    """Return settings of a type from what `to_plain` has made of them; what is missing is that of `default`, or of the
+def from_json(kind: Any, value: Any, call: str, default: Any = None) -> Any:
+    """Return settings of a type from the output of `to_json`; missing values are those of `default`, or of the
     type if that is None."""
-    some = [one for one in get_args(kind) if one is not type(None)]
-    if some:
-        return None if value is None else from_plain(some[0], value, call, default)
+    alternatives = [element for element in get_args(kind) if element is not type(None)]
+    if alternatives:
+        return None if value is None else from_json(alternatives[0], value, call, default)
     if isinstance(kind, type) and issubclass(kind, Enum):
         return kind(value)
     if not (isinstance(kind, type) and is_dataclass(kind)):
@@ -218,5 +224,7 @@ def from_plain(kind: Any, value: Any, call: str, default: Any = None) -> Any:
     for name in value:
         if name not in hints:
             rules.refuse_name(rules.BAD_SETTINGS, call, name, hints)
-    given = {name: from_plain(hints[name], one, call, getattr(default, name, None)) for name, one in value.items()}
-    return kind(**given) if default is None else replace(default, **given)
+    arguments = {
+        name: from_json(hints[name], element, call, getattr(default, name, None)) for name, element in value.items()
+    }
+    return kind(**arguments) if default is None else replace(default, **arguments)

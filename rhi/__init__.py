@@ -113,7 +113,6 @@ from rhi.device.resources.textures import TextureTarget as TextureTarget
 from rhi.device.transient import TransientMemory as TransientMemory
 from rhi.device.transient import TransientMesh as TransientMesh
 from rhi.errors import RULES as RULES
-from rhi.errors import CallSite as CallSite
 from rhi.errors import DeviceError as DeviceError
 from rhi.errors import RhiError as RhiError
 from rhi.errors import Rule as Rule
@@ -121,6 +120,7 @@ from rhi.errors import ShaderError as ShaderError
 from rhi.errors import ShaderWarning as ShaderWarning
 from rhi.errors import ValidationError as ValidationError
 from rhi.errors import refuse as refuse
+from rhi.errors.call_sites import CallSite as CallSite
 from rhi.errors.exports import list_public as _list_public
 from rhi.errors.namesakes import warn_of_namesake as _warn_of_namesake
 from rhi.shading.language.builtins import Precision as Precision

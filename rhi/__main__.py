@@ -22,7 +22,7 @@ import rhi
 from rhi.conformance.template import write_package
 from rhi.device.registry import BackendReport, default_precision
 from rhi.errors import RhiError
-from rhi.errors.readers import run_for_reader
+from rhi.errors.pipes import run_until_pipe_closes
 from rhi.testing.accuracy import report as accuracy
 from rhi.testing.projects import KINDS, write_project
 from rhi.trace import cli as trace_cli
@@ -159,38 +159,38 @@ def _as_text(reports: list[BackendReport]) -> str:
             f"       textures to {limits.max_texture_size}, {limits.max_color_targets} targets, "
             f"{'/'.join(map(str, limits.sample_counts))} samples, work-groups to {limits.max_work_group_invocations}",
             f"       lacks: {', '.join(lacking) or 'nothing'}",
-            *(f"       left out: {what}" for what in limits.left_out),
-            *(f"       passed over: {device}" for device in limits.passed_over),
+            *(f"       disabled: {what}" for what in limits.disabled_features),
+            *(f"       rejected: {device}" for device in limits.rejected_devices),
             "",
         ]
-    choice = f"rhi.create_device() would choose: {_say_choice(reports)}"
-    return "\n".join([*lines, f"precision: {_say_precision()}", choice])
+    choice = f"rhi.create_device() would choose: {_choice_text(reports)}"
+    return "\n".join([*lines, f"precision: {_precision_text()}", choice])
 
 
-def _say_precision() -> str:
-    """Return the precision of shaders that say none themselves, and where it is from."""
+def _precision_text() -> str:
+    """Describe the default precision of shaders, and whether the environment sets it."""
     precision = default_precision().value
     if os.environ.get("RHI_PRECISION"):
         return f"{precision}, as RHI_PRECISION says"
     return f"{precision}; RHI_PRECISION=fast computes faster on OpenCL, about as exactly as OpenGL"
 
 
-def _say_choice(reports: list[BackendReport]) -> str:
-    """Return the backend that `create_device` chooses without a name, and whether another one is faster."""
+def _choice_text(reports: list[BackendReport]) -> str:
+    """Describe the backend that `create_device` chooses by default, and whether another one is faster."""
     named = os.environ.get("RHI_BACKEND")
     if named:
         usable = ":" in named or any(r.name == named and r.usable for r in reports)
         return f"{named}, as RHI_BACKEND says" if usable else f"nothing: RHI_BACKEND names {named}, which can't be used"
     renderers = {r.name: r.capabilities.device for r in reports if r.capabilities and r.capabilities.renders}
-    chosen = next(iter(renderers), "nothing; see the reasons above")
-    if "llvmpipe" in renderers.get(chosen, "") and "cl" in renderers:
-        return f"{chosen}\nllvmpipe draws on the CPU; RHI_BACKEND=cl is faster, but for long shaders"
-    return chosen
+    backend = next(iter(renderers), "nothing; see the reasons above")
+    if "llvmpipe" in renderers.get(backend, "") and "cl" in renderers:
+        return f"{backend}\nllvmpipe draws on the CPU; RHI_BACKEND=cl is faster, but for long shaders"
+    return backend
 
 
 def run() -> int:
     """Run `python -m rhi`, or the command `rhi`, and return its exit status."""
-    return run_for_reader(main)
+    return run_until_pipe_closes(main)
 
 
 if __name__ == "__main__":

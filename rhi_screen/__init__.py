@@ -18,7 +18,7 @@
 
 from rhi_screen.cameras import FlyCamera, OrbitCamera
 from rhi_screen.canvases import CANVASES, open_canvas
-from rhi_screen.pictures import save_picture
+from rhi_screen.image_program import save_image
 from rhi_screen.screen import Screen, open_screen
 from rhi_screen.statistics import FrameCounter
 from rhi_screen.targets import ScreenTargets
@@ -27,5 +27,5 @@ from rhi_screen.video import VideoWriter
 
 __all__ = [
     "CANVASES", "FixedSteps", "FlyCamera", "FrameCounter", "OrbitCamera", "Screen", "ScreenTargets", "VideoWriter",
-    "open_canvas", "open_screen", "save_picture",
+    "open_canvas", "open_screen", "save_image",
 ]  # fmt: skip

@@ -24,7 +24,7 @@ from rhi_screen.controllers import Controller, Fly, Orbit
 from rhi_screen.gestures import Event, Gestures
 from rhi_screen.screen import Screen
 
-LONGEST_STEP: Final = 0.25
+MAX_STEP: Final = 0.25
 """Seconds by which an update moves a camera at most, however long the frame took."""
 _EVENTS: Final = ("pointer_down", "pointer_up", "pointer_move", "wheel", "key_down", "key_up")
 
@@ -60,8 +60,8 @@ class ScreenCamera:
         """
         now = perf_counter()
         past = 0.0 if self._time is None else now - self._time
-        step = min(past, LONGEST_STEP) if seconds is None else seconds
-        is_moving = self._gestures.is_held or self.controller.is_moving
+        step = min(past, MAX_STEP) if seconds is None else seconds
+        is_moving = self._gestures.has_pressed_keys or self.controller.is_moving
         self._time = now if is_moving else None
         if is_moving:
             self.controller.advance(*self._gestures.pushes(), step)
@@ -76,7 +76,7 @@ class ScreenCamera:
         if not self.is_enabled:
             self._gestures.release()
         elif event["event_type"].startswith("key"):
-            if self._gestures.hold(event):
+            if self._gestures.handle_key(event):
                 self._time = self._time or perf_counter()
                 self._screen.canvas.request_draw()
         else:
@@ -97,18 +97,18 @@ class OrbitCamera(ScreenCamera):
         yaw: float = 0.5,
         pitch: float = 0.4,
         *,
-        lens: Perspective | Orthographic | None = None,
+        projection: Perspective | Orthographic | None = None,
     ) -> None:
         """
         Args:
             screen: whose events move it.
             target: (3,), the point in the middle.
             distance, yaw, pitch: where the camera is, as of `rhi.math.orbit`.
-            lens: the projection; None: `Perspective()`.
+            projection: the projection; None: `Perspective()`.
         """
         middle = np.asarray(target, np.float64)
         away = distance * np.array([sin(yaw) * cos(pitch), sin(pitch), cos(yaw) * cos(pitch)])
-        begin = Camera.look_at(middle + away, middle, projection=lens)
+        begin = Camera.look_at(middle + away, middle, projection=projection)
         super().__init__(screen, Orbit(begin, middle, distance))
 
 
@@ -122,13 +122,13 @@ class FlyCamera(ScreenCamera):
         target: ArrayLike = (0.0, 0.0, 0.0),
         *,
         speed: float = 3.0,
-        lens: Perspective | Orthographic | None = None,
+        projection: Perspective | Orthographic | None = None,
     ) -> None:
         """
         Args:
             screen: whose events move it.
             position, target: (3,), where it is, and what it looks at.
             speed: metres a second, by keys.
-            lens: the projection; None: `Perspective()`.
+            projection: the projection; None: `Perspective()`.
         """
-        super().__init__(screen, Fly(Camera.look_at(position, target, projection=lens), speed))
+        super().__init__(screen, Fly(Camera.look_at(position, target, projection=projection), speed))

@@ -29,7 +29,7 @@ class CanvasKind:
 
     module: str
     name: str = "RenderCanvas"
-    needs: str = "rendercanvas"
+    required_module: str = "rendercanvas"
     install: str = INSTALL
 
     def load(self) -> Any:
@@ -39,7 +39,7 @@ class CanvasKind:
             DeviceError: `screen-missing` with what to install.
         """
         try:
-            importlib.import_module(self.needs)
+            importlib.import_module(self.required_module)
             return getattr(importlib.import_module(self.module), self.name)
         except ImportError as error:
             missing = f"{error.name} is missing" if error.name else str(error).splitlines()[0]
@@ -48,9 +48,11 @@ class CanvasKind:
 
 CANVASES: Final = {
     "window": CanvasKind("rhi_screen.window", "Window"),
-    "qt": CanvasKind("rendercanvas.pyside6", needs="PySide6", install=f"pip install pyside6; {INSTALL}"),
-    "page": CanvasKind("rhi_screen.page", "Page", needs="websockets"),
-    "jupyter": CanvasKind("rendercanvas.jupyter", needs="jupyter_rfb", install=f"pip install jupyter_rfb; {INSTALL}"),
+    "qt": CanvasKind("rendercanvas.pyside6", required_module="PySide6", install=f"pip install pyside6; {INSTALL}"),
+    "page": CanvasKind("rhi_screen.page", "Page", required_module="websockets"),
+    "jupyter": CanvasKind(
+        "rendercanvas.jupyter", required_module="jupyter_rfb", install=f"pip install jupyter_rfb; {INSTALL}"
+    ),
     "offscreen": CanvasKind("rendercanvas.offscreen"),
 }
 """All kinds by name."""
@@ -71,19 +73,19 @@ def open_canvas(
         ValidationError: `screen-canvas` if no canvas has this name.
         DeviceError: `screen-missing`, `screen-display` or `screen-driver`, with what to install.
     """
-    kind = kind or find_default()
+    kind = kind or choose_default_canvas()
     if kind not in CANVASES:
         refuse(SCREEN_CANVAS, f"rhi_screen.open_canvas({kind!r})", kind, ", ".join(CANVASES))
     return CANVASES[kind].load()(title=title, size=size, **options)
 
 
-def find_loop(canvas: Canvas) -> Any:
+def get_loop(canvas: Canvas) -> Any:
     """Return the loop that runs a canvas, or None if nothing does, as offscreen."""
     widget: Any = getattr(canvas, "_subwidget", canvas)  # a window around a widget has no group of its own
     return widget._rc_canvas_group.get_loop()
 
 
-def find_default() -> str:
+def choose_default_canvas() -> str:
     """Return the kind of canvas that is opened if none is named."""
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     return "window" if getattr(shell, "kernel", None) is None else "jupyter"

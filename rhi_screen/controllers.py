@@ -14,18 +14,18 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from rhi.math import Camera, Floats, Orthographic, Perspective, Projection, find_heading
+from rhi.math import Camera, Floats, Orthographic, Perspective, Projection, yaw_pitch_rotation
 
 NOTCH: Final = 1.15
 """The ratio of distances by which a notch of the wheel brings nearer."""
-FAST: Final = 4.0
+FAST_FACTOR: Final = 4.0
 """The factor of motion's speed with Shift."""
-LEAST_DISTANCE: Final = 1e-6
+MIN_DISTANCE: Final = 1e-6
 """Metres of an orbit."""
 
-_RATE: Final = 12.0  # a second: how quickly the speed approaches what the keys ask for
-_TURN: Final = 1.6  # radians a second, by keys
-_REST: Final = 1e-3  # of the full speed: below it, motion has ended
+_ACCELERATION_RATE: Final = 12.0  # a second: how quickly the speed approaches what the keys ask for
+_TURN_RATE: Final = 1.6  # radians a second, by keys
+_MIN_SPEED: Final = 1e-3  # of the full speed: below it, motion has ended
 
 
 @dataclass(slots=True)
@@ -52,7 +52,7 @@ class Heading:
     @property
     def rotation(self) -> Floats:
         """The camera's rotation (3, 3): rows are right, up, back."""
-        return find_heading(self.yaw, self.pitch)
+        return yaw_pitch_rotation(self.yaw, self.pitch)
 
 
 @dataclass(slots=True)
@@ -61,13 +61,13 @@ class Glide:
 
     speed: Floats = field(default_factory=lambda: np.zeros(3))
 
-    def advance(self, wanted: Floats, seconds: float) -> Floats:
-        """Return the way (3,) of some seconds in which `wanted` (3,) is asked for."""
-        kept = exp(-_RATE * seconds)
-        gap = self.speed - wanted
-        way = wanted * seconds + gap * ((1.0 - kept) / _RATE)
-        self.speed = wanted + gap * kept
-        if not wanted.any() and float(np.abs(self.speed).max()) < _REST:
+    def advance(self, target_speed: Floats, seconds: float) -> Floats:
+        """Return the way (3,) of some seconds in which `target_speed` (3,) is asked for."""
+        remaining = exp(-_ACCELERATION_RATE * seconds)
+        gap = self.speed - target_speed
+        way = target_speed * seconds + gap * ((1.0 - remaining) / _ACCELERATION_RATE)
+        self.speed = target_speed + gap * remaining
+        if not target_speed.any() and float(np.abs(self.speed).max()) < _MIN_SPEED:
             self.speed = np.zeros(3)
         return np.asarray(way)
 
@@ -124,13 +124,13 @@ class Controller(Protocol):
         ...
 
 
-class _Gliding:
-    """What all controllers have: a lens and a heading that they turn, and motion that goes on for a moment."""
+class _GlidingController:
+    """Base of controllers: a projection, a heading that they turn, and motion that fades out."""
 
     def __init__(self, camera: Camera, speed: float) -> None:
         self.speed = speed
         self._heading = Heading.of(camera)
-        self._lens = camera.projection
+        self._projection = camera.projection
         self._move, self._swing = Glide(), Glide()
 
     @property
@@ -143,7 +143,7 @@ class _Gliding:
         self._heading.turn(left, up)
 
 
-class Fly(_Gliding):
+class Fly(_GlidingController):
     """Flies freely: keys move along the axes of the view, dragging turns it."""
 
     name = "fly"
@@ -155,35 +155,35 @@ class Fly(_Gliding):
     @property
     def camera(self) -> Camera:
         """The camera as of now."""
-        return Camera(self._position.copy(), self._heading.rotation, self._lens)
+        return Camera(self._position.copy(), self._heading.rotation, self._projection)
 
     @property
     def angle(self) -> float:
-        """The angle between the image's top and bottom; with a parallel lens, that of a usual lens."""
-        return self._lens.fov if isinstance(self._lens, Perspective) else pi / 3
+        """The angle between the image's top and bottom; with a parallel projection, that of a usual projection."""
+        return self._projection.fov if isinstance(self._projection, Perspective) else pi / 3
 
     def drag(self, right: float, up: float) -> None:
         """Move sideways and up or down, by parts of a second's way."""
-        self._go(np.array((-right, -up, 0.0)) * self.speed)
+        self._move_by(np.array((-right, -up, 0.0)) * self.speed)
 
     def zoom(self, notches: float) -> None:
-        """Go ahead a quarter of a second's way for each notch; a parallel lens shows less."""
-        if isinstance(self._lens, Orthographic):
-            self._lens = zoom_lens(self._lens, notches)
+        """Go ahead a quarter of a second's way for each notch; a parallel projection shows less."""
+        if isinstance(self._projection, Orthographic):
+            self._projection = zoom_projection(self._projection, notches)
         else:
-            self._go(np.array((0.0, 0.0, -0.25 * notches)) * self.speed)
+            self._move_by(np.array((0.0, 0.0, -0.25 * notches)) * self.speed)
 
     def advance(self, push: Floats, turn: Floats, seconds: float) -> None:
         """Move for some seconds."""
-        left, up, _ = (_TURN * self._swing.advance(turn, seconds)).tolist()
+        left, up, _ = (_TURN_RATE * self._swing.advance(turn, seconds)).tolist()
         self._heading.turn(left, up)
-        self._go(self._move.advance(push, seconds) * self.speed)
+        self._move_by(self._move.advance(push, seconds) * self.speed)
 
-    def _go(self, way: Floats) -> None:
+    def _move_by(self, way: Floats) -> None:
         self._position = self._position + way @ self._heading.rotation
 
 
-class Orbit(_Gliding):
+class Orbit(_GlidingController):
     """Circles a point at a distance: dragging turns the view around it, the wheel goes nearer."""
 
     name = "orbit"
@@ -194,13 +194,13 @@ class Orbit(_Gliding):
         aimed = Camera.look_at(camera.position, target, projection=camera.projection) if away.any() else camera
         super().__init__(aimed, speed)
         self.target: Floats = np.array(target, np.float64)
-        self.distance = max(float(np.linalg.norm(away)), LEAST_DISTANCE)
+        self.distance = max(float(np.linalg.norm(away)), MIN_DISTANCE)
 
     @property
     def camera(self) -> Camera:
         """The camera as of now."""
         rotation = self._heading.rotation
-        return Camera(self.target + self.distance * rotation[2], rotation, self._lens)
+        return Camera(self.target + self.distance * rotation[2], rotation, self._projection)
 
     @property
     def angle(self) -> float:
@@ -209,32 +209,36 @@ class Orbit(_Gliding):
 
     def drag(self, right: float, up: float) -> None:
         """Move the point with what is seen: it stays below the pointer."""
-        high = image_height(self._lens, self.distance)
+        high = image_height(self._projection, self.distance)
         self.target = self.target + np.array((-right, -up, 0.0)) * high @ self._heading.rotation
 
     def zoom(self, notches: float) -> None:
-        """Go nearer by a ratio; a parallel lens shows less."""
-        self.distance = max(self.distance * NOTCH**-notches, LEAST_DISTANCE)
-        self._lens = zoom_lens(self._lens, notches)
+        """Go nearer by a ratio; a parallel projection shows less."""
+        self.distance = max(self.distance * NOTCH**-notches, MIN_DISTANCE)
+        self._projection = zoom_projection(self._projection, notches)
 
     def advance(self, push: Floats, turn: Floats, seconds: float) -> None:
         """Move for some seconds: keys to the side and up turn around the point, those ahead go nearer."""
         around = np.array((turn[0] + push[0], turn[1] + push[1], 0.0))
-        left, up, _ = (_TURN * self._swing.advance(around, seconds)).tolist()
+        left, up, _ = (_TURN_RATE * self._swing.advance(around, seconds)).tolist()
         self._heading.turn(left, -up)
         ahead = -float(self._move.advance(np.array((0.0, 0.0, push[2])), seconds)[2])
         if ahead:
             self.zoom(8.0 * ahead)
 
 
-def zoom_lens(lens: Projection, notches: float) -> Projection:
-    """Return the lens that shows less after some notches of the wheel; one with perspective stays as it is."""
-    return replace(lens, height=lens.height * NOTCH**-notches) if isinstance(lens, Orthographic) else lens
+def zoom_projection(projection: Projection, notches: float) -> Projection:
+    """Return the projection that shows less after some notches of the wheel; one with perspective stays as it is."""
+    return (
+        replace(projection, height=projection.height * NOTCH**-notches)
+        if isinstance(projection, Orthographic)
+        else projection
+    )
 
 
-def image_height(lens: Projection, distance: float) -> float:
+def image_height(projection: Projection, distance: float) -> float:
     """Return how many metres the image is high at a distance from the eye."""
-    if isinstance(lens, Orthographic):
-        return lens.height
-    assert isinstance(lens, Perspective)
-    return 2.0 * distance * float(np.tan(0.5 * lens.fov))
+    if isinstance(projection, Orthographic):
+        return projection.height
+    assert isinstance(projection, Perspective)
+    return 2.0 * distance * float(np.tan(0.5 * projection.fov))

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from rhi.math import Floats
-from rhi_screen.controllers import FAST, NOTCH, Controller
+from rhi_screen.controllers import FAST_FACTOR, NOTCH, Controller
 
 Event = Mapping[str, Any]
 
@@ -18,7 +18,7 @@ _PUSHES: Final = {
     "pageup": (0, 1, 0), "pagedown": (0, -1, 0),
 }  # fmt: skip
 _TURNS: Final = {"arrowleft": (1, 0, 0), "arrowright": (-1, 0, 0), "arrowup": (0, 1, 0), "arrowdown": (0, -1, 0)}
-HELD: Final = frozenset({*_PUSHES, *_TURNS})
+MOVEMENT_KEYS: Final = frozenset({*_PUSHES, *_TURNS})
 """The keys that move as long as they are held, in lower case."""
 
 _LEFT: Final = 1
@@ -36,39 +36,39 @@ class Gestures:
     """
 
     def __init__(self) -> None:
-        self._held: set[str] = set()
+        self._pressed: set[str] = set()
         self._pointer: tuple[float, float] | None = None  # while a button is down
         self._way = 0.0  # that it went since then
         self._fingers: list[tuple[float, float]] = []
 
     @property
-    def is_held(self) -> bool:
+    def has_pressed_keys(self) -> bool:
         """Whether a key that moves is held."""
-        return not HELD.isdisjoint(self._held)
+        return not MOVEMENT_KEYS.isdisjoint(self._pressed)
 
     def release(self) -> None:
         """Forget what is held: its release may never be told, as when the console takes the keys."""
-        self._held.clear()
+        self._pressed.clear()
         self._pointer = None
         self._fingers = []
 
     def pushes(self) -> tuple[Floats, Floats]:
         """Return how held keys push (3,) and turn (3,)."""
-        fast = FAST if "shift" in self._held else 1.0
+        fast = FAST_FACTOR if "shift" in self._pressed else 1.0
         push, turn = (
-            np.sum([way for key, way in ways.items() if key in self._held] or [(0, 0, 0)], axis=0).astype(float)
+            np.sum([way for key, way in ways.items() if key in self._pressed] or [(0, 0, 0)], axis=0).astype(float)
             for ways in (_PUSHES, _TURNS)
         )
         return np.clip(push, -1.0, 1.0) * fast, turn
 
-    def hold(self, event: Event) -> bool:
+    def handle_key(self, event: Event) -> bool:
         """Note a key that is pressed or released; return whether it is one that moves."""
         key = str(event["key"]).lower()
         if event["event_type"] == "key_down":
-            self._held.add(key)
+            self._pressed.add(key)
         else:
-            self._held.discard(key)
-        return key in HELD
+            self._pressed.discard(key)
+        return key in MOVEMENT_KEYS
 
     def is_click(self, event: Event) -> bool:
         """Whether a release of the pointer ends a click of the left button: it has hardly moved."""
@@ -96,7 +96,7 @@ class Gestures:
                 self._move_pointer(event, controller, height)
 
     def _move_pointer(self, event: Event, controller: Controller, height: float) -> None:
-        fingers = [(float(one["x"]), float(one["y"])) for one in (event.get("touches") or {}).values()]
+        fingers = [(float(touch["x"]), float(touch["y"])) for touch in (event.get("touches") or {}).values()]
         if len(fingers) == 2:
             self._move_fingers(fingers, controller, height)
             return

@@ -45,7 +45,7 @@ __all__ = ["ImGui", "ImGuiRenderer"]
 
 _VERTEX: Final = np.dtype([("position", "f4", 2), ("uv", "f4", 2), ("color", "u1", 4)])  # ImDrawVert
 _SMOOTH: Final = SamplerDescriptor(Filter.LINEAR, Filter.LINEAR, None)
-_GIVEN: Final = 1 << 30  # above all numbers of ImGui's own textures
+_FIRST_TEXTURE_ID: Final = 1 << 30  # above all numbers of ImGui's own textures
 _BUTTONS: Final = {1: 0, 2: 1, 3: 2}
 _EVENTS: Final = (
     "pointer_move", "pointer_down", "pointer_up", "pointer_leave", "wheel", "key_down", "key_up", "char",
@@ -82,19 +82,19 @@ class Display(Struct):
     sampled and written is linear light, while ImGui's colors are those of a screen."""
 
     size: vec2
-    from_light: int
-    to_light: int
+    texture_is_srgb: int
+    target_is_srgb: int
 
 
 @function
-def encode_light(light: vec3) -> vec3:
+def linear_to_srgb_color(light: vec3) -> vec3:
     """Return linear light in sRGB."""
     curve = 1.055 * sl.pow(sl.max(light, vec3(0.0031308)), vec3(1.0 / 2.4)) - 0.055
     return sl.mix(curve, light * 12.92, vec3(sl.step(light, vec3(0.0031308))))
 
 
 @function
-def decode_light(color: vec3) -> vec3:
+def srgb_to_linear_color(color: vec3) -> vec3:
     """Return sRGB as linear light."""
     curve = sl.pow((sl.max(color, vec3(0.04045)) + 0.055) / 1.055, vec3(2.4))
     return sl.mix(curve, color / 12.92, vec3(sl.step(color, vec3(0.04045))))
@@ -107,16 +107,16 @@ class Widgets(Shader):
     atlas: Texture2D
 
     def vertex(self, v: WidgetVertex) -> WidgetCorner:
-        place = v.position / self.display.size
-        return WidgetCorner(clip=vec4(place.x * 2.0 - 1.0, 1.0 - place.y * 2.0, 0.5, 1.0), uv=v.uv, color=v.color)
+        position = v.position / self.display.size
+        return WidgetCorner(clip=vec4(position.x * 2.0 - 1.0, 1.0 - position.y * 2.0, 0.5, 1.0), uv=v.uv, color=v.color)
 
     def fragment(self, v: WidgetCorner) -> vec4:
         texel = self.atlas.sample(v.uv)
-        if self.display.from_light == 1:
-            texel = vec4(encode_light(texel.rgb), texel.a)
+        if self.display.texture_is_srgb == 1:
+            texel = vec4(linear_to_srgb_color(texel.rgb), texel.a)
         color = v.color * texel
-        if self.display.to_light == 1:
-            color = vec4(decode_light(color.rgb), color.a)
+        if self.display.target_is_srgb == 1:
+            color = vec4(srgb_to_linear_color(color.rgb), color.a)
         return color
 
 
@@ -126,15 +126,15 @@ class ImGuiRenderer:
     def __init__(self, device: rhi.Device) -> None:
         self._device, self._program = device, device.program(Widgets)
         self._own: dict[int, rhi.Texture] = {}
-        self._given: dict[int, rhi.Texture] = {}
+        self._user_textures: dict[int, rhi.Texture] = {}
         imgui.get_io().backend_flags |= (
             imgui.BackendFlags_.renderer_has_textures.value | imgui.BackendFlags_.renderer_has_vtx_offset.value
         )
 
     def texture(self, texture: rhi.Texture) -> Any:
-        """Return what `imgui.image` and `imgui.image_button` take for a texture in this frame."""
-        number = _GIVEN + len(self._given)
-        self._given[number] = texture
+        """Reference to a texture for `imgui.image` and `imgui.image_button`, valid in this frame."""
+        number = _FIRST_TEXTURE_ID + len(self._user_textures)
+        self._user_textures[number] = texture
         return imgui.ImTextureRef(number)
 
     def draw(self, image: rhi.Texture) -> None:
@@ -144,7 +144,7 @@ class ImGuiRenderer:
         if data.total_idx_count:
             with self._device.event("imgui"), self._device.render_pass(image, label="imgui"):
                 self._draw(data, image.format is Format.RGBA8_SRGB)
-        self._given.clear()
+        self._user_textures.clear()
 
     def destroy(self) -> None:
         """Destroy the textures that ImGui has asked for, and the program."""
@@ -155,24 +155,24 @@ class ImGuiRenderer:
 
     def _update_textures(self, data: Any) -> None:
         """Create, change and destroy textures as ImGui asks for it."""
-        for wanted in data.textures:
-            size, number = (wanted.width, wanted.height), wanted.unique_id
-            if wanted.status in (imgui.ImTextureStatus.want_create, imgui.ImTextureStatus.want_updates):
-                texels = wanted.get_pixels_array().reshape(*reversed(size), wanted.bytes_per_pixel)
-                part = wanted.update_rect
+        for request in data.textures:
+            size, number = (request.width, request.height), request.unique_id
+            if request.status in (imgui.ImTextureStatus.want_create, imgui.ImTextureStatus.want_updates):
+                texels = request.get_pixels_array().reshape(*reversed(size), request.bytes_per_pixel)
+                part = request.update_rect
                 if number not in self._own:
                     self._own[number] = self._device.texture(texels, Format.RGBA8, label="imgui")
                 else:
                     changed = texels[part.y : part.y + part.h, part.x : part.x + part.w]
                     self._own[number].write(changed, x=part.x, y=part.y)
-                wanted.set_tex_id(number)
-                wanted.set_status(imgui.ImTextureStatus.ok)
-            elif wanted.status == imgui.ImTextureStatus.want_destroy and wanted.unused_frames:
+                request.set_tex_id(number)
+                request.set_status(imgui.ImTextureStatus.ok)
+            elif request.status == imgui.ImTextureStatus.want_destroy and request.unused_frames:
                 if number in self._own:
                     self._own.pop(number).destroy()
-                wanted.set_status(imgui.ImTextureStatus.destroyed)
+                request.set_status(imgui.ImTextureStatus.destroyed)
 
-    def _draw(self, data: Any, to_light: bool) -> None:
+    def _draw(self, data: Any, target_is_srgb: bool) -> None:
         lists = list(data.cmd_lists)
         vertices = np.concatenate([_view(each.vtx_buffer, _VERTEX) for each in lists])
         indices = np.concatenate([_view(each.idx_buffer, np.dtype("u4")) for each in lists])
@@ -190,13 +190,13 @@ class ImGuiRenderer:
         size = tuple(data.display_size)
         with self._device.states(BlendFunction.ALPHA, CullMode.NONE, DepthTest.OFF, DepthWrite.OFF):
             for number, run in groupby(rows, lambda row: row[0]):
-                texture = self._own.get(number) or self._given.get(number)
+                texture = self._own.get(number) or self._user_textures.get(number)
                 if texture is None or texture.destroyed:  # as if it were transparent
                     continue
                 _, starts, counts, bases, clips = zip(*run, strict=True)
                 draws = mesh.draws(starts, counts, base_vertex=bases)
-                atlas, from_light = texture.sampled(_SMOOTH), texture.format is Format.RGBA8_SRGB
-                display = Display(size=size, from_light=int(from_light), to_light=int(to_light))
+                atlas, texture_is_srgb = texture.sampled(_SMOOTH), texture.format is Format.RGBA8_SRGB
+                display = Display(size=size, texture_is_srgb=int(texture_is_srgb), target_is_srgb=int(target_is_srgb))
                 self._device.draw_clipped(self._program, mesh, draws, clips, display=display, atlas=atlas)
 
 

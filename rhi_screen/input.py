@@ -45,9 +45,9 @@ class WindowInput:
         """Report events of `window` to `submit`; `pixel`: logical pixels in a unit of the window's coordinates."""
         self._submit = submit
         self._pixel = pixel
-        self._held: set[str] = set()
+        self._pressed: set[str] = set()
         self._buttons: set[int] = set()
-        self._place = (0.0, 0.0)
+        self._position = (0.0, 0.0)
         self._inside = False
         self._press = (0, 0.0, 0.0, 0.0)
         """The last press that may begin a double click: button, time, x, y."""
@@ -60,11 +60,11 @@ class WindowInput:
 
     @property
     def _modifiers(self) -> tuple[str, ...]:
-        return tuple(name for name in MODIFIERS if name in self._held)
+        return tuple(name for name in MODIFIERS if name in self._pressed)
 
     def _pointer(self, kind: str, button: int = 0) -> Event:
         return {
-            "event_type": kind, "x": self._place[0], "y": self._place[1], "button": button,
+            "event_type": kind, "x": self._position[0], "y": self._position[1], "button": button,
             "buttons": tuple(sorted(self._buttons)), "modifiers": self._modifiers, "ntouches": 0, "touches": {},
         }  # fmt: skip
 
@@ -75,8 +75,8 @@ class WindowInput:
         if not name:
             return
         if name in MODIFIERS:
-            (self._held.add if action == glfw.PRESS else self._held.discard)(name)
-        elif "Shift" in self._held and len(name) == 1:
+            (self._pressed.add if action == glfw.PRESS else self._pressed.discard)(name)
+        elif "Shift" in self._pressed and len(name) == 1:
             name = name.upper()
         kind = "key_down" if action == glfw.PRESS else "key_up"
         self._submit({"event_type": kind, "key": name, "modifiers": self._modifiers})
@@ -96,16 +96,16 @@ class WindowInput:
         self._submit(self._pointer("pointer_down", button))
         last, then, x, y = self._press
         now = time.perf_counter()
-        near = abs(self._place[0] - x) + abs(self._place[1] - y) <= DOUBLE_PIXELS
+        near = abs(self._position[0] - x) + abs(self._position[1] - y) <= DOUBLE_PIXELS
         if button == last and now - then <= DOUBLE_SECONDS and near:
             self._press = (0, 0.0, 0.0, 0.0)  # a third press begins another double click
             self._submit(self._pointer("double_click", button))
         else:
-            self._press = (button, now, *self._place)
+            self._press = (button, now, *self._position)
 
     def _on_move(self, _window: Any, x: float, y: float, moved: bool = True) -> None:
         pixel = self._pixel()
-        self._place = (x * pixel, y * pixel)
+        self._position = (x * pixel, y * pixel)
         if moved and (self._inside or self._buttons):
             self._submit(self._pointer("pointer_move"))
 

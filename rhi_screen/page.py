@@ -6,7 +6,7 @@
 - It listens on the loopback address, at a port that was free. One client at a time; with more, the first one drives,
   and the others watch.
 - The page and its script are rendercanvas's. Frames are sent as PNG, or JPEG first if `simplejpeg` is installed, and no
-  more than two that the client hasn't shown yet.
+  more than two that the client hasn't displayed yet.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from websockets.http11 import Request, Response
 __all__ = ["Page", "loop"]
 
 ADDRESS: Final = "127.0.0.1"
-_LONGEST: Final = 1 << 16  # bytes of an event
-_LARGEST: Final = 1 << 14  # pixels of a side
-_UNSEEN: Final = 2  # frames
-_QUALITY: Final = 80  # of JPEG while frames follow each other
-_STILL: Final = 0.3  # seconds until a frame that was sent as JPEG is sent as PNG
+_MAX_EVENT_BYTES: Final = 1 << 16  # bytes of an event
+_MAX_SIDE: Final = 1 << 14  # pixels of a side
+_MAX_FRAMES_IN_FLIGHT: Final = 2  # frames
+_JPEG_QUALITY: Final = 80  # of JPEG while frames follow each other
+_PNG_DELAY: Final = 0.3  # seconds until a frame that was sent as JPEG is sent as PNG
 _SCRIPTS: Final = ("renderview.js", "renderview-client.js")
 _PAGE: Final = """<!DOCTYPE html>
 <html><head><meta charset="utf-8"><title>{title}</title><link rel="stylesheet" href="renderview.css">
@@ -57,19 +57,19 @@ _silent: Final = logging.Logger("websockets", logging.CRITICAL + 1)  # strangers
 
 
 class _Client:
-    """A page that is open: what it is to be sent, and how many frames it was sent and has shown."""
+    """A page that is open: what it is to be sent, and how many frames it was sent and has displayed."""
 
     def __init__(self, connection: ServerConnection) -> None:
         self.connection = connection
         self.messages: asyncio.Queue[str | bytes] = asyncio.Queue()
-        self.sent = self.shown = self.latest = 0
+        self.sent = self.displayed = self.latest = 0
 
     @property
     def is_ready(self) -> bool:
         """Whether it may be sent another frame."""
-        return self.sent - self.shown < _UNSEEN
+        return self.sent - self.displayed < _MAX_FRAMES_IN_FLIGHT
 
-    def tell(self, kind: str, value: object) -> None:
+    def send_message(self, kind: str, value: object) -> None:
         self.messages.put_nowait(json.dumps({"type": kind, "value": value}))
 
 
@@ -99,7 +99,7 @@ class Page(BaseRenderCanvas):  # type: ignore[misc]  # rendercanvas has no types
         self._server: Server | None = None
         self._is_requested = False
         self._frame: NDArray[np.uint8] | None = None
-        self._picture = ("", b"")
+        self._last_image = ("", b"")
         self._number = 0
         self._still: asyncio.TimerHandle | None = None
         self._size, self._title = (0.0, 0.0), ""
@@ -117,7 +117,7 @@ class Page(BaseRenderCanvas):  # type: ignore[misc]  # rendercanvas has no types
         if self._is_closed:
             return
         async with serve(
-            self._attend, sock=self._socket, process_request=self._admit, compression=None, max_size=_LONGEST,
+            self._attend, sock=self._socket, process_request=self._admit, compression=None, max_size=_MAX_EVENT_BYTES,
             close_timeout=1.0, logger=_silent, server_header=None,
         ) as self._server:  # fmt: skip
             print(f"the page is {self.address}", file=sys.stderr, flush=True)
@@ -150,15 +150,15 @@ class Page(BaseRenderCanvas):  # type: ignore[misc]  # rendercanvas has no types
             return
         client = _Client(connection)
         self._clients.append(client)
-        client.tell("title", self._title)
-        self._tell_who_drives()
+        client.send_message("title", self._title)
+        self._announce_driver()
         self.request_draw()
         self._draw_if_ready()  # what was asked for before somebody looked
         sender = asyncio.create_task(self._send(client))
         try:
             async for message in connection:
                 try:
-                    self._take(client, json.loads(message))
+                    self._receive(client, json.loads(message))
                 except Exception as error:  # whatever a stranger's words lead to
                     _log.warning("closed a page that sent no event: %r", error)
                     return
@@ -167,7 +167,7 @@ class Page(BaseRenderCanvas):  # type: ignore[misc]  # rendercanvas has no types
         finally:
             sender.cancel()
             self._clients.remove(client)
-            self._tell_who_drives()
+            self._announce_driver()
             self._draw_if_ready()
 
     async def _send(self, client: _Client) -> None:
@@ -177,26 +177,26 @@ class Page(BaseRenderCanvas):  # type: ignore[misc]  # rendercanvas has no types
             except ConnectionClosed:
                 return
 
-    def _tell_who_drives(self) -> None:
+    def _announce_driver(self) -> None:
         for client in self._clients:
-            client.tell("active", client is self._clients[0])
+            client.send_message("active", client is self._clients[0])
 
-    def _tell(self, kind: str, value: object) -> None:
+    def _send_message(self, kind: str, value: object) -> None:
         for client in self._clients:
-            client.tell(kind, value)
+            client.send_message(kind, value)
 
-    def _take(self, client: _Client, event: dict[str, Any]) -> None:
+    def _receive(self, client: _Client, event: dict[str, Any]) -> None:
         """Take a message of a page's script."""
         kind = event.pop("type")
         if kind == "_framefeedback":
-            client.shown = min(max(client.shown, int(event["index"])), client.sent)
-            self._send_picture()
+            client.displayed = min(max(client.displayed, int(event["index"])), client.sent)
+            self._send_frame()
             self._draw_if_ready()
         elif client is not self._clients[0]:
             return
         elif kind == "resize":
             width, height, ratio = int(event["pwidth"]), int(event["pheight"]), float(event["ratio"])
-            if not (0 <= width <= _LARGEST and 0 <= height <= _LARGEST and 0.1 <= ratio <= 16.0):
+            if not (0 <= width <= _MAX_SIDE and 0 <= height <= _MAX_SIDE and 0.1 <= ratio <= 16.0):
                 raise ValueError(f"a page of {width}×{height} pixels")
             self._size_info.set_physical_size(width, height, ratio)
             self.request_draw()
@@ -217,15 +217,15 @@ class Page(BaseRenderCanvas):  # type: ignore[misc]  # rendercanvas has no types
     def _encode(self, quality: int) -> None:
         assert self._frame is not None
         kind, data = encode_array(self._frame, quality)
-        self._picture = (kind, data)
+        self._last_image = (kind, data)
         self._number += 1
-        self._send_picture()
+        self._send_frame()
         if kind != "image/png":
-            self._still = asyncio.get_running_loop().call_later(_STILL, self._encode, 100)
+            self._still = asyncio.get_running_loop().call_later(_PNG_DELAY, self._encode, 100)
 
-    def _send_picture(self) -> None:
-        """Send the latest picture to whoever lacks it and is ready."""
-        kind, data = self._picture
+    def _send_frame(self) -> None:
+        """Send the latest image to whoever lacks it and is ready."""
+        kind, data = self._last_image
         for client in self._clients:
             if client.is_ready and client.latest < self._number:
                 client.latest = self._number
@@ -253,22 +253,22 @@ class Page(BaseRenderCanvas):  # type: ignore[misc]  # rendercanvas has no types
         if self._still is not None:
             self._still.cancel()
         self._frame = np.asarray(data)
-        self._encode(_QUALITY)
+        self._encode(_JPEG_QUALITY)
 
     def _rc_set_logical_size(self, width: float, height: float) -> None:
         self._size = (width, height)
         if self._clients:  # their script says what became of it
-            self._tell("css_width", f"{width}px")
-            self._tell("css_height", f"{height}px")
+            self._send_message("css_width", f"{width}px")
+            self._send_message("css_height", f"{height}px")
         else:
             self._size_info.set_physical_size(round(width), round(height), 1.0)
 
     def _rc_set_title(self, title: str) -> None:
         self._title = title
-        self._tell("title", title)
+        self._send_message("title", title)
 
     def _rc_set_cursor(self, cursor: str) -> None:
-        self._tell("cursor", cursor)
+        self._send_message("cursor", cursor)
 
     def _rc_close(self) -> None:
         if self._is_closed:

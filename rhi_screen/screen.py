@@ -10,14 +10,14 @@ from weakref import WeakSet
 
 import rhi
 from rhi.errors import refuse
-from rhi_screen.canvases import Canvas, find_default, find_loop, open_canvas
+from rhi_screen.canvases import Canvas, choose_default_canvas, get_loop, open_canvas
 from rhi_screen.rules import SCREEN_ERRORS, SCREEN_IMAGE, SCREEN_WINDOW
 from rhi_screen.statistics import FrameCounter
 from rhi_screen.surfaces import can_show_on_surface, open_surface
 from rhi_screen.targets import ScreenTargets
 from rhi_screen.video import VideoWriter
 
-SHOWN: Final = (rhi.Format.RGBA8, rhi.Format.RGBA8_SRGB)
+DISPLAY_FORMATS: Final = (rhi.Format.RGBA8, rhi.Format.RGBA8_SRGB)
 """Formats of images that every canvas shows, bit for bit."""
 
 
@@ -43,7 +43,7 @@ class Screen:
         self.canvas = canvas
         self.counter = FrameCounter()
         self._targets: WeakSet[ScreenTargets] = WeakSet()
-        self._pictures: list[Path] = []
+        self._screenshot_paths: list[Path] = []
         self._video: VideoWriter | None = None
         open_beside = getattr(canvas, "open_device", None)
         self._owned = isinstance(device, str)
@@ -93,13 +93,13 @@ class Screen:
         samples: int = 1,
     ) -> ScreenTargets:
         """Return render targets that always have the screen's size (`ScreenTargets`); they are destroyed with it."""
-        made = ScreenTargets(self, color, depth, samples)
-        self._targets.add(made)
-        return made
+        screen_targets = ScreenTargets(self, color, depth, samples)
+        self._targets.add(screen_targets)
+        return screen_targets
 
     def screenshot(self, path: str | Path) -> None:
         """Write the next image that is shown to a file (`rhi.Texture.save`), and request a draw."""
-        self._pictures.append(Path(path))
+        self._screenshot_paths.append(Path(path))
         self.canvas.request_draw()
 
     def record(self, path: str | Path, fps: float = 30.0) -> VideoWriter:
@@ -131,12 +131,12 @@ class Screen:
             ValidationError: `screen-image` if the image isn't a plain 2D texture of `RGBA8` or `RGBA8_SRGB`;
                 what `Device.present` refuses.
         """
-        if image.format not in SHOWN or image.kind is not rhi.TextureKind.D2 or image.samples > 1:
-            allowed = " or ".join(format.name for format in SHOWN)
+        if image.format not in DISPLAY_FORMATS or image.kind is not rhi.TextureKind.D2 or image.samples > 1:
+            allowed = " or ".join(format.name for format in DISPLAY_FORMATS)
             refuse(SCREEN_IMAGE, "screen.show", repr(image), f"2D, one sample, {allowed}")
         self.counter.add(perf_counter(), process_time())
-        pictures, self._pictures = self._pictures, []
-        for path in pictures:
+        paths, self._screenshot_paths = self._screenshot_paths, []
+        for path in paths:
             image.save(path)
         if self._video is not None and not self._video.is_closed:
             self._video.add(image)
@@ -168,7 +168,7 @@ class Screen:
         """
         if on_error not in ("raise", "log"):
             refuse(SCREEN_ERRORS, "screen.run(on_error=...)", repr(on_error), '"raise" or "log"')
-        loop = find_loop(self.canvas)
+        loop = get_loop(self.canvas)
         errors: list[Exception] = []
         running = True
 
@@ -240,9 +240,11 @@ def open_screen(
     Raises:
         DeviceError: `screen-missing`, `screen-display`, `screen-driver` or `device-driver`, with what to install.
     """
-    kind = canvas or find_default()
-    chosen = {"opengl": False} if device == "wgpu" and kind == "window" else {}
-    opened = open_canvas(kind, title=title, size=size, update_mode=update_mode, max_fps=max_fps, vsync=vsync, **chosen)
+    kind = canvas or choose_default_canvas()
+    window_options = {"opengl": False} if device == "wgpu" and kind == "window" else {}
+    opened = open_canvas(
+        kind, title=title, size=size, update_mode=update_mode, max_fps=max_fps, vsync=vsync, **window_options
+    )
     try:
         return Screen(opened, device, **options)
     except BaseException:

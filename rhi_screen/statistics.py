@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
-_MOST: Final = 1000
+_MAX_FRAMES: Final = 1000
 
 
 class FrameCounter:
@@ -17,8 +17,8 @@ class FrameCounter:
 
     def __init__(self) -> None:
         self.frames = 0
-        self._times: deque[float] = deque(maxlen=_MOST)
-        self._processor: deque[float] = deque(maxlen=_MOST)
+        self._times: deque[float] = deque(maxlen=_MAX_FRAMES)
+        self._processor: deque[float] = deque(maxlen=_MAX_FRAMES)
 
     def add(self, time: float, processor: float = 0.0) -> None:
         """Count a frame that begins at a time, and the seconds that processors have worked until then; frames of more

@@ -19,7 +19,7 @@ from rhi import Device, Format, RenderPass, Texture
 
 
 class ResizableScreen(Protocol):
-    """What has a device, and a size that may change: a screen."""
+    """A screen as targets see it: a device, and a size that may change."""
 
     @property
     def device(self) -> Device:

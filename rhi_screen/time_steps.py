@@ -22,10 +22,10 @@ class FixedSteps:
         part: the part of a step, from 0 to 1, that has passed since the last one.
     """
 
-    def __init__(self, rate: float = 60.0, most: int = 8) -> None:
+    def __init__(self, rate: float = 60.0, max_steps: int = 8) -> None:
         """`rate`: steps a second."""
         self.seconds = 1.0 / rate
-        self.most = most
+        self.max_steps = max_steps
         self.part = 0.0
         self._time: float | None = None
 
@@ -41,4 +41,4 @@ class FixedSteps:
         passed = self.part + seconds / self.seconds
         count = int(passed + 1e-9)  # 0.1 ten times is a second
         self.part = max(passed - count, 0.0)
-        return range(min(count, self.most))
+        return range(min(count, self.max_steps))

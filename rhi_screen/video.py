@@ -64,9 +64,9 @@ class VideoWriter:
         if self._stream is None and min(width, height) > 0:
             self._stream = self._file.add_stream(self._file.default_video_codec, rate=self._rate)
             self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, "yuv420p"
-        wanted = (self._stream.width, self._stream.height) if self._stream is not None else "at least 2×2"
-        if (width, height) != wanted:
-            refuse(VIDEO_SIZE, "VideoWriter.add", f"{texels.shape[1]}×{texels.shape[0]}", str(wanted))
+        expected = (self._stream.width, self._stream.height) if self._stream is not None else "at least 2×2"
+        if (width, height) != expected:
+            refuse(VIDEO_SIZE, "VideoWriter.add", f"{texels.shape[1]}×{texels.shape[0]}", str(expected))
         colors = np.ascontiguousarray(texels[:height, :width, :3])
         for packet in self._stream.encode(self._library.VideoFrame.from_ndarray(colors, format="rgb24")):
             self._file.mux(packet)

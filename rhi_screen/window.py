@@ -1,7 +1,7 @@
 """A canvas of rendercanvas in a window of GLFW, with an OpenGL context of its own, or with none.
 
-- rendercanvas's own GLFW canvas shows pictures through wgpu. With a context, this one needs OpenGL only, and a `gl`
-  device beside it shows pictures without a copy through the CPU. Without one, a `wgpu` device does so.
+- rendercanvas's own GLFW canvas shows images through wgpu. With a context, this one needs OpenGL only, and a `gl`
+  device beside it shows images without a copy through the CPU. Without one, a `wgpu` device does so.
 - What a frame costs here: a blit to the back buffer and a swap. Bitmaps are uploaded to one texture, once, and shown in
   the same way.
 - The size is asked for at each tick, right before the draw, so a frame is drawn in the size that the window has then.
@@ -52,7 +52,7 @@ class WindowFrames(BaseContext):  # type: ignore[misc]  # rendercanvas has no ty
         self._drawn = False
 
     def show_frame(self) -> None:
-        """Note that a picture is in the back buffer."""
+        """Note that an image is in the back buffer."""
         self._drawn = True
 
     def _rc_present(self, *, force_sync: bool = False) -> dict[str, str]:
@@ -89,7 +89,7 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
         self._uploads: rhi.Device | None = None
         self._bitmap: rhi.Texture | None = None
         self._cursor: Any = None
-        self._place = (0, 0, 64, 64)
+        self._windowed_bounds = (0, 0, 64, 64)
         self._opengl = opengl
         window = _open_window(opengl)
         try:
@@ -98,7 +98,7 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
             glfw.destroy_window(window)
             raise
         self._window = window
-        self._input = WindowInput(window, self.submit_event, self._find_pixel)
+        self._input = WindowInput(window, self.submit_event, self._measure_pixel)
         for listen in (
             glfw.set_framebuffer_size_callback,
             glfw.set_window_content_scale_callback,
@@ -131,13 +131,13 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
         if self._window is None or full == self.is_full_screen:
             return
         if full:
-            self._place = (*glfw.get_window_pos(self._window), *glfw.get_window_size(self._window))
+            self._windowed_bounds = (*glfw.get_window_pos(self._window), *glfw.get_window_size(self._window))
             monitor = glfw.get_primary_monitor()
             mode = glfw.get_video_mode(monitor)
             glfw.set_window_monitor(self._window, monitor, 0, 0, *mode.size, mode.refresh_rate)
         else:
             windowed: Any = None
-            glfw.set_window_monitor(self._window, windowed, *self._place, glfw.DONT_CARE)
+            glfw.set_window_monitor(self._window, windowed, *self._windowed_bounds, glfw.DONT_CARE)
         self._on_change()
 
     # -- sizes ---------------------------------------------------------------------------------------------
@@ -150,7 +150,7 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
             self._size_info.set_physical_size(*size, ratio)
             self.request_draw()
 
-    def _find_pixel(self) -> float:
+    def _measure_pixel(self) -> float:
         """Return how many logical pixels a unit of the window's coordinates is: some systems count them, others
         physical ones."""
         units = max(glfw.get_window_size(self._window)[0], 1)
@@ -207,7 +207,7 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
 
     def _rc_set_logical_size(self, width: float, height: float) -> None:
         if self._window is not None:
-            units = [round(each / self._find_pixel()) for each in (width, height)]
+            units = [round(each / self._measure_pixel()) for each in (width, height)]
             glfw.set_window_size(self._window, *(max(each, 1) for each in units))
             self._measure()
 
@@ -232,11 +232,11 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
             return
         hidden = cursor == "none"
         glfw.set_input_mode(self._window, glfw.CURSOR, glfw.CURSOR_HIDDEN if hidden else glfw.CURSOR_NORMAL)
-        made: Any = glfw.create_standard_cursor(CURSORS[cursor]) if cursor in CURSORS else None
-        glfw.set_cursor(self._window, made)
+        created: Any = glfw.create_standard_cursor(CURSORS[cursor]) if cursor in CURSORS else None
+        glfw.set_cursor(self._window, created)
         if self._cursor is not None:
             glfw.destroy_cursor(self._cursor)
-        self._cursor = made
+        self._cursor = created
 
 
 def _open_window(opengl: bool) -> Any:
@@ -244,10 +244,10 @@ def _open_window(opengl: bool) -> Any:
 
     EGL first: a process that has used EGL on a thread, as devices without a window do, can't use GLX there.
     """
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as messages:
         warnings.simplefilter("always")  # GLFW's errors
         if not glfw.init():
-            raise _unavailable(SCREEN_DISPLAY, told)
+            raise _unavailable(SCREEN_DISPLAY, messages)
         for interface in (glfw.EGL_CONTEXT_API, glfw.NATIVE_CONTEXT_API) if opengl else (None,):
             glfw.default_window_hints()
             glfw.window_hint(glfw.VISIBLE, False)
@@ -260,9 +260,9 @@ def _open_window(opengl: bool) -> Any:
             window = glfw.create_window(64, 64, "rhi", None, None)
             if window:
                 return window
-        raise _unavailable(SCREEN_DRIVER, told)
+        raise _unavailable(SCREEN_DRIVER, messages)
 
 
-def _unavailable(rule: Rule, told: list[warnings.WarningMessage]) -> DeviceError:
-    reasons = dict.fromkeys(str(each.message).strip() for each in told)
+def _unavailable(rule: Rule, message: list[warnings.WarningMessage]) -> DeviceError:
+    reasons = dict.fromkeys(str(each.message).strip() for each in message)
     return DeviceError(rule, _CALL, "; ".join(reasons))

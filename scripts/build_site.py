@@ -24,7 +24,7 @@ MODULES: Final = (
 )  # fmt: skip
 """The modules that users and ports import."""
 
-FRONT: Final = {
+EXTRA_PAGES: Final = {
     "README.md": "index.md",
     "CHANGELOG.md": "changelog.md",
     "CONTRIBUTING.md": "contributing.md",
@@ -39,25 +39,25 @@ _HARMLESS: Final = ("Build started", "No issues found", "Build finished")
 def collect_pages(folder: Path) -> None:
     """Write the pages of the site to a folder, with the files that they link."""
     shutil.copytree(ROOT / "docs", folder)
-    for page in (*(ROOT / "docs").glob("*.md"), *(ROOT / name for name in FRONT)):
+    for page in (*(ROOT / "docs").glob("*.md"), *(ROOT / name for name in EXTRA_PAGES)):
 
         def lead(link: re.Match[str], home: Path = page.parent) -> str:
-            return f"]({_find_target((home / link[1]).resolve(), folder)}"
+            return f"]({_site_link((home / link[1]).resolve(), folder)}"
 
-        name = FRONT.get(page.relative_to(ROOT).as_posix(), page.name)
+        name = EXTRA_PAGES.get(page.relative_to(ROOT).as_posix(), page.name)
         (folder / name).write_text(LINK.sub(lead, page.read_text(encoding="utf-8")), encoding="utf-8")
     (folder / "reference").mkdir()
     for module in MODULES:
         (folder / "reference" / f"{module}.md").write_text(f"# {module}\n\n::: {module}\n", encoding="utf-8")
 
 
-def _find_target(target: Path, folder: Path) -> str:
+def _site_link(target: Path, folder: Path) -> str:
     """Return the link of the site's pages to a file of the project, which is copied there if it is no page."""
     if target.is_relative_to(ROOT / "docs"):
         return target.relative_to(ROOT / "docs").as_posix()
     name = (target / "README.md" if target.is_dir() else target).relative_to(ROOT).as_posix()
-    if name in FRONT:
-        return FRONT[name]
+    if name in EXTRA_PAGES:
+        return EXTRA_PAGES[name]
     copied = folder / "files" / f"{name}.txt"  # which browsers show
     copied.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(ROOT / name, copied)

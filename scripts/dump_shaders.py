@@ -49,10 +49,10 @@ from rhi.shading import Shader, Struct, compile_shader  # noqa: E402
 from rhi.shading.language.function import NATIVE, ShadingFunction  # noqa: E402
 from rhi.shading.language.source import MISSING, source_of  # noqa: E402
 
-RECORD: Final = ROOT / "tests" / "shader_texts.txt"
+RECORDED_TEXTS: Final = ROOT / "tests" / "shader_texts.txt"
 _GRAPHICS: Final = ("glsl", "vulkan", "wgsl", "opencl16")
 _COMPUTE: Final = (*_GRAPHICS, "opencl1", "numpy")
-_SCENE: Final = "hall:columns=4,rows=2,flags=2,fountains=2,cloths=1,lights=16,shadows=1,fog=0.02,glow=0.1"
+_SCENE: Final = "hall:columns=4,rows=2,flags=2,fountains=2,cloths=1,lights=16,shadows=1,fog=0.02,bloom=0.1"
 _DIGITS: Final = 8
 
 
@@ -83,7 +83,7 @@ def draw_frames() -> None:
     from renderer.scene import Depth
     from renderer.techniques import TECHNIQUES
     from renderer.visibility import FrustumCulling
-    from renderer.visibility.gpu.farthest_depth import of_direction
+    from renderer.visibility.gpu.farthest_depth import depth_variant
 
     scene = load_scene(_SCENE)
     camera = next(iter(scene.paths.values())).camera(0)
@@ -92,29 +92,29 @@ def draw_frames() -> None:
             culling = FrustumCulling(scene)
             with Renderer(device, scene, technique=technique(), size=(64, 36), visibility=culling) as renderer:
                 renderer.render(camera)
-    for shader in list(find_shaders().values()):
+    for shader in list(collect_shaders().values()):
         is_whole = hasattr(shader, "compute") or hasattr(shader, "fragment")
         if is_whole and hasattr(shader, "is_reversed") and shader.__module__.startswith("renderer.visibility"):
-            of_direction(shader, Depth.STANDARD)
+            depth_variant(shader, Depth.STANDARD)
 
 
-def find_shaders() -> dict[str, type[Shader]]:
+def collect_shaders() -> dict[str, type[Shader]]:
     """Return the shaders that exist by name; those of one name also have their bases and numbers in it."""
-    found: dict[type[Shader], None] = {}
+    shaders: dict[type[Shader], None] = {}
     left = [Shader]
     while left:
         subclasses = left.pop().__subclasses__()
-        found |= dict.fromkeys(subclasses)
+        shaders |= dict.fromkeys(subclasses)
         left += subclasses
-    count = Counter(map(_name, found))
+    count = Counter(map(_name, shaders))
     names: dict[str, type[Shader]] = {}
-    for shader in found:
+    for shader in shaders:
         name = _name(shader)
         if count[name] > 1:
             bases = ",".join(base.__qualname__ for base in shader.__bases__)
             numbers = ",".join(f"{key}={value}" for key, value in sorted(_numbers(shader).items()))
             name = f"{name}({bases}|{numbers})".replace(" ", "")
-        number = sum(known.partition("#")[0] == name for known in names)
+        number = sum(other_name.partition("#")[0] == name for other_name in names)
         names[f"{name}#{number + 1}" if number else name] = shader
     return dict(sorted(names.items()))
 
@@ -141,8 +141,8 @@ def texts_of(shader: type[Shader], origins: bool) -> dict[str, str]:
         program = compile_shader(shader)
     except ShaderError as error:
         return {"refused": _refusal(error, origins)}
-    known = [field.name for field in fields(ProgramDescriptor) if field.name != "emit"]
-    texts = {"interface": "\n".join(f"{name}: {_ordered(getattr(program, name))}" for name in known)}
+    names = [field.name for field in fields(ProgramDescriptor) if field.name != "emit"]
+    texts = {"interface": "\n".join(f"{name}: {_ordered(getattr(program, name))}" for name in names)}
     for stage in sorted(program.stages, key=lambda stage: stage.value):
         for language in _COMPUTE if stage is Stage.COMPUTE else _GRAPHICS:
             try:
@@ -164,8 +164,8 @@ def _ordered(value: object) -> str:
 
 
 def _refusal(error: ShaderError, origins: bool) -> str:
-    told = str(error) if origins else "\n".join([error.rule.id, error.given, error.allowed, error.tip])
-    return _local(told)
+    text = str(error) if origins else "\n".join([error.rule.id, error.given, error.allowed, error.tip])
+    return _local(text)
 
 
 def _local(text: str) -> str:
@@ -175,10 +175,10 @@ def _local(text: str) -> str:
 # -- what shaders say --------------------------------------------------------------------------------------
 
 
-def said_by(shader: type[Shader]) -> str:
+def definition_of(shader: type[Shader]) -> str:
     """Return what a shader says in Python: all that its texts may depend on but for the language."""
-    said = [f"{name} = {value!r}" for name, value in _numbers(shader).items()]
-    said += [str(declaration) for declaration in shader._declared.values()]
+    definition = [f"{name} = {value!r}" for name, value in _numbers(shader).items()]
+    definition += [str(declaration) for declaration in shader._declared.values()]
     members = [
         getattr(member, "__func__", member)
         for base in shader.__mro__
@@ -191,13 +191,13 @@ def said_by(shader: type[Shader]) -> str:
         function = left.pop()
         if function not in done:
             done.add(function)
-            said += [f"{function.__qualname__}{function.__defaults__}{getattr(function, NATIVE, '')}"]
+            definition += [f"{function.__qualname__}{function.__defaults__}{getattr(function, NATIVE, '')}"]
             for value in _named_by(function):
                 if isinstance(value, ShadingFunction):
                     left.append(value.python)
                 else:
-                    said.append(str(value))
-    return "\n".join(said)
+                    definition.append(str(value))
+    return "\n".join(definition)
 
 
 def _named_by(function: FunctionType) -> Iterator[Any]:
@@ -230,8 +230,8 @@ def _named_by(function: FunctionType) -> Iterator[Any]:
 def dump(origins: bool = False) -> dict[str, dict[str, str]]:
     """Return the hashes of each shader: of what it "said", and of each of its texts."""
     hashes = {}
-    for name, shader in find_shaders().items():
-        texts = {"said": said_by(shader), **texts_of(shader, origins)}
+    for name, shader in collect_shaders().items():
+        texts = {"definition": definition_of(shader), **texts_of(shader, origins)}
         hashes[name] = {key: hashlib.sha256(text.encode()).hexdigest()[:_DIGITS] for key, text in texts.items()}
     return hashes
 
@@ -240,8 +240,8 @@ def write_dump(hashes: Mapping[str, Mapping[str, str]]) -> str:
     """Return a dump as text."""
     lines = []
     for name, row in hashes.items():
-        texts = "  ".join(f"{key}:{value}" for key, value in row.items() if key != "said")
-        lines.append(f"{name}  {row['said']}  {texts}\n")
+        texts = "  ".join(f"{key}:{value}" for key, value in row.items() if key != "definition")
+        lines.append(f"{name}  {row['definition']}  {texts}\n")
     return "".join(lines)
 
 
@@ -249,8 +249,8 @@ def read_dump(text: str) -> dict[str, dict[str, str]]:
     """Return the hashes that `write_dump` has written."""
     hashes = {}
     for line in text.splitlines():
-        name, said, *texts = line.split("  ")
-        hashes[name] = {"said": said, **dict(entry.split(":") for entry in texts)}
+        name, definition, *texts = line.split("  ")
+        hashes[name] = {"definition": definition, **dict(entry.split(":") for entry in texts)}
     return hashes
 
 
@@ -264,7 +264,7 @@ def compare(
     differ, compared = [], 0
     for name in sorted({*before, *now}):
         old, new = before.get(name, {}), now.get(name, {})
-        if not everything and old.get("said") != new.get("said"):
+        if not everything and old.get("definition") != new.get("definition"):
             continue
         for key in dict.fromkeys((*old, *new)):
             compared += 1
@@ -282,7 +282,7 @@ def check_wgsl() -> int:
     features = sorted(name for name in adapter.features if name != "pipeline-cache")
     naga = adapter.request_device_sync(required_features=features, required_limits=dict(adapter.limits))
     count: Counter[str] = Counter()
-    for name, shader in find_shaders().items():
+    for name, shader in collect_shaders().items():
         try:
             program = compile_shader(shader)
         except ShaderError:
@@ -316,7 +316,7 @@ def main() -> int:
     if arguments.naga:
         return check_wgsl()
     if arguments.show is not None:
-        for name, shader in find_shaders().items():
+        for name, shader in collect_shaders().items():
             if name.endswith(arguments.show):
                 for key, text in texts_of(shader, arguments.origins).items():
                     print(f"==== {name} {key}\n{text}")

@@ -20,7 +20,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from screens_kit import Display, open_display
 
-from rhi.backends.cl.pocl.cache import settle_folder
+from rhi.backends.cl.pocl.kernel_cache import settle_folder
 from rhi.contract import trust
 
 settings.register_profile(
@@ -55,10 +55,10 @@ def pytest_itemcollected(item: pytest.Item) -> None:
     test = getattr(item, "obj", None)
     if getattr(test, "is_hypothesis_test", False) and settings.get_current_profile_name() == "nightly":
         test = getattr(test, "__func__", test)
-        if not hasattr(test, "said"):  # a function is shared by its parametrisations
-            test.said = test._hypothesis_internal_use_settings
-            more = NIGHTLY_FACTOR * test.said.max_examples
-            test._hypothesis_internal_use_settings = settings(test.said, max_examples=more, derandomize=False)
+        if not hasattr(test, "own_settings"):  # a function is shared by its parametrisations
+            test.own_settings = test._hypothesis_internal_use_settings
+            more = NIGHTLY_FACTOR * test.own_settings.max_examples
+            test._hypothesis_internal_use_settings = settings(test.own_settings, max_examples=more, derandomize=False)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -78,11 +78,11 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def kept_aside(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def isolated_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """What tests keep isn't among what the user's programs have kept."""
     folder = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trust, "find_folder", lambda name: Path(os.environ.get(trust.FOLDER) or folder) / name)
+        patch.setattr(trust, "cache_folder", lambda name: Path(os.environ.get(trust.FOLDER) or folder) / name)
         yield
 
 
@@ -94,9 +94,9 @@ def mypy_strict(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple
     those that wait for its lock too long fail.
     """
     pytest.importorskip("mypy")
-    cache, known = tmp_path_factory.mktemp("mypy"), Path(__file__).parents[1] / ".mypy_cache"
-    if known.is_dir():
-        shutil.copytree(known, cache, dirs_exist_ok=True)
+    cache, previous_cache = tmp_path_factory.mktemp("mypy"), Path(__file__).parents[1] / ".mypy_cache"
+    if previous_cache.is_dir():
+        shutil.copytree(previous_cache, cache, dirs_exist_ok=True)
 
     def run(*arguments: object) -> tuple[str, int]:
         options = ["--strict", "--no-error-summary", "--cache-dir", str(cache)]

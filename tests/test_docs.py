@@ -52,12 +52,12 @@ def test_links_between_pages_lead_somewhere(page: Path) -> None:
             assert (page.parent / target).exists(), target
 
 
-def test_pictures_are_shown_and_compressed() -> None:
+def test_frames_are_shown_and_compressed() -> None:
     pages = "".join(page.read_text() for page in PAGES)
-    pictures = {picture: picture.stat().st_size for picture in (ROOT / "docs" / "images").rglob("*.*")}
-    assert [str(picture) for picture in pictures if picture.name not in pages] == []
-    assert [str(picture) for picture, size in pictures.items() if size > 450_000] == []
-    assert sum(pictures.values()) < 4_500_000, "as WebP, without loss where edges are coloured, they take half of it"
+    sizes = {path: path.stat().st_size for path in (ROOT / "docs" / "images").rglob("*.*")}
+    assert [str(path) for path in sizes if path.name not in pages] == []
+    assert [str(path) for path, size in sizes.items() if size > 450_000] == []
+    assert sum(sizes.values()) < 4_500_000, "as WebP, without loss where edges are coloured, they take half of it"
 
 
 def test_the_examples_of_the_readme_pass_mypy_strict(

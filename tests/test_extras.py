@@ -1,4 +1,4 @@
-"""Each extra in a clean environment of its own, from a wheel: its programs run, and the page shows its picture."""
+"""Each extra in a clean environment of its own, from a wheel: its programs run, and the page shows its image."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser_kit import PATIENCE, wait_for
+from browser_kit import TIMEOUT, wait_for
 from browser_kit import browser as browser
 from PIL import Image
 
@@ -108,27 +108,27 @@ def test_the_page_of_an_installed_viewer_is_its_users_only(browser: Any, wheel: 
     threading.Thread(target=attacker.serve_forever, daemon=True).start()
     try:
         assert viewer.stderr is not None
-        address = next(found[0] for line in viewer.stderr if (found := re.search(r"http\S+", line)))
+        address = next(match[0] for line in viewer.stderr if (match := re.search(r"http\S+", line)))
         for victim in (address, address.rsplit("/", 2)[0] + "/"):
             browser.get(f"http://127.0.0.1:{attacker.server_port}/?url={victim}")
             assert wait_for(lambda: browser.title in ("in", "out") and browser.title, "the attack") == "out"
         browser.get(address)
-        picture = browser.find_element("css selector", "img")
-        wait_for(lambda: browser.execute_script("return arguments[0].naturalWidth", picture) == 480, "a picture")
-        assert (picture.size["width"], picture.size["height"]) == (480, 270)
+        element = browser.find_element("css selector", "img")
+        wait_for(lambda: browser.execute_script("return arguments[0].naturalWidth", element) == 480, "an image")
+        assert (element.size["width"], element.size["height"]) == (480, 270)
         wait_for(lambda: browser.title.startswith("hall") and "?" not in browser.title, "the title with its rate")
 
         def look() -> Any:
-            with Image.open(io.BytesIO(picture.screenshot_as_png)) as image:
+            with Image.open(io.BytesIO(element.screenshot_as_png)) as image:
                 return np.array(image.convert("RGB"))[50:]
 
         wait_for(lambda: len(np.unique(look().reshape(-1, 3), axis=0)) > 500, "the hall")
         before = look()
-        ActionChains(browser).move_to_element(picture).click_and_hold().move_by_offset(120, 0).release().perform()
-        wait_for(lambda: (look() != before).mean() > 0.1, "another picture")
-        chain = ActionChains(browser).move_to_element(picture).click().pause(0.5)
+        ActionChains(browser).move_to_element(element).click_and_hold().move_by_offset(120, 0).release().perform()
+        wait_for(lambda: (look() != before).mean() > 0.1, "another image")
+        chain = ActionChains(browser).move_to_element(element).click().pause(0.5)
         chain.send_keys(Keys.F2).pause(0.5).send_keys("quit").send_keys(Keys.ENTER).perform()
-        assert viewer.wait(PATIENCE) == 0
+        assert viewer.wait(TIMEOUT) == 0
     finally:
         viewer.kill()
         viewer.communicate()

@@ -103,11 +103,14 @@ def test_the_checks_before_a_commit_are_those_of_the_test_command() -> None:
         assert " ".join(words[:2]) in tested
 
 
-def test_editors_wrap_lines_where_ruff_does() -> None:
+def test_editors_wrap_lines_where_the_formatters_do() -> None:
     text = (ROOT / ".editorconfig").read_text()
     length = PROJECT["tool"]["ruff"]["line-length"]
-    for files in ("*.{py,pyi,cl}", "*.md"):
+    for files in ("*.{py,pyi}", "*.md"):
         assert f"[{files}]\nmax_line_length = {length}\n" in text
+    opencl_length = re.search(r"^ColumnLimit: (\d+)$", (ROOT / ".clang-format").read_text(), re.MULTILINE)
+    assert opencl_length is not None
+    assert f"[*.cl]\nmax_line_length = {opencl_length[1]}\n" in text
 
 
 # -- versions and metadata -----------------------------------------------------------------------------------------
@@ -124,7 +127,7 @@ def test_the_changelog_has_the_version_and_falling_dates() -> None:
     assert not (ROOT / "docs/changes.md").exists(), "entries belong in CHANGELOG.md"
 
 
-def test_a_package_index_finds_the_files_and_pictures_of_the_readme() -> None:
+def test_a_package_index_finds_the_files_and_images_of_the_readme() -> None:
     sys.path.insert(0, str(ROOT))
     try:
         from setup import link_absolutely

@@ -26,15 +26,15 @@ def public_objects() -> Iterator[tuple[str, object]]:
     for module in MODULES:
         imported = importlib.import_module(module)
         for name in getattr(imported, "__all__", ()):
-            found = getattr(imported, name)
-            if inspect.isclass(found) and found.__module__.startswith("rhi."):
-                yield f"{module}.{name}", found
-                for member, value in vars(found).items():
+            entry = getattr(imported, name)
+            if inspect.isclass(entry) and entry.__module__.startswith("rhi."):
+                yield f"{module}.{name}", entry
+                for member, value in vars(entry).items():
                     function = value.fget if isinstance(value, property) else getattr(value, "__func__", value)
                     if not member.startswith("_") and inspect.isfunction(function):
                         yield f"{module}.{name}.{member}", function
-            elif inspect.isfunction(found):
-                yield f"{module}.{name}", found
+            elif inspect.isfunction(entry):
+                yield f"{module}.{name}", entry
 
 
 OBJECTS = dict(public_objects())
@@ -47,13 +47,13 @@ def test_there_is_something_to_document() -> None:
 
 def test_every_public_name_has_a_docstring_of_its_own() -> None:
     """The methods of the contract are documented in `Backend`, not again in each implementation."""
-    missing = [name for name, found in OBJECTS.items() if not (found.__doc__ or "").strip()]
+    missing = [name for name, entry in OBJECTS.items() if not (entry.__doc__ or "").strip()]
     assert [name for name in missing if name.rpartition(".")[2] not in vars(rhi.Backend)] == []
     assert all(getattr(rhi.Backend, name).__doc__ for name in vars(rhi.Backend) if not name.startswith("_"))
 
 
-def sections(found: object) -> dict[str, str]:
-    return dict(SECTION.findall(inspect.cleandoc(found.__doc__ or "") + "\n"))
+def sections(text: object) -> dict[str, str]:
+    return dict(SECTION.findall(inspect.cleandoc(text.__doc__ or "") + "\n"))
 
 
 def documented_parameters(text: str) -> list[str]:
@@ -63,20 +63,22 @@ def documented_parameters(text: str) -> list[str]:
 
 def test_documented_parameters_exist() -> None:
     wrong = []
-    for name, found in OBJECTS.items():
-        if inspect.isfunction(found) and "Args" in sections(found):
-            known = set(inspect.signature(found).parameters)
-            wrong += [f"{name}: {each}" for each in documented_parameters(sections(found)["Args"]) if each not in known]
+    for name, entry in OBJECTS.items():
+        if inspect.isfunction(entry) and "Args" in sections(entry):
+            parameters = set(inspect.signature(entry).parameters)
+            wrong += [
+                f"{name}: {each}" for each in documented_parameters(sections(entry)["Args"]) if each not in parameters
+            ]
     assert wrong == []
 
 
 def test_rules_that_docstrings_name_exist() -> None:
-    known = {rule.id for rule in RULES.values()}
+    rule_ids = {rule.id for rule in RULES.values()}
     wrong, seen = [], 0
-    for name, found in OBJECTS.items():
-        for rule in RULE.findall(sections(found).get("Raises", "")):
+    for name, entry in OBJECTS.items():
+        for rule in RULE.findall(sections(entry).get("Raises", "")):
             seen += 1
-            if rule not in known and not any(each.startswith(rule) for each in known):
+            if rule not in rule_ids and not any(each.startswith(rule) for each in rule_ids):
                 wrong.append(f"{name}: {rule}")
     assert wrong == []
     assert seen >= 50

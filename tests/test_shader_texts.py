@@ -14,11 +14,11 @@ from rhi.shading import Shader, Storage, StorageRW, function, global_id
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "scripts"))
 
-from dump_shaders import RECORD, compare, read_dump, said_by, texts_of, write_dump  # noqa: E402
+from dump_shaders import RECORDED_TEXTS, compare, definition_of, read_dump, texts_of, write_dump  # noqa: E402
 
 BEFORE = {
-    "kit.Same": {"said": "aaaa", "vertex-glsl": "1111", "vertex-opencl16": "2222"},
-    "kit.Other": {"said": "bbbb", "vertex-glsl": "3333"},
+    "kit.Same": {"definition": "aaaa", "vertex-glsl": "1111", "vertex-opencl16": "2222"},
+    "kit.Other": {"definition": "bbbb", "vertex-glsl": "3333"},
 }
 
 
@@ -33,12 +33,12 @@ def test_a_text_that_changed_though_its_shader_says_the_same_is_named() -> None:
 
 
 def test_a_language_that_a_shader_no_longer_has_is_named() -> None:
-    now = BEFORE | {"kit.Same": {"said": "aaaa", "vertex-glsl": "1111", "vertex-vulkan": "4444"}}
+    now = BEFORE | {"kit.Same": {"definition": "aaaa", "vertex-glsl": "1111", "vertex-vulkan": "4444"}}
     assert compare(BEFORE, now)[0] == ["kit.Same vertex-opencl16", "kit.Same vertex-vulkan"]
 
 
 def test_shaders_that_say_something_else_or_are_missing_are_compared_on_demand_only() -> None:
-    now = {"kit.Other": {"said": "cccc", "vertex-glsl": "5555"}}
+    now = {"kit.Other": {"definition": "cccc", "vertex-glsl": "5555"}}
     assert compare(BEFORE, now) == ([], 0)
     differ, _ = compare(BEFORE, now, everything=True)
     assert {"kit.Other vertex-glsl", "kit.Same vertex-glsl"} <= set(differ)
@@ -58,29 +58,29 @@ FACTOR = 3.0
 
 
 class Plain(Shader):
-    given: Storage[float]
-    found: StorageRW[float]
+    inputs: Storage[float]
+    outputs: StorageRW[float]
     scale = 1.0
     work_group = (64,)
 
     def compute(self) -> None:
         i = int(global_id().x)
-        self.found[i] = self.scale * doubled(self.given[i])
+        self.outputs[i] = self.scale * doubled(self.inputs[i])
 
 
-class Scaled(Plain):
+class ScalingShader(Plain):
     scale = 2.0
 
 
 class Tripled(Plain):
     def compute(self) -> None:
         i = int(global_id().x)
-        self.found[i] = self.scale * tripled(self.given[i])
+        self.outputs[i] = self.scale * tripled(self.inputs[i])
 
 
 class Refused(Plain):
     def compute(self) -> None:
-        self.found[0] = self.missing  # type: ignore[attr-defined]
+        self.outputs[0] = self.missing  # type: ignore[attr-defined]
 
 
 class Checked(Plain):
@@ -90,10 +90,13 @@ class Checked(Plain):
 def test_what_a_shader_says_includes_its_numbers_and_the_functions_and_constants_that_it_names(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    said = [said_by(shader) for shader in (Plain, Scaled, Tripled)]
-    assert len(set(said)) == 3
+    definition = [definition_of(shader) for shader in (Plain, ScalingShader, Tripled)]
+    assert len(set(definition)) == 3
     monkeypatch.setitem(globals(), "FACTOR", 4.0)
-    assert [said_by(shader) == before for shader, before in zip((Plain, Scaled, Tripled), said, strict=True)] == [
+    assert [
+        definition_of(shader) == before
+        for shader, before in zip((Plain, ScalingShader, Tripled), definition, strict=True)
+    ] == [
         True,
         True,
         False,
@@ -117,11 +120,11 @@ def test_a_text_that_names_its_file_is_the_same_wherever_the_tree_lies() -> None
 @pytest.mark.nightly
 def test_the_language_writes_the_recorded_texts() -> None:
     run = subprocess.run(
-        [sys.executable, ROOT / "scripts" / "dump_shaders.py", "--compare", RECORD],
+        [sys.executable, ROOT / "scripts" / "dump_shaders.py", "--compare", RECORDED_TEXTS],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     again = "python scripts/dump_shaders.py -o tests/shader_texts.txt"
     assert run.returncode == 0, f"these texts changed; if they are meant to, `{again}`:\n{run.stdout}\n{run.stderr}"
     (compared,) = re.findall(r"^(\d+) compared", run.stderr, re.MULTILINE)
-    recorded = sum(len(row) for row in read_dump(RECORD.read_text()).values())
+    recorded = sum(len(row) for row in read_dump(RECORDED_TEXTS.read_text()).values())
     assert int(compared) > recorded / 2, f"most shaders say something else than the record: `{again}`"

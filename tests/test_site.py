@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "scripts"))
 
-from build_site import FRONT, MODULES, build, collect_pages  # noqa: E402
+from build_site import EXTRA_PAGES, MODULES, build, collect_pages  # noqa: E402
 
 
 def test_each_page_is_in_the_navigation_once(tmp_path: Path) -> None:
@@ -22,7 +22,7 @@ def test_each_page_is_in_the_navigation_once(tmp_path: Path) -> None:
     pages = sorted(page.relative_to(tmp_path / "docs").as_posix() for page in (tmp_path / "docs").rglob("*.md"))
     navigation = (ROOT / "mkdocs.yml").read_text().partition("\nnav:\n")[2]
     assert sorted(re.findall(r"\S+\.md", navigation)) == pages
-    assert {*FRONT.values(), *(f"reference/{module}.md" for module in MODULES)} <= set(pages)
+    assert {*EXTRA_PAGES.values(), *(f"reference/{module}.md" for module in MODULES)} <= set(pages)
 
 
 def test_links_to_files_outside_of_the_pages_lead_to_copies(tmp_path: Path) -> None:
@@ -38,13 +38,13 @@ class Links(HTMLParser):
     def __init__(self, page: Path) -> None:
         super().__init__()
         self.links: list[str] = []
-        self.places: set[str] = set()
+        self.anchors: set[str] = set()
         self.feed(page.read_text())
 
     def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
-        given = dict(attributes)
-        self.places.add(given.get("id") or "")
-        link = given.get("href") if tag == "a" else given.get("src")
+        values = dict(attributes)
+        self.anchors.add(values.get("id") or "")
+        link = values.get("href") if tag == "a" else values.get("src")
         if link and not urlsplit(link).scheme and not link.startswith("//"):
             self.links.append(link)
 
@@ -53,12 +53,12 @@ def list_broken(site: Path) -> list[str]:
     """The links of a site that lead nowhere, each with its page."""
     pages = {page: Links(page) for page in site.rglob("*.html") if page.name != "404.html"}
     broken = []
-    for page, found in pages.items():
-        for link in found.links:
+    for page, links in pages.items():
+        for link in links.links:
             parts = urlsplit(link)
             target = (page.parent / unquote(parts.path)).resolve() if parts.path else page
             target = target / "index.html" if target.is_dir() else target
-            if not target.exists() or (target in pages and unquote(parts.fragment) not in {"", *pages[target].places}):
+            if not target.exists() or (target in pages and unquote(parts.fragment) not in {"", *pages[target].anchors}):
                 broken.append(f"{page.relative_to(site)}: {link}")
     return broken
 

@@ -43,11 +43,11 @@ def read_prose(path: Path) -> tuple[tuple[int, str], ...]:
         return ((1, text),)
     with path.open("rb") as file:
         tokens = tokenize.tokenize(file.readline)
-        said = (tokenize.STRING, tokenize.COMMENT)
-        return tuple((each.start[0], each.string) for each in tokens if each.type in said and "`" in each.string)
+        kinds = (tokenize.STRING, tokenize.COMMENT)
+        return tuple((each.start[0], each.string) for each in tokens if each.type in kinds and "`" in each.string)
 
 
-def find_mentions(path: Path, pattern: re.Pattern[str]) -> Iterator[tuple[int, str]]:
+def list_mentions(path: Path, pattern: re.Pattern[str]) -> Iterator[tuple[int, str]]:
     """What a file mentions in back-ticks, each with its line."""
     for start, text in read_prose(path):
         for ticked in TICKED.finditer(text):
@@ -64,18 +64,18 @@ def resolves(dotted: str) -> bool:
     for count in range(len(parts), 0, -1):
         name = ".".join(parts[:count])
         try:
-            found: object = importlib.import_module(name)
+            resolved: object = importlib.import_module(name)
         except ModuleNotFoundError as error:
             if error.name is not None and (name == error.name or name.startswith(error.name + ".")):
                 continue
             raise
         try:
             for part in parts[count:]:
-                found = getattr(found, part)
+                resolved = getattr(resolved, part)
         except AttributeError:
             # A field of a dataclass without a default, or one that only instances have.
-            owner = getattr(found, "__annotations__", {}) if isinstance(found, type) else {}
-            return part in owner or part in getattr(found, "__slots__", ())
+            owner = getattr(resolved, "__annotations__", {}) if isinstance(resolved, type) else {}
+            return part in owner or part in getattr(resolved, "__slots__", ())
         return True
     return False
 
@@ -87,10 +87,10 @@ def describe(path: Path, line: int, mention: str) -> str:
 @pytest.mark.parametrize("folder", ["pages", *FOLDERS])
 def test_every_dotted_path_in_back_ticks_resolves(folder: str) -> None:
     paths = PAGES if folder == "pages" else [path for path in PROGRAMS if path.is_relative_to(ROOT / folder)]
-    mentions = [(path, *mention) for path in paths for mention in find_mentions(path, DOTTED) if not path.match(MOVED)]
+    mentions = [(path, *mention) for path in paths for mention in list_mentions(path, DOTTED) if not path.match(MOVED)]
     importlib.import_module("rhi.backends.cl.builds")  # it makes the logger that the docs name
-    known = {dotted: resolves(dotted) for dotted in {mention for _, _, mention in mentions}}
-    assert [describe(*mention) for mention in mentions if not known[mention[2]]] == []
+    resolved = {dotted: resolves(dotted) for dotted in {mention for _, _, mention in mentions}}
+    assert [describe(*mention) for mention in mentions if not resolved[mention[2]]] == []
 
 
 def test_every_file_in_back_ticks_exists() -> None:
@@ -98,7 +98,7 @@ def test_every_file_in_back_ticks_exists() -> None:
         describe(path, line, file)
         for path in (*PAGES, *PROGRAMS)
         if not path.match(MOVED)
-        for line, file in find_mentions(path, FILE)
+        for line, file in list_mentions(path, FILE)
         if not (ROOT / file).exists()
     ]
     assert wrong == []
@@ -133,18 +133,18 @@ REPRESENTATIONS = {"Break", "Continue", "If", "Return", "Statement"}
 """Statements of both intermediate representations, always written `tree.If` and `lanes.If`."""
 
 
-def find_classes(source: str) -> Iterator[str]:
+def list_classes(source: str) -> Iterator[str]:
     """The names of the classes at the top level of a module."""
     yield from (node.name for node in ast.parse(source).body if isinstance(node, ast.ClassDef))
 
 
-def find_homonyms(sources: dict[str, str]) -> dict[str, list[str]]:
+def list_homonyms(sources: dict[str, str]) -> dict[str, list[str]]:
     """Names of classes that several modules define, with these modules. A leading underscore makes no other name."""
     modules: dict[str, list[str]] = {}
     for module, source in sources.items():
-        for name in find_classes(source):
+        for name in list_classes(source):
             modules.setdefault(name.lstrip("_"), []).append(module)
-    return {name: found for name, found in modules.items() if len(found) > 1}
+    return {name: paths for name, paths in modules.items() if len(paths) > 1}
 
 
 def test_a_class_name_means_one_thing() -> None:
@@ -154,7 +154,7 @@ def test_a_class_name_means_one_thing() -> None:
         for path in (ROOT / package).rglob("*.py")
         if not path.is_relative_to(ROOT / "rhi/conformance")
     }
-    homonyms = find_homonyms(sources)
+    homonyms = list_homonyms(sources)
     for name in ROLES:
         assert all(module.startswith("rhi/backends/") for module in homonyms.pop(name, []))
     for name in REPRESENTATIONS:
@@ -163,18 +163,18 @@ def test_a_class_name_means_one_thing() -> None:
 
 
 def test_a_homonym_is_found() -> None:
-    assert find_homonyms({"a": "class Place: ...", "b": "class _Place: ...", "c": "class Other: ..."}) == {
+    assert list_homonyms({"a": "class Place: ...", "b": "class _Place: ...", "c": "class Other: ..."}) == {
         "Place": ["a", "b"]
     }
 
 
 # -- techniques ----------------------------------------------------------------------------------------------------
 
-FLOORS = (("settings",), ("auto", "inspection", "watched"), ("table",))
+FLOORS = (("technique_settings",), ("auto", "inspection", "resource_capture"), ("table",))
 """The modules that may know techniques, and those on floors below their own."""
 
 
-def find_wrong_imports(folder: Path, leaves: set[str]) -> list[str]:
+def list_wrong_imports(folder: Path, leaves: set[str]) -> list[str]:
     """The imports between the modules of techniques that run up, or from one technique to another."""
     wrong = []
     for path in sorted(folder.rglob("*.py")):
@@ -202,7 +202,7 @@ def list_leaves() -> set[str]:
 def test_no_technique_imports_another_and_parts_import_none() -> None:
     folder = ROOT / "renderer/techniques"
     leaves = list_leaves()
-    assert find_wrong_imports(folder, leaves) == []
+    assert list_wrong_imports(folder, leaves) == []
     rest = {path.stem for path in folder.glob("*.py")} - leaves - {"__init__", "technique", *sum(FLOORS, ())}
     assert rest == set(), "a part of techniques belongs to parts/, and a technique into the table"
 
@@ -210,10 +210,12 @@ def test_no_technique_imports_another_and_parts_import_none() -> None:
 def test_a_technique_that_imports_another_is_found(tmp_path: Path) -> None:
     (tmp_path / "parts").mkdir()
     imports = {"deferred": "forward", "parts/depth": "deferred", "forward": "parts.depth", "table": "forward"}
-    for name, imported in {**imports, "auto": "settings", "watched": "auto"}.items():
+    for name, imported in {**imports, "auto": "technique_settings", "resource_capture": "auto"}.items():
         (tmp_path / f"{name}.py").write_text(f"from renderer.techniques.{imported} import Thing\n")
-    found = find_wrong_imports(tmp_path, {"deferred", "forward"})
-    assert found == ["auto.py: settings", "deferred.py: forward", "depth.py: deferred", "watched.py: auto"]
+    wrong_imports = list_wrong_imports(tmp_path, {"deferred", "forward"})
+    assert wrong_imports == [
+        "auto.py: technique_settings", "deferred.py: forward", "depth.py: deferred", "resource_capture.py: auto",
+    ]  # fmt: skip
 
 
 # -- rooms ---------------------------------------------------------------------------------------------------------
@@ -222,12 +224,12 @@ def test_a_technique_that_imports_another_is_found(tmp_path: Path) -> None:
 def count_entries(folder: str) -> int:
     """The modules and packages at the root of a package, without its own `__init__`."""
     root = ROOT / folder
-    entries = [one for one in root.iterdir() if one.suffix == ".py" or (one / "__init__.py").exists()]
+    entries = [path for path in root.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()]
     return len(entries) - 1
 
 
 @pytest.mark.parametrize(
-    ("folder", "most"), [("renderer", 19), ("renderer/techniques", 17), ("rhi/backends/cl", 12), ("renderer/lab", 12)]
+    ("folder", "most"), [("renderer", 20), ("renderer/techniques", 17), ("rhi/backends/cl", 12), ("renderer/lab", 12)]
 )
 def test_a_package_has_few_rooms(folder: str, most: int) -> None:
     assert count_entries(folder) <= most

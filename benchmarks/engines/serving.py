@@ -1,7 +1,7 @@
 """What the programs of `benchmarks/engines.py` have in common: each draws a model when it is told to.
 
 They run in environments of their own, so this imports no more than NumPy. The job is the first argument, as JSON. On
-the standard input a line `frame` asks for a frame, and `end FILE` for its picture as bytes, rows of RGB from the top;
+the standard input a line `frame` asks for a frame, and `end FILE` for its image as bytes, rows of RGB from the top;
 each is answered by a line of JSON. What engines print goes to the standard error.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 
 class Job(TypedDict):
     """What is drawn: a model's `path`, at `width` × `height` pixels, from `eye` along `ahead` (3,) with y upwards, by a
-    lens of `fov` degrees from bottom to top that sees from `near` to `far` metres, before `background` (3,), linear,
+    projection of `fov` degrees bottom to top that sees from `near` to `far` metres, before `background` (3,), linear,
     with the light `ambient` (3,), linear, from everywhere; `sun` (3,) is the hue of directional light, and `engine` the
     row's name."""
 
@@ -41,7 +41,7 @@ def serve(load: Callable[[Job], tuple[str, Callable[[], Any]]]) -> None:
     """Load, then draw as often as asked for.
 
     Args:
-        load: makes what a job needs; returns what draws, and the function that draws a frame and returns its picture
+        load: makes what a job needs; returns what draws, and the function that draws a frame and returns its image
             (h, w, 3 or more) as bytes, top row first.
     """
     answers = os.fdopen(os.dup(1), "w", buffering=1)
@@ -50,13 +50,13 @@ def serve(load: Callable[[Job], tuple[str, Callable[[], Any]]]) -> None:
     print(json.dumps({"device": device}), file=answers)
     for line in sys.stdin:
         order, _, file = line.strip().partition(" ")
-        picture = draw()
-        found: dict[str, float] = {}
+        image = draw()
+        figures: dict[str, float] = {}
         if order == "end":
-            Path(file).write_bytes(np.ascontiguousarray(picture[..., :3]).tobytes())
+            Path(file).write_bytes(np.ascontiguousarray(image[..., :3]).tobytes())
             status = Path("/proc/self/status").read_text()
-            found["memory"] = float(status.partition("VmHWM:")[2].split()[0]) / 1024.0
-        print(json.dumps(found), file=answers)
+            figures["memory"] = float(status.partition("VmHWM:")[2].split()[0]) / 1024.0
+        print(json.dumps(figures), file=answers)
 
 
 def encode(linear: list[float]) -> list[float]:

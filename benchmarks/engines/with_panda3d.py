@@ -1,4 +1,4 @@
-"""The city with Panda3D's fixed pipeline, on OpenGL or on its own software renderer: lit at vertices, by eight lamps.
+"""The city with Panda3D's fixed pipeline, on OpenGL or on its own software renderer: lit at vertices, by eight lights.
 
 The shaders of simplepbr, by which it would light pixels, end the process in llvmpipe 22.3.
 """
@@ -32,21 +32,21 @@ def load(job: Job) -> tuple[str, Callable[[], Any]]:
     ambient.setColor((*encode(job["ambient"]), 1.0))
     base.render.setLight(base.render.attachNewNode(ambient))
     base.setBackgroundColor(*encode(job["background"]))
-    lens = PerspectiveLens()
-    lens.setAspectRatio(job["width"] / job["height"])
-    lens.setMinFov(job["fov"])
-    lens.setNearFar(job["near"], job["far"])
-    base.cam.node().setLens(lens)
+    projection = PerspectiveLens()
+    projection.setAspectRatio(job["width"] / job["height"])
+    projection.setMinFov(job["fov"])
+    projection.setNearFar(job["near"], job["far"])
+    base.cam.node().setLens(projection)
     (x, y, z), (u, v, w) = job["eye"], job["ahead"]
     base.camera.setPos(x, -z, y)  # z is upwards
     base.camera.lookAt(x + u, -z - w, y + v)
-    picture = Texture()
-    base.win.addRenderTexture(picture, GraphicsOutput.RTMCopyRam)
+    texture = Texture()
+    base.win.addRenderTexture(texture, GraphicsOutput.RTMCopyRam)
 
     def draw() -> Any:
         base.taskMgr.step()
-        held = np.frombuffer(picture.getRamImageAs("RGB"), np.uint8)
-        return held.reshape(job["height"], job["width"], 3)[::-1]
+        texels = np.frombuffer(texture.getRamImageAs("RGB"), np.uint8)
+        return texels.reshape(job["height"], job["width"], 3)[::-1]
 
     return base.win.getGsg().getDriverRenderer() or "its own rasteriser", draw
 

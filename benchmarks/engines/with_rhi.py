@@ -21,8 +21,8 @@ def load(job: Job) -> tuple[str, Callable[[], Any]]:
     scene = load_scene(job["path"])
     renderer = Renderer(device, scene, technique=AutoTechnique(scene, device), size=size)
     eye = np.array(job["eye"])
-    lens = Perspective(np.radians(job["fov"]), size[0] / size[1], job["near"])
-    camera = Camera.look_at(eye, eye + job["ahead"], projection=lens)
+    perspective = Perspective(np.radians(job["fov"]), size[0] / size[1], job["near"])
+    camera = Camera.look_at(eye, eye + job["ahead"], projection=perspective)
     return device.capabilities.device, lambda: renderer.render(camera).image.read()
 
 

@@ -1,4 +1,4 @@
-"""Many pictures without a window, on all cores, and their tests: each process has a device of its own.
+"""Many images without a window, on all cores, and their tests: each process has a device of its own.
 
     python examples/programs/batch.py --backend cl --frames 48 --output frames
     python -m pytest examples/programs/batch.py
@@ -27,14 +27,14 @@ class Moment(Struct):
 
 
 class Plasma(FullScreen):
-    """Waves that move over the picture."""
+    """Waves that move over the image."""
 
     moment: Uniform[Moment]
 
     def fragment(self) -> vec4:
-        place = fragment_coordinate().xy / self.moment.size.y * 6.0 - 3.0
+        position = fragment_coordinate().xy / self.moment.size.y * 6.0 - 3.0
         t = self.moment.seconds
-        wave = sin(place.x + t) + sin(place.y * 1.3 - t) + sin(length(place) * 2.0 + t * 2.0)
+        wave = sin(position.x + t) + sin(position.y * 1.3 - t) + sin(length(position) * 2.0 + t * 2.0)
         return vec4(vec3(0.5) + vec3(cos(wave), cos(wave + 2.1), cos(wave + 4.2)) * 0.5, 1.0)
 
 
@@ -92,7 +92,7 @@ def test_a_frame_is_one_draw_and_a_second_one_creates_nothing(null_device: rhi.D
     begun = len(null_device.stream)
     worker.draw(1.0)
     assert len(null_device.stream.draws()) == 2
-    assert not [one for one in null_device.stream[begun:] if one.op.name.startswith("CREATE")]
+    assert not [command for command in null_device.stream[begun:] if command.op.name.startswith("CREATE")]
 
 
 def test_the_waves_move(rhi_device: rhi.Device) -> None:  # on each of --rhi-backend
@@ -107,13 +107,13 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--backend")
     parser.add_argument("--size", default="640x480", metavar="WxH")
-    parser.add_argument("--frames", type=int, default=1, help="default: 1, which is saved as a picture")
-    parser.add_argument("--output", type=Path, default=Path("batch"), help="a folder, or the name of the picture")
-    given = parser.parse_args()
-    width, height = (int(each) for each in given.size.split("x"))
-    times, paths = np.arange(given.frames) / 24 + 1.5, [given.output.with_suffix(".png")]
-    if given.frames > 1:
-        given.output.mkdir(parents=True, exist_ok=True)
-        paths = [given.output / f"{number:04}.png" for number in range(given.frames)]
-    for path in save_frames(times.tolist(), paths, (width, height), given.backend):
+    parser.add_argument("--frames", type=int, default=1, help="default: 1, which is saved as an image")
+    parser.add_argument("--output", type=Path, default=Path("batch"), help="a folder, or the name of the image")
+    options = parser.parse_args()
+    width, height = (int(each) for each in options.size.split("x"))
+    times, paths = np.arange(options.frames) / 24 + 1.5, [options.output.with_suffix(".png")]
+    if options.frames > 1:
+        options.output.mkdir(parents=True, exist_ok=True)
+        paths = [options.output / f"{number:04}.png" for number in range(options.frames)]
+    for path in save_frames(times.tolist(), paths, (width, height), options.backend):
         print(path)

@@ -1,7 +1,7 @@
-"""A device beside a moderngl engine: it reads the engine's texture, and shows its picture in the engine's framebuffer.
+"""A device beside a moderngl engine: it reads the engine's texture, and shows its image in the engine's framebuffer.
 
 The engine has a context of its own, as with moderngl-window, pyglet or Qt, and draws discs. On `gl` the device shares
-its textures both ways, and neither sees the other's states. On other backends the same picture takes two copies.
+its textures both ways, and neither sees the other's states. On other backends the same image takes two copies.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 import rhi
 from rhi.shading import FullScreen, Texture2D, fragment_coordinate, length, vec2, vec4
-from rhi_screen import save_picture
+from rhi_screen import save_image
 
 EGL: dict[str, Any] = {"backend": "egl", "libgl": "libEGL.so.1", "libegl": "libEGL.so.1"}
 DISC = """
@@ -25,7 +25,7 @@ void main() {
     gl_Position = vec4(disc.xy + corner * disc.zw, 0.0, 1.0);
 }
 """
-GLOW = """
+DISC_FRAGMENT = """
 #version 330
 in vec3 color; in vec2 corner; out vec4 light;
 void main() { light = vec4(color * max(1.0 - dot(corner, corner), 0.0), 1.0); }
@@ -40,7 +40,7 @@ class Engine:
         self.texture = self.context.texture(size, 4)
         self.target = self.context.framebuffer([self.texture])
         self.screen = self.context.simple_framebuffer(size)  # with a window: its own
-        self.program = self.context.program(DISC, GLOW)
+        self.program = self.context.program(DISC, DISC_FRAGMENT)
         rng = np.random.default_rng(3)
         radius = rng.uniform(0.05, 0.3, (60, 1)) * (size[1] / size[0], 1)
         rows = np.hstack([rng.uniform(-1, 1, (60, 2)), radius, rng.uniform(0, 0.9, (60, 3))])
@@ -64,43 +64,43 @@ class Engine:
         return np.frombuffer(data, np.uint8).reshape(size[1], size[0], 4)
 
 
-class Lens(FullScreen):
-    """Enlarges the middle of a picture, and darkens its corners."""
+class Magnifier(FullScreen):
+    """Enlarges the middle of an image, and darkens its corners."""
 
-    picture: Texture2D
+    source: Texture2D
 
     def fragment(self) -> vec4:
-        size = vec2(self.picture.size())
-        place = fragment_coordinate().xy / size
-        away = place - 0.5
+        size = vec2(self.source.size())
+        uv = fragment_coordinate().xy / size
+        away = uv - 0.5
         far = length(away * vec2(size.x / size.y, 1.0))
         enlarged = min(0.55 + 2.0 * far * far, 1.0)
-        color = self.picture.sample(0.5 + away * enlarged).rgb
+        color = self.source.sample(0.5 + away * enlarged).rgb
         return vec4(color * (1.0 - 0.8 * far * far), 1.0)
 
 
-def look(device: rhi.Device, picture: rhi.Texture) -> rhi.Texture:
-    """Draw a picture through the lens."""
-    image = device.texture(picture.size, rhi.Format.RGBA8)
+def magnify(device: rhi.Device, source: rhi.Texture) -> rhi.Texture:
+    """Draw an image through the projection."""
+    image = device.texture(source.size, rhi.Format.RGBA8)
     with device.render_pass(image):
-        device.draw(device.program(Lens), device.mesh(3), picture=picture)
+        device.draw(device.program(Magnifier), device.mesh(3), source=source)
     return image
 
 
 def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
-    """Draw the engine's picture through the lens: beside its context on gl, with copies elsewhere."""
+    """Draw the engine's image through the projection: beside its context on gl, with copies elsewhere."""
     engine = Engine(size)
     engine.draw()
     if device.backend_name == "gl":
         with rhi.create_device("gl", context=engine.context) as beside:
-            beside.present(look(beside, beside.adopt_texture(engine.texture)))
-        shown = engine.read(engine.screen)[::-1]  # OpenGL's first row is the lowest
-        image = device.texture(np.ascontiguousarray(shown), rhi.Format.RGBA8)
+            beside.present(magnify(beside, beside.adopt_texture(engine.texture)))
+        pixels = engine.read(engine.screen)[::-1]  # OpenGL's first row is the lowest
+        image = device.texture(np.ascontiguousarray(pixels), rhi.Format.RGBA8)
     else:
-        image = look(device, device.texture(engine.read(engine.texture), rhi.Format.RGBA8))
+        image = magnify(device, device.texture(engine.read(engine.texture), rhi.Format.RGBA8))
     engine.context.release()
     return image
 
 
 if __name__ == "__main__":
-    save_picture(render)
+    save_image(render)

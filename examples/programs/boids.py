@@ -1,7 +1,7 @@
 """Boids with a panel: a flock that a compute shader moves, drawn as one instanced draw, and sliders that steer it.
 
     python examples/programs/boids.py                  a window: drag, scroll, and move the sliders
-    python examples/programs/boids.py --output a.png   a picture
+    python examples/programs/boids.py --output a.png   an image
 
 It needs `pip install "rhi[viewer]"`.
 """
@@ -17,14 +17,14 @@ import rhi
 import rhi.shading as sl
 from rhi import Format
 from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, mat4, vec3, vec4
-from rhi_screen import FixedSteps, OrbitCamera, Screen, open_screen, save_picture
+from rhi_screen import FixedSteps, OrbitCamera, Screen, open_screen, save_image
 from rhi_screen.imgui import ImGui
 
 COUNT, GROUP = 1024, 64
 
 
 class Boid(Struct):
-    place: vec3
+    position: vec3
     velocity: vec3
 
 
@@ -50,19 +50,19 @@ class Flock(Shader):
         near = 0.0
         for i in range(COUNT):
             other = self.now[i]
-            gap = other.place - own.place
+            gap = other.position - own.position
             far = sl.length(gap)
             if far < self.rules.reach and far > 0.0:
                 near += 1.0
                 middle += gap
                 heading += other.velocity - own.velocity
                 away -= gap / (far * far)
-        push = self.rules.separation * away * 0.02 - own.place * (0.3 if sl.length(own.place) > 3.0 else 0.0)
+        push = self.rules.separation * away * 0.02 - own.position * (0.3 if sl.length(own.position) > 3.0 else 0.0)
         if near > 0.0:
             push += (self.rules.cohesion * middle + self.rules.alignment * heading) / near
         velocity = own.velocity + push * self.rules.seconds * 4.0
         velocity = sl.normalize(velocity) * min(max(sl.length(velocity), 0.6), 1.6)
-        self.then[sl.global_id().x] = Boid(place=own.place + velocity * self.rules.seconds, velocity=velocity)
+        self.then[sl.global_id().x] = Boid(position=own.position + velocity * self.rules.seconds, velocity=velocity)
 
 
 class View(Struct):
@@ -73,7 +73,7 @@ class Corner(Struct):
     position: vec3
 
 
-class Seen(Struct):
+class DartVarying(Struct):
     clip: vec4
     color: vec3
 
@@ -84,14 +84,16 @@ class Darts(Shader):
     view: Uniform[View]
     flock: Storage[Boid]
 
-    def vertex(self, v: Corner) -> Seen:
+    def vertex(self, v: Corner) -> DartVarying:
         boid = self.flock[sl.instance_index()]
         ahead = sl.normalize(boid.velocity)
         side = sl.normalize(sl.cross(ahead, vec3(0.03, 1.0, 0.01)))
-        place = boid.place + (side * v.position.x + sl.cross(side, ahead) * v.position.y + ahead * v.position.z) * 0.06
-        return Seen(clip=self.view.view_projection @ vec4(place, 1.0), color=ahead * 0.4 + 0.5)
+        position = (
+            boid.position + (side * v.position.x + sl.cross(side, ahead) * v.position.y + ahead * v.position.z) * 0.06
+        )
+        return DartVarying(clip=self.view.view_projection @ vec4(position, 1.0), color=ahead * 0.4 + 0.5)
 
-    def fragment(self, s: Seen) -> vec4:
+    def fragment(self, s: DartVarying) -> vec4:
         return vec4(s.color, 1.0)
 
 
@@ -101,7 +103,7 @@ class Demo:
         self.screen, self.gui, self.camera = screen, ImGui(screen), OrbitCamera(screen, distance=8.0)
         self.targets, self.steps = screen.targets(Format.RGBA8_SRGB, Format.D32F, samples=4), FixedSteps(60)
         rows = np.zeros(COUNT, Boid.dtype)
-        rows["place"], rows["velocity"] = rng.normal(size=(2, COUNT, 3))
+        rows["position"], rows["velocity"] = rng.normal(size=(2, COUNT, 3))
         self.flocks = [device.storage(Boid, rows), device.storage(Boid, COUNT)]
         self.move, self.show = device.program(Flock), device.program(Darts)
         self.rules = {"cohesion": 0.4, "alignment": 0.6, "separation": 1.0, "reach": 0.7}
@@ -139,7 +141,7 @@ def render(device: rhi.Device, size: tuple[int, int], frames: int = 30) -> rhi.T
 
 if __name__ == "__main__":
     if "--output" in sys.argv:
-        save_picture(render)
+        save_image(render)
     else:
         with open_screen(title="boids", update_mode="continuous") as window:
             window.run(Demo(window).draw)

@@ -7,7 +7,7 @@ import numpy as np
 import rhi
 from rhi import BlendFunction, Primitive
 from rhi.shading import Shader, Struct, vec2, vec4
-from rhi_screen import save_picture
+from rhi_screen import save_image
 
 POINTS = 600
 
@@ -57,4 +57,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    save_picture(render)
+    save_image(render)

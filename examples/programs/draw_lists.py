@@ -13,7 +13,7 @@ import numpy as np
 import rhi
 from rhi import BlendFunction, CullMode, Filter, SamplerDescriptor
 from rhi.shading import Shader, Struct, Texture2D, Uniform, vec2, vec4
-from rhi_screen import save_picture
+from rhi_screen import save_image
 
 Color = tuple[int, int, int, int]
 VERTEX = np.dtype([("position", "f4", 2), ("uv", "f4", 2), ("color", "u1", 4)])  # 20 bytes, as ImDrawVert
@@ -42,8 +42,8 @@ class Windows(Shader):
     atlas: Texture2D
 
     def vertex(self, v: Corner) -> Colored:
-        place = v.position / self.screen.size
-        return Colored(clip=vec4(place.x * 2.0 - 1.0, 1.0 - place.y * 2.0, 0.5, 1.0), uv=v.uv, color=v.color)
+        position = v.position / self.screen.size
+        return Colored(clip=vec4(position.x * 2.0 - 1.0, 1.0 - position.y * 2.0, 0.5, 1.0), uv=v.uv, color=v.color)
 
     def fragment(self, v: Colored) -> vec4:
         return vec4(v.color.rgb, v.color.a * self.atlas.sample(v.uv).x)
@@ -103,8 +103,8 @@ def make_windows(size: tuple[int, int]) -> DrawList:
             for column, letter in enumerate("rhi rhi rhi rhi rhi rhi"):
                 if letter != " ":
                     u = list(GLYPHS).index(letter) * CELL / 32
-                    place = (x + 6 + column * 12, y + 22 + line * 20)
-                    lists.add(*place, 16, 16, (220, 225, 235, 255), (u, 0, u + 8 / 32, 8 / 16))
+                    corner = (x + 6 + column * 12, y + 22 + line * 20)
+                    lists.add(*corner, 16, 16, (220, 225, 235, 255), (u, 0, u + 8 / 32, 8 / 16))
         lists.clip(x, y, width, height)
     return lists
 
@@ -130,4 +130,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    save_picture(render)
+    save_image(render)

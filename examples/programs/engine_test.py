@@ -1,4 +1,4 @@
-"""The tests of an engine on the null device: what a frame sends, without a GPU, a driver or a picture.
+"""The tests of an engine on the null device: what a frame sends, without a GPU, a driver or an image.
 
     python -m pytest examples/programs/engine_test.py
 
@@ -15,7 +15,7 @@ import rhi
 from rhi import BlendFunction, DepthWrite, Format, Op
 from rhi.math import make_cube
 from rhi.shading import Shader, Struct, Uniform, vec3, vec4
-from rhi_screen import save_picture
+from rhi_screen import save_image
 
 
 class Vertex(Struct):
@@ -23,7 +23,7 @@ class Vertex(Struct):
 
 
 class Thing(Struct):
-    place: vec4  # w: the scale
+    offset: vec4  # w: the scale
     color: vec4
 
 
@@ -31,7 +31,7 @@ class Plain(Shader):
     thing: Uniform[Thing]
 
     def vertex(self, v: Vertex) -> vec4:
-        return vec4(v.position * self.thing.place.w + self.thing.place.xyz, 1.0)
+        return vec4(v.position * self.thing.offset.w + self.thing.offset.xyz, 1.0)
 
     def fragment(self) -> vec4:
         return self.thing.color
@@ -47,13 +47,13 @@ class Box:
 
 
 class Engine:
-    """Draws boxes to a picture."""
+    """Draws boxes to an image."""
 
     def __init__(self, device: rhi.Device, size: tuple[int, int]) -> None:
         positions, _, _, indices = make_cube()
         self.device, self.program = device, device.program(Plain)
         self.cube = device.mesh({"position": positions}, indices, label="cube")
-        self.image = device.texture(size, Format.RGBA8, label="picture")
+        self.image = device.texture(size, Format.RGBA8, label="image")
         self.depth = device.texture(size, Format.D32F, label="depth")
 
     def draw(self, boxes: list[Box]) -> None:
@@ -71,7 +71,7 @@ class Engine:
 
     def _draw_each(self, boxes: list[Box]) -> None:
         for box in boxes:
-            thing = Thing(place=(box.x, 0, 0.9 - 0.8 * box.distance, 0.1), color=box.color)
+            thing = Thing(offset=(box.x, 0, 0.9 - 0.8 * box.distance, 0.1), color=box.color)
             self.device.draw(self.program, self.cube, thing=thing)
 
 
@@ -119,4 +119,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    save_picture(render)
+    save_image(render)

@@ -7,14 +7,14 @@ import numpy as np
 import rhi
 from rhi.math import look_at, make_cube, perspective
 from rhi.shading import Shader, Struct, Uniform, cos, dot, exp, length, mat4, mix, normalize, sin, vec3, vec4
-from rhi_screen import save_picture
+from rhi_screen import save_image
 
 
 class Vertex(Struct):
     position: vec3
     normal: vec3
-    place: vec3
-    turn: float
+    offset: vec3
+    angle: float
     color: vec4
 
 
@@ -36,16 +36,16 @@ class Crates(Shader):
     camera: Uniform[Camera]
 
     def vertex(self, v: Vertex) -> Surface:
-        c = cos(v.turn)
-        s = sin(v.turn)
+        c = cos(v.angle)
+        s = sin(v.angle)
         p = v.position * 0.3
         n = v.normal
-        place = vec3(c * p.x + s * p.z, p.y, c * p.z - s * p.x) + v.place
+        offset = vec3(c * p.x + s * p.z, p.y, c * p.z - s * p.x) + v.offset
         return Surface(
-            clip=self.camera.view_projection @ vec4(place, 1.0),
+            clip=self.camera.view_projection @ vec4(offset, 1.0),
             normal=vec3(c * n.x + s * n.z, n.y, c * n.z - s * n.x),
             color=v.color.rgb,
-            view=place - self.camera.eye,
+            view=offset - self.camera.eye,
         )
 
     def fragment(self, s: Surface) -> vec4:
@@ -59,8 +59,8 @@ def make_instances(side: int = 100) -> dict[str, np.ndarray]:
     x, z = np.mgrid[0:side, 0:side] - side / 2
     height = 1.5 * np.sin(x * 0.21) * np.cos(z * 0.17)
     return {
-        "place": np.stack([x, height, z], axis=-1).reshape(-1, 3).astype(np.float32),
-        "turn": rng.uniform(0, 2 * np.pi, side * side).astype(np.float32),
+        "offset": np.stack([x, height, z], axis=-1).reshape(-1, 3).astype(np.float32),
+        "angle": rng.uniform(0, 2 * np.pi, side * side).astype(np.float32),
         "color": rng.integers(10, 200, (side * side, 4), dtype=np.uint8),
     }
 
@@ -76,9 +76,9 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
     image = device.texture(size, rhi.Format.RGBA8_SRGB)
     depth = device.texture(size, rhi.Format.D32F)
     with device.render_pass(image, depth, clear=(0.5, 0.6, 0.7, 1), clear_depth=0.0):
-        device.draw(device.program(Crates), mesh, len(instances["place"]), camera=camera)
+        device.draw(device.program(Crates), mesh, len(instances["offset"]), camera=camera)
     return image
 
 
 if __name__ == "__main__":
-    save_picture(render)
+    save_image(render)

@@ -6,7 +6,7 @@ import numpy as np
 
 import rhi
 from rhi.shading import FullScreen, Struct, Texture2D, Uniform, dot, fragment_coordinate, log2, vec2, vec4
-from rhi_screen import save_picture
+from rhi_screen import save_image
 
 
 class Fractal(Struct):
@@ -54,4 +54,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    save_picture(render)
+    save_image(render)

@@ -6,7 +6,7 @@ import numpy as np
 
 import rhi
 import rhi.shading as sl
-from rhi_screen import save_picture
+from rhi_screen import save_image
 
 CELLS = (128, 96)
 GENERATIONS = 100
@@ -72,12 +72,12 @@ def simulate(device: rhi.Device) -> rhi.Texture:
 def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
     """Step GENERATIONS times and draw the cells."""
     cells = simulate(device)
-    picture = device.texture(size, rhi.Format.RGBA8)
+    image = device.texture(size, rhi.Format.RGBA8)
     window = device.uniform(Window(size=size))
-    with device.render_pass(picture):
+    with device.render_pass(image):
         device.draw(device.program(Enlarged), device.mesh(3), window=window, cells=cells)
-    return picture
+    return image
 
 
 if __name__ == "__main__":
-    save_picture(render)
+    save_image(render)

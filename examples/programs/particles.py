@@ -7,7 +7,7 @@ import numpy as np
 import rhi
 import rhi.shading as sl
 from rhi.math import look_at, perspective
-from rhi_screen import save_picture
+from rhi_screen import save_image
 
 COUNT = 16384
 STEPS = 90
@@ -20,7 +20,7 @@ class Camera(sl.Struct):
 
 
 class Particle(sl.Struct):
-    place: sl.vec3
+    position: sl.vec3
     age: float
     velocity: sl.vec3
     life: float
@@ -49,11 +49,11 @@ class Move(sl.Shader):
         age = p.age + self.step.seconds
         seconds = self.step.seconds if age > 0.0 else 0.0  # before that it waits in the nozzle
         velocity = p.velocity - sl.vec3(0.0, self.step.gravity * seconds, 0.0)
-        place = p.place + velocity * seconds
-        if place.y < 0.0:
-            place = sl.vec3(place.x, -place.y, place.z)
+        position = p.position + velocity * seconds
+        if position.y < 0.0:
+            position = sl.vec3(position.x, -position.y, position.z)
             velocity = sl.vec3(velocity.x, -0.6 * velocity.y, velocity.z)
-        self.particles[i] = Particle(place=place, age=age, velocity=velocity, life=p.life)
+        self.particles[i] = Particle(position=position, age=age, velocity=velocity, life=p.life)
 
 
 class Draw(sl.Shader):
@@ -66,7 +66,7 @@ class Draw(sl.Shader):
         p = self.particles[sl.vertex_index()]
         heat = sl.exp(-1.5 * p.age / p.life)
         return Spark(
-            clip=self.camera.view_projection @ sl.vec4(p.place, 1.0),
+            clip=self.camera.view_projection @ sl.vec4(p.position, 1.0),
             color=sl.vec3(0.8, 0.6 * heat, 0.5 * heat * heat) * (0.05 + heat),
         )
 
@@ -123,4 +123,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    save_picture(render)
+    save_image(render)

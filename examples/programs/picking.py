@@ -8,7 +8,7 @@ import rhi
 from rhi import Format
 from rhi.math import look_at, make_cube, perspective
 from rhi.shading import Shader, Storage, Struct, Uniform, dot, instance_index, mat4, normalize, uint, vec3, vec4
-from rhi_screen import save_picture
+from rhi_screen import save_image
 
 BOXES = 300
 
@@ -23,7 +23,7 @@ class Camera(Struct):
 
 
 class Box(Struct):
-    place: vec3
+    center: vec3
     color: vec3
 
 
@@ -38,7 +38,7 @@ class Surface(Struct):
     number: int
 
 
-class Picture(Struct):
+class PickingOutput(Struct):
     color: vec4
     number: uint
 
@@ -53,13 +53,13 @@ class Boxes(Shader):
     def vertex(self, v: Vertex) -> Surface:
         number = instance_index()
         box = self.boxes[number]
-        clip = self.camera.view_projection @ vec4(v.position * 0.4 + box.place, 1.0)
+        clip = self.camera.view_projection @ vec4(v.position * 0.4 + box.center, 1.0)
         return Surface(clip=clip, normal=v.normal, color=box.color, number=number)
 
-    def fragment(self, s: Surface) -> Picture:
+    def fragment(self, s: Surface) -> PickingOutput:
         light = 0.25 + 0.75 * max(dot(s.normal, normalize(vec3(0.4, 0.9, 0.6))), 0.0)
         color = vec3(1.0) if s.number == self.choice.box else s.color
-        return Picture(color=vec4(color * light, 1.0), number=uint(s.number))
+        return PickingOutput(color=vec4(color * light, 1.0), number=uint(s.number))
 
 
 class Scene:
@@ -68,7 +68,7 @@ class Scene:
     def __init__(self, device: rhi.Device, size: tuple[int, int]) -> None:
         rng = np.random.default_rng(8)
         self.rows = np.zeros(BOXES, Box.dtype)
-        self.rows["place"], self.rows["color"] = rng.uniform(-5, 5, (BOXES, 3)), rng.uniform(0.1, 0.6, (BOXES, 3))
+        self.rows["center"], self.rows["color"] = rng.uniform(-5, 5, (BOXES, 3)), rng.uniform(0.1, 0.6, (BOXES, 3))
         positions, normals, _, indices = make_cube()
         self.device, self.program = device, device.program(Boxes)
         self.cube = device.mesh({"position": positions, "normal": normals}, indices)
@@ -81,7 +81,7 @@ class Scene:
         self.depth = device.texture(size, Format.D32F)
 
     def draw(self) -> None:
-        """Draw all boxes to the picture and to the numbers."""
+        """Draw all boxes to the image and to the numbers."""
         clear = [(0.02, 0.03, 0.05, 1), (BOXES, 0, 0, 0)]
         with self.device.render_pass([self.image, self.numbers], self.depth, clear=clear, clear_depth=0.0):
             self.device.draw(self.program, self.cube, BOXES, camera=self.camera, choice=self.choice, boxes=self.boxes)
@@ -103,4 +103,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    save_picture(render)
+    save_image(render)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import rhi
 import rhi.shading as sl
-from rhi_screen import save_picture
+from rhi_screen import save_image
 
 
 class View(sl.Struct):
@@ -36,9 +36,9 @@ class Spheres(sl.FullScreen):
     view: sl.Uniform[View]
 
     def fragment(self) -> sl.vec4:
-        place = (sl.fragment_coordinate().xy - self.view.size * 0.5) / self.view.size.y
+        position = (sl.fragment_coordinate().xy - self.view.size * 0.5) / self.view.size.y
         eye = sl.vec3(0.0, 2.5, 6.0)
-        direction = sl.normalize(sl.vec3(place.x, -place.y - 0.25, -1.0))
+        direction = sl.normalize(sl.vec3(position.x, -position.y - 0.25, -1.0))
         sun = sl.normalize(sl.vec3(0.6, 0.9, 0.3))
         sky = sl.mix(sl.vec3(0.7, 0.75, 0.8), sl.vec3(0.2, 0.4, 0.7), sl.clamp(direction.y * 2.0, 0.0, 1.0))
         t = trace(eye, direction, 40.0)
@@ -69,4 +69,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    save_picture(render)
+    save_image(render)

@@ -8,7 +8,7 @@ import rhi
 import rhi.shading as sl
 from rhi import Comparison, CullMode, Format, PolygonOffset, SamplerDescriptor, Wrap
 from rhi.math import look_at, make_cube, perspective
-from rhi_screen import save_picture
+from rhi_screen import save_image
 
 SHADOW = (1024, 1024)
 
@@ -19,7 +19,7 @@ class Vertex(sl.Struct):
 
 
 class Box(sl.Struct):
-    place: sl.vec3
+    center: sl.vec3
     size: sl.vec3
     color: sl.vec3
 
@@ -34,7 +34,7 @@ class Surface(sl.Struct):
     clip: sl.vec4
     normal: sl.vec3
     color: sl.vec3
-    seen_by_sun: sl.vec3
+    shadow_coordinates: sl.vec3
 
 
 class DepthOnly(sl.Shader):
@@ -45,7 +45,7 @@ class DepthOnly(sl.Shader):
 
     def vertex(self, v: Vertex) -> sl.vec4:
         box = self.boxes[sl.instance_index()]
-        return self.frame.sun_projection @ sl.vec4(v.position * box.size + box.place, 1.0)
+        return self.frame.sun_projection @ sl.vec4(v.position * box.size + box.center, 1.0)
 
 
 class Shadowed(sl.Shader):
@@ -57,18 +57,18 @@ class Shadowed(sl.Shader):
 
     def vertex(self, v: Vertex) -> Surface:
         box = self.boxes[sl.instance_index()]
-        place = sl.vec4(v.position * box.size + box.place, 1.0)
-        seen = (self.frame.sun_projection @ place).xyz
+        center = sl.vec4(v.position * box.size + box.center, 1.0)
+        seen = (self.frame.sun_projection @ center).xyz
         return Surface(
-            clip=self.frame.view_projection @ place,
+            clip=self.frame.view_projection @ center,
             normal=v.normal,
             color=box.color,
-            seen_by_sun=sl.vec3(seen.x * 0.5 + 0.5, 0.5 - seen.y * 0.5, seen.z),
+            shadow_coordinates=sl.vec3(seen.x * 0.5 + 0.5, 0.5 - seen.y * 0.5, seen.z),
         )
 
     def fragment(self, s: Surface) -> sl.vec4:
         lit = max(sl.dot(sl.normalize(s.normal), self.frame.sun), 0.0)
-        lit *= self.shadows.sample_compare(sl.vec2(s.seen_by_sun.xy), s.seen_by_sun.z)
+        lit *= self.shadows.sample_compare(sl.vec2(s.shadow_coordinates.xy), s.shadow_coordinates.z)
         return sl.vec4(s.color * (0.1 + 0.9 * lit), 1.0)
 
 
@@ -79,14 +79,14 @@ def make_boxes() -> np.ndarray:
     rows[0] = ((0, -0.5, 0), (12, 0.5, 12), (0.4, 0.4, 0.35))
     x, z = np.meshgrid(np.linspace(-8, 8, 6), np.linspace(-8, 8, 6))
     height = rng.uniform(0.5, 3, 36)
-    rows["place"][1:] = np.stack([x.ravel(), height, z.ravel()], axis=-1)
+    rows["center"][1:] = np.stack([x.ravel(), height, z.ravel()], axis=-1)
     rows["size"][1:] = np.stack([np.full(36, 0.5), height, np.full(36, 0.5)], axis=-1)
     rows["color"][1:] = rng.uniform(0.05, 0.7, (36, 3))
     return rows
 
 
 def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
-    """Draw the shadow map, then the picture."""
+    """Draw the shadow map, then the image."""
     positions, normals, _, indices = make_cube()
     mesh = device.mesh({"position": positions, "normal": normals}, indices)
     rows = make_boxes()
@@ -113,4 +113,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    save_picture(render)
+    save_image(render)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 import rhi
 from rhi import BlendFunction, CullMode, Filter, Primitive, SamplerDescriptor
 from rhi.shading import Shader, Struct, Texture2D, vec2, vec4
-from rhi_screen import save_picture
+from rhi_screen import save_image
 
 SPRITE = np.dtype(
     [("center", "f4", 2), ("size", "f4"), ("angle", "f4"), ("cell", "i4"), ("layer", "i4"), ("color", "f4", 4)]
@@ -63,14 +63,14 @@ class Batch:
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float32)
         cos, sin = np.cos(rows["angle"]), np.sin(rows["angle"])
         turned = corners @ np.stack([cos, sin, -sin, cos], -1).reshape(-1, 2, 2)  # (n, 4, 2)
-        places = rows["center"][:, None] + turned * (rows["size"] / 2)[:, None, None]
+        corner_positions = rows["center"][:, None] + turned * (rows["size"] / 2)[:, None, None]
         uvs = (corners + 1) / 2 * (1, -1) + (0, 1) + rows["cell"][:, None, None] * (1, 0)
         with (
             self.device.states(BlendFunction.PREMULTIPLIED, CullMode.NONE),
             self.device.immediate(self.program, Primitive.QUADS, atlas=self.atlas) as quads,
         ):
             quads.vertices({
-                "position": (places / size * (2, -2) + (-1, 1)).reshape(-1, 2),
+                "position": (corner_positions / size * (2, -2) + (-1, 1)).reshape(-1, 2),
                 "uv": (uvs / (CELLS, 1)).reshape(-1, 2),
                 "color": rows["color"].repeat(4, axis=0),
             })  # fmt: skip
@@ -87,7 +87,7 @@ def make_atlas(cell: int = 64) -> NDArray[np.uint8]:
 
 
 def make_sprites(count: int, size: tuple[int, int]) -> NDArray[np.void]:
-    """Return random rows (count,) of `SPRITE` all over a picture."""
+    """Return random rows (count,) of `SPRITE` all over an image."""
     rng = np.random.default_rng(12)
     rows = np.zeros(count, SPRITE)
     rows["center"], rows["angle"] = rng.uniform(0, size, (count, 2)), rng.uniform(0, 7, count)
@@ -109,4 +109,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    save_picture(render)
+    save_image(render)

@@ -7,7 +7,7 @@ import numpy as np
 import rhi
 import rhi.shading as sl
 from rhi.math import look_at, perspective
-from rhi_screen import save_picture
+from rhi_screen import save_image
 
 GRID = 256
 
@@ -20,7 +20,7 @@ class Camera(sl.Struct):
 class Ground(sl.Struct):
     clip: sl.vec4
     normal: sl.vec3
-    place: sl.vec3
+    position: sl.vec3
 
 
 class Terrain(sl.Shader):
@@ -35,17 +35,18 @@ class Terrain(sl.Shader):
         west = self.heights.load(sl.ivec2(max(at.x - 1, 0), at.y)).x
         south = self.heights.load(sl.ivec2(at.x, min(at.y + 1, GRID - 1))).x
         north = self.heights.load(sl.ivec2(at.x, max(at.y - 1, 0))).x
-        place = sl.vec3(float(at.x) - GRID / 2, self.heights.load(at).x, float(at.y) - GRID / 2)
+        position = sl.vec3(float(at.x) - GRID / 2, self.heights.load(at).x, float(at.y) - GRID / 2)
         normal = sl.normalize(sl.vec3(west - east, 2.0, north - south))
-        return Ground(clip=self.camera.view_projection @ sl.vec4(place, 1.0), normal=normal, place=place)
+        return Ground(clip=self.camera.view_projection @ sl.vec4(position, 1.0), normal=normal, position=position)
 
     def fragment(self, g: Ground) -> sl.vec4:
         normal = sl.normalize(g.normal)
         color = sl.mix(sl.vec3(0.15, 0.3, 0.08), sl.vec3(0.35, 0.3, 0.25), sl.smoothstep(0.1, 0.35, 1.0 - normal.y))
-        color = sl.mix(color, sl.vec3(0.9), sl.smoothstep(16.0, 20.0, g.place.y))
+        color = sl.mix(color, sl.vec3(0.9), sl.smoothstep(16.0, 20.0, g.position.y))
         light = 0.2 + 0.8 * max(sl.dot(normal, sl.normalize(sl.vec3(0.7, 0.6, 0.2))), 0.0)
         return sl.vec4(
-            sl.mix(sl.vec3(0.55, 0.65, 0.8), color * light, sl.exp(-0.0016 * sl.length(g.place - self.camera.eye))), 1.0
+            sl.mix(sl.vec3(0.55, 0.65, 0.8), color * light, sl.exp(-0.0016 * sl.length(g.position - self.camera.eye))),
+            1.0,
         )
 
 
@@ -83,4 +84,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    save_picture(render)
+    save_image(render)

@@ -6,7 +6,7 @@ import numpy as np
 
 import rhi
 from renderer.layers.canvas import Canvas, Font, srgb
-from rhi_screen import save_picture
+from rhi_screen import save_image
 
 VERSE = """Im Anfang war die Tat.
 Ægir, Þór & Ærø? Kerning: AVATAR, To, LT.
@@ -36,4 +36,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    save_picture(render)
+    save_image(render)

@@ -7,7 +7,7 @@ import numpy as np
 import rhi
 from rhi.math import look_at, make_cube, perspective
 from rhi.shading import Shader, Struct, Texture2D, Uniform, dot, mat4, normalize, vec2, vec3, vec4
-from rhi_screen import save_picture
+from rhi_screen import save_image
 
 
 class Camera(Struct):
@@ -64,4 +64,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    save_picture(render)
+    save_image(render)

@@ -6,7 +6,7 @@ import numpy as np
 
 import rhi
 from rhi.shading import Shader, Struct, vec2, vec3, vec4
-from rhi_screen import save_picture
+from rhi_screen import save_image
 
 
 class Corner(Struct):
@@ -40,4 +40,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    save_picture(render)
+    save_image(render)

@@ -1,7 +1,7 @@
 """The command line: `python -m renderer COMMAND`, with the commands that are listed in `COMMANDS`.
 
 Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2. A reader that
-goes away, as in `… --json | head`, ends a command quietly with exit code 141 (`rhi.errors.readers`).
+goes away, as in `… --json | head`, ends a command quietly with exit code 141 (`rhi.errors.pipes`).
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from renderer.cli import (
     convert,
     debug_visibility,
     demo,
+    effect_costs,
     exam,
-    need,
     plan,
     render,
     scenes,
@@ -57,12 +57,12 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
         ),
     ),
     plan.COMMAND,
-    need.COMMAND,
+    effect_costs.COMMAND,
     capture.COMMAND,
     accuracy.COMMAND,
     tune.COMMAND,
     exam.COMMAND,
-    SubcommandGroup("debug", "picture what the renderer does", (debug_visibility.COMMAND,)),
+    SubcommandGroup("debug", "draw what the renderer does", (debug_visibility.COMMAND,)),
     convert.COMMAND,
     assets.COMMAND,
     scenes.COMMAND,
@@ -71,7 +71,7 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command that `arguments` name (those of the process by default) and return the exit code."""
+    """Run the command that `arguments` name (the process's by default) and return the exit code."""
     parser = Parser(
         prog="python -m renderer",
         description="Render a scene and report what it cost.",
@@ -80,14 +80,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for command in COMMANDS:
         command.add_to(commands)
-    given = parser.parse_args(_join_negative(list(sys.argv[1:] if arguments is None else arguments)))
+    parsed = parser.parse_args(_join_negative(list(sys.argv[1:] if arguments is None else arguments)))
     show_builds()
     try:
-        given.run(given)
+        parsed.run(parsed)
     except RhiError as error:
         _fail(rules.describe(error))
     except BrokenPipeError:
-        raise  # whoever reads the output has gone away
+        raise  # the reader of the output has gone away
     except (OutputError, OSError) as error:
         _fail(str(error))
     except ModuleNotFoundError as error:
@@ -98,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _join_negative(arguments: list[str]) -> list[str]:
-    """Return `--camera -1,2,3` as `--camera=-1,2,3`, because argparse would read `-1,2,3` as an option."""
+    """Join `--camera -1,2,3` to `--camera=-1,2,3`, because argparse would read `-1,2,3` as an option."""
     joined: list[str] = []
     for argument in arguments:
         if joined and joined[-1] == "--camera" and argument[:1] == "-" and argument[1:2] in "0123456789.":

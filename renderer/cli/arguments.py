@@ -1,4 +1,4 @@
-"""Scenes, sizes and devices of the arguments that several commands have (`renderer.cli.options`)."""
+"""Opens the scenes, techniques and settings that arguments of several commands name (`renderer.cli.options`)."""
 
 from __future__ import annotations
 
@@ -7,81 +7,94 @@ from dataclasses import replace
 
 import rhi
 from renderer import rules
-from renderer.cli.options import WAYS
+from renderer.cli.options import TECHNIQUE_VARIANTS
 from renderer.cli.output import note
 from renderer.content import load_scene
 from renderer.frame import Blending
 from renderer.scene import Camera, Depth, Scene
 from renderer.settings import RenderSettings
-from renderer.stereo import Stereo, find_rig
+from renderer.stereo import Stereo, compute_rig
 from renderer.techniques import AutoTechnique, Technique, TechniqueSettings
 from rhi import refuse
 
 
 def open_scene(text: str) -> Scene:
-    """Load the scene that `SCENE` names; what its file has and the scene hasn't is listed on stderr."""
+    """Load the scene that `SCENE` names; list on stderr what was left out of its file."""
     scene = load_scene(text)
     for omission in scene.omissions:
         note(f"left out: {omission}")
     return scene
 
 
-def make_technique(given: argparse.Namespace, scene: Scene, device: rhi.Device) -> Technique:
-    """Return the technique that the arguments of `options.technique` describe, for a scene and a device."""
-    ways = {name: getattr(given, name) for name in WAYS}
-    return TechniqueSettings(given.technique, samples=given.samples, fxaa=given.fxaa, **ways).make(scene, device)
+def make_technique(arguments: argparse.Namespace, scene: Scene, device: rhi.Device) -> Technique:
+    """Make the technique that the arguments of `options.technique` describe, for a scene and a device."""
+    variants = {name: getattr(arguments, name) for name in TECHNIQUE_VARIANTS}
+    return TechniqueSettings(arguments.technique, samples=arguments.samples, fxaa=arguments.fxaa, **variants).make(
+        scene, device
+    )
 
 
-def explain_technique(technique: Technique, given: argparse.Namespace) -> dict[str, str]:
-    """Return the technique that draws, as `technique`, and `because`, why it does."""
+def explain_technique(technique: Technique, arguments: argparse.Namespace) -> dict[str, str]:
+    """The technique that draws, as `technique`, and the `reason` for it."""
     if isinstance(technique, AutoTechnique):
-        return {"technique": technique.chosen, "because": technique.because}
-    if given.technique == AutoTechnique.name:
-        because = (
-            f"{given.samples} samples per pixel, which other candidates don't have" if given.samples > 1 else "is shown"
+        return {"technique": technique.current_name, "reason": technique.reason}
+    if arguments.technique == AutoTechnique.name:
+        reason = (
+            f"{arguments.samples} samples per pixel, which other candidates don't have"
+            if arguments.samples > 1
+            else "is shown"
         )
-        return {"technique": technique.name, "because": because}
-    return {"technique": technique.name, "because": "was asked for"}
+        return {"technique": technique.name, "reason": reason}
+    return {"technique": technique.name, "reason": "was asked for"}
 
 
-def make_stereo(given: argparse.Namespace, scene: Scene, camera: Camera) -> Stereo | None:
-    """Return the stereo that `options.STEREO` describe, comfortable for a camera where they don't say."""
-    if given.stereo is None:
+def make_stereo(arguments: argparse.Namespace, scene: Scene, camera: Camera) -> Stereo | None:
+    """The stereo settings of `options.STEREO`; the rest is chosen to be comfortable for a camera."""
+    if arguments.stereo is None:
         named = ("eye_distance", "convergence", "swap_eyes", "toe_in", "reproject")
         for name in named:
-            if getattr(given, name):
+            if getattr(arguments, name):
                 refuse(rules.NO_STEREO, "render", f"--{name.replace('_', '-')} without --stereo")
         return None
-    rig = find_rig(
-        scene, camera, eye_distance=given.eye_distance, convergence=given.convergence, is_toed_in=given.toe_in
+    rig = compute_rig(
+        scene,
+        camera,
+        eye_distance=arguments.eye_distance,
+        convergence=arguments.convergence,
+        is_toed_in=arguments.toe_in,
     )
-    return Stereo(rig, given.stereo, is_swapped=given.swap_eyes, is_reprojected=given.reproject)
+    return Stereo(rig, arguments.stereo, is_swapped=arguments.swap_eyes, is_reprojected=arguments.reproject)
 
 
-def load_settings(given: argparse.Namespace, default: RenderSettings | None = None) -> RenderSettings:
-    """Return the settings in the file that `--settings` names, or `default`, or the defaults of all."""
-    return default or RenderSettings() if given.settings is None else RenderSettings.load(given.settings)
+def load_settings(arguments: argparse.Namespace, default: RenderSettings | None = None) -> RenderSettings:
+    """Load the settings file that `--settings` names; otherwise `default`, or all defaults."""
+    return default or RenderSettings() if arguments.settings is None else RenderSettings.load(arguments.settings)
 
 
-def merge_settings(given: argparse.Namespace) -> RenderSettings:
-    """Return the settings in the file that `--settings` names, or the defaults, with what other options say instead:
-    those of `options.technique`, `--visibility`, `--queries`, `--depth`, `--blending`, `--edge-pixels`, `--reproject`,
-    None where they aren't given. Those of `options.technique` then hold what is merged."""
-    settings = load_settings(given)
-    ways = {name: getattr(given, name) or None for name in WAYS}
-    of_technique = {"name": given.technique, "samples": given.samples, "fxaa": given.fxaa or None, **ways}
-    chosen = {name: value for name, value in of_technique.items() if value is not None}
-    technique = replace(settings.technique, **chosen)
-    given.technique, given.samples, given.fxaa = technique.name, technique.samples, technique.fxaa
-    for name in WAYS:
-        setattr(given, name, getattr(technique, name))
+def merge_settings(arguments: argparse.Namespace) -> RenderSettings:
+    """The settings of `--settings`, or the defaults, overridden by other options: those of
+    `options.technique`, `--visibility`, `--queries`, `--depth`, `--blending`, `--edge-pixels`, `--reproject`,
+    if they aren't None. The arguments of `options.technique` are then set to the merged values."""
+    settings = load_settings(arguments)
+    variants = {name: getattr(arguments, name) or None for name in TECHNIQUE_VARIANTS}
+    of_technique = {
+        "name": arguments.technique,
+        "samples": arguments.samples,
+        "fxaa": arguments.fxaa or None,
+        **variants,
+    }
+    overrides = {name: value for name, value in of_technique.items() if value is not None}
+    technique = replace(settings.technique, **overrides)
+    arguments.technique, arguments.samples, arguments.fxaa = technique.name, technique.samples, technique.fxaa
+    for name in TECHNIQUE_VARIANTS:
+        setattr(arguments, name, getattr(technique, name))
     changes = {
         "technique": technique,
-        "algorithm": given.visibility,
-        "visibility.emulated": None if given.queries is None else given.queries == "emulated",
-        "depth": None if given.depth is None else Depth(given.depth),
-        "blending": None if given.blending is None else Blending(given.blending),
-        "reprojects": given.reproject or None,
-        "tessellation.edge_pixels": given.edge_pixels,
+        "algorithm": arguments.visibility,
+        "visibility.emulated": None if arguments.queries is None else arguments.queries == "emulated",
+        "depth": None if arguments.depth is None else Depth(arguments.depth),
+        "blending": None if arguments.blending is None else Blending(arguments.blending),
+        "reprojects": arguments.reproject or None,
+        "tessellation.edge_pixels": arguments.edge_pixels,
     }
     return settings.change_all({path: value for path, value in changes.items() if value is not None})

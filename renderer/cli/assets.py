@@ -18,7 +18,7 @@ from typing import Final
 from renderer.cli import options
 from renderer.cli.output import note
 from renderer.cli.subcommand import Subcommand
-from renderer.content.file_index import FileIndex, walk
+from renderer.content.file_index import FileIndex, list_files
 from renderer.content.models import FORMATS
 from renderer.scene.files import read_file
 
@@ -31,11 +31,11 @@ _OPTIONS: Final = (
 )  # fmt: skip
 
 
-def _run(given: argparse.Namespace) -> None:
+def _run(arguments: argparse.Namespace) -> None:
     index, paths = FileIndex(), []
-    if given.folder is not None:
-        given.folder.stat()  # an OSError if it isn't there
-        for file in walk(given.folder.absolute()):
+    if arguments.folder is not None:
+        arguments.folder.stat()  # raises OSError if it doesn't exist
+        for file in list_files(arguments.folder.absolute()):
             if file.suffix.lower() in _SUFFIXES:
                 try:
                     index.note(file, read_file(file, file.stat().st_size), file)
@@ -43,9 +43,9 @@ def _run(given: argparse.Namespace) -> None:
                 except OSError as error:
                     note(f"left out: {error}")
         index.save()
-    listed = index if given.folder is None else paths
+    listed = index if arguments.folder is None else paths
     rows = [{"path": path, "is_there": Path(path).exists(), **index[path]._asdict()} for path in listed]
-    if given.json:
+    if arguments.json:
         print(json.dumps(rows))
         return
     for row in rows:

@@ -21,8 +21,8 @@ from renderer.cli import options
 from renderer.cli.arguments import make_technique, open_scene
 from renderer.cli.output import draw_chart, note, prepare_chart, print_report, show_progress
 from renderer.cli.subcommand import Subcommand
-from renderer.content import parse_shots
-from renderer.lab.measure.capture import CapturedFrame, capture_frames, list_passes, write_frames
+from renderer.content import parse_path_frames
+from renderer.inspection.frame_times import CapturedFrame, capture_frames, list_passes, write_frames
 from renderer.lab.measure.table import format_table
 from renderer.renderer import Renderer
 from renderer.visibility import check_algorithm
@@ -32,7 +32,7 @@ _OPTIONS: Final = (
     options.BACKEND,
     *options.technique("forward"),
     options.visibility("frustum"),
-    options.camera(shown="the scene's first path"),
+    options.camera(default_text="the scene's first path"),
     options.frame(),
     options.frames(1000),
     options.size(),
@@ -42,64 +42,64 @@ _OPTIONS: Final = (
 )
 
 
-def _run(given: argparse.Namespace) -> None:
-    if given.plot is not None:
-        prepare_chart(given.plot)
-    scene = open_scene(given.scene)
-    camera = given.camera or next(iter(scene.paths or scene.views))
-    shots = parse_shots(camera, scene, range(given.frame, given.frame + given.frames))
-    given.output.parent.mkdir(parents=True, exist_ok=True)
-    with rhi.create_device(given.backend) as device:
-        check_algorithm(given.visibility, device, "capture")
+def _run(arguments: argparse.Namespace) -> None:
+    if arguments.plot is not None:
+        prepare_chart(arguments.plot)
+    scene = open_scene(arguments.scene)
+    camera = arguments.camera or next(iter(scene.paths or scene.views))
+    path_frames = parse_path_frames(camera, scene, range(arguments.frame, arguments.frame + arguments.frames))
+    arguments.output.parent.mkdir(parents=True, exist_ok=True)
+    with rhi.create_device(arguments.backend) as device:
+        check_algorithm(arguments.visibility, device, "capture")
         with Renderer(
             device,
             scene,
-            technique=make_technique(given, scene, device),
-            visibility=given.visibility,
-            size=given.size,
+            technique=make_technique(arguments, scene, device),
+            visibility=arguments.visibility,
+            size=arguments.size,
         ) as renderer:
-            list(capture_frames(renderer, shots[:1]))
+            list(capture_frames(renderer, path_frames[:1]))
             while renderer.is_trying:
-                list(capture_frames(renderer, shots[:1]))
-            frames = list(show_progress(capture_frames(renderer, shots), "capture", len(shots)))
-    write_frames(given.output, frames)
-    note(f"wrote {given.output}: {len(frames)} frames")
-    if given.plot is not None:
-        plot_frames(frames, given.plot, f"{given.technique}: {scene.name}")
-        note(f"wrote {given.plot}")
-    medians = find_medians(frames)
+                list(capture_frames(renderer, path_frames[:1]))
+            frames = list(show_progress(capture_frames(renderer, path_frames), "capture", len(path_frames)))
+    write_frames(arguments.output, frames)
+    note(f"wrote {arguments.output}: {len(frames)} frames")
+    if arguments.plot is not None:
+        plot_frames(frames, arguments.plot, f"{arguments.technique}: {scene.name}")
+        note(f"wrote {arguments.plot}")
+    medians = compute_medians(frames)
     rows = [[name, *times.values()] for name, times in medians.items()]
-    if given.json:
+    if arguments.json:
         print_report(medians, scene)
     else:
         print(format_table(("", "median", "least", "most"), rows))
 
 
-def find_medians(frames: list[CapturedFrame]) -> dict[str, dict[str, float]]:
-    """Return the median, the least and the most milliseconds of the frame and of each pass, on the GPU where it has
-    timestamps and otherwise on the CPU."""
-    columns = {"frame": [one.milliseconds for one in frames]} | {
+def compute_medians(frames: list[CapturedFrame]) -> dict[str, dict[str, float]]:
+    """The median, least and greatest milliseconds of the frame and of each pass, on the GPU if it has
+    timestamps, otherwise on the CPU."""
+    columns = {"frame": [frame.milliseconds for frame in frames]} | {
         name: [time for time in _list_times(frames, name) if time is not None] for name in list_passes(frames)
     }
     return {name: {"median": median(times), "least": min(times), "most": max(times)} for name, times in columns.items()}
 
 
 def _list_times(frames: list[CapturedFrame], name: str) -> list[float | None]:
-    """Return the milliseconds of a pass in each frame, None where a frame lacks it."""
-    times = (one.passes.get(name) for one in frames)
+    """The milliseconds of a pass in each frame, None if a frame lacks it."""
+    times = (frame.passes.get(name) for frame in frames)
     return [None if time is None else time.cpu if time.gpu is None else time.gpu for time in times]
 
 
 def plot_frames(frames: list[CapturedFrame], path: Path, title: str) -> None:
-    """Draw the frames' times, and under them those of their passes, one on top of the other."""
-    numbers = [one.frame for one in frames]
+    """Draw the frames' times, and below them the times of their passes, stacked."""
+    numbers = [frame.frame for frame in frames]
     with draw_chart(path, title) as figure:
         axes = figure.add_subplot()
         stacked = [[time or 0.0 for time in _list_times(frames, name)] for name in list_passes(frames)]
         axes.stackplot(numbers, *stacked, labels=list_passes(frames), alpha=0.8, step="mid")
         axes.plot(
             numbers,
-            [one.milliseconds for one in frames],
+            [frame.milliseconds for frame in frames],
             drawstyle="steps-mid",
             color="black",
             linewidth=0.8,

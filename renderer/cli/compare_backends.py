@@ -24,18 +24,18 @@ from renderer.cli import options
 from renderer.cli.arguments import open_scene
 from renderer.cli.comparison import ComparisonProgram, Report, repeat
 from renderer.cli.output import show_progress
-from renderer.content import find_path
-from renderer.lab.backends import compare_backends
+from renderer.content import parse_camera_path
+from renderer.lab.backend_comparison import compare_backends
 from renderer.lab.comparison import Record
-from renderer.lab.measure.backends import PASSES
+from renderer.lab.measure.backend_passes import PASSES
 
 _BASE = "gl"
 
 
 _OPTIONS: Final = (
     options.SCENE,
-    options.some("--passes", PASSES, "is not a pass", ["depth", "lit", "queries"]),
-    options.several("--backends", f"backends to compare with {_BASE}", str, ["cl"], "cl", "A,B,…"),
+    options.names("--passes", PASSES, "is not a pass", ["depth", "lit", "queries"]),
+    options.values("--backends", f"backends to compare with {_BASE}", str, ["cl"], "cl", "A,B,…"),
     options.PATH,
     options.frame("frame whose camera is used", None, "the path's middle"),
     options.rounds("rounds of each pass", 15),
@@ -45,22 +45,24 @@ _OPTIONS: Final = (
 )
 
 
-def _measure(given: argparse.Namespace) -> Report:
-    scene = open_scene(given.scene)
-    path = find_path(given.camera_path, scene)
-    given.frame = len(path) // 2 if given.frame is None else given.frame
-    backends = [_BASE, *(name for name in given.backends if name != _BASE)]
+def _measure(arguments: argparse.Namespace) -> Report:
+    scene = open_scene(arguments.scene)
+    path = parse_camera_path(arguments.camera_path, scene)
+    arguments.frame = len(path) // 2 if arguments.frame is None else arguments.frame
+    backends = [_BASE, *(name for name in arguments.backends if name != _BASE)]
 
     def rounds(name: str) -> Iterable[int]:
-        return show_progress(range(given.rounds), name)
+        return show_progress(range(arguments.rounds), name)
 
     devices: dict[str, str] = {}
-    camera = path.camera(given.frame)
-    rows = list(compare_backends(scene, camera, backends, given.passes, given.size, rounds, devices))
+    camera = path.camera(arguments.frame)
+    rows = list(compare_backends(scene, camera, backends, arguments.passes, arguments.size, rounds, devices))
     triangles = scene.count_triangles(np.arange(len(scene.objects)))
-    about = {"scene": scene.name, "triangles": triangles} | repeat(given, "camera_path", "frame", "size", "rounds")
-    title = f"{scene.name}, {given.camera_path}, {given.size[0]}×{given.size[1]}"
-    return Report(about | {"devices": devices}, rows, title, scene)
+    metadata = {"scene": scene.name, "triangles": triangles} | repeat(
+        arguments, "camera_path", "frame", "size", "rounds"
+    )
+    title = f"{scene.name}, {arguments.camera_path}, {arguments.size[0]}×{arguments.size[1]}"
+    return Report(metadata | {"devices": devices}, rows, title, scene)
 
 
 def plot_backends(figure: Any, rows: Sequence[Record]) -> None:
@@ -69,15 +71,15 @@ def plot_backends(figure: Any, rows: Sequence[Record]) -> None:
     names = list(dict.fromkeys(row["pass"] for row in rows))
     backends = list(dict.fromkeys(row["backend"] for row in rows))
     height = 0.8 / len(backends)
-    for place, backend in enumerate(backends):
-        chosen = [row for row in rows if row["backend"] == backend]
+    for backend_index, backend in enumerate(backends):
+        backend_rows = [row for row in rows if row["backend"] == backend]
         bars = axes.barh(
-            [names.index(row["pass"]) + place * height for row in chosen],
-            [row["milliseconds"] for row in chosen],
+            [names.index(row["pass"]) + backend_index * height for row in backend_rows],
+            [row["milliseconds"] for row in backend_rows],
             height,
             label=backend,
         )
-        axes.bar_label(bars, [f" {row['milliseconds']:,.1f} ms, ×{row['ratio_to_gl']:,.1f}" for row in chosen])
+        axes.bar_label(bars, [f" {row['milliseconds']:,.1f} ms, ×{row['ratio_to_gl']:,.1f}" for row in backend_rows])
     axes.set(xlabel="milliseconds", yticks=range(len(names)), yticklabels=names)
     axes.invert_yaxis()
     axes.margins(x=0.2)

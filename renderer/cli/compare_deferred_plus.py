@@ -25,11 +25,11 @@ from renderer.cli import options
 from renderer.cli.arguments import open_scene
 from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.output import note, prepare_image, show_progress, write_image
-from renderer.content import find_path
+from renderer.content import parse_camera_path
 from renderer.lab.comparison import Record
-from renderer.lab.deferred_plus import STEPS, compare_deferred_plus
+from renderer.lab.deferred_plus_comparison import STEPS, compare_deferred_plus
 from renderer.lab.measure import format_table
-from renderer.lab.measure.buffers import picture_buffers
+from renderer.lab.measure.geometry_buffer_image import render_geometry_buffer_image
 
 _OPTIONS: Final = (
     options.SCENE,
@@ -38,30 +38,32 @@ _OPTIONS: Final = (
     options.frames(16),
     options.size(),
     options.BACKEND,
-    options.file("--output", "write a picture of the buffers and rectangles"),
+    options.file("--output", "write an image of the buffers and rectangles"),
     *options.form("tables"),
 )
 
 
-def _measure(given: argparse.Namespace) -> Report:
-    if given.output is not None:
-        prepare_image(given.output)
-    scene = open_scene(given.scene)
-    path = find_path(given.camera_path, scene)
-    cameras = [path.camera(given.frame + number) for number in range(given.frames)]
-    with rhi.create_device(given.backend) as device:
-        found = compare_deferred_plus(
-            device, scene, cameras, given.size, progress=partial(show_progress, what="compare")
+def _measure(arguments: argparse.Namespace) -> Report:
+    if arguments.output is not None:
+        prepare_image(arguments.output)
+    scene = open_scene(arguments.scene)
+    path = parse_camera_path(arguments.camera_path, scene)
+    cameras = [path.camera(arguments.frame + number) for number in range(arguments.frames)]
+    with rhi.create_device(arguments.backend) as device:
+        comparison = compare_deferred_plus(
+            device, scene, cameras, arguments.size, progress=partial(show_progress, what="compare")
         )
-        if given.output is not None:
-            write_image(given.output, picture_buffers(device, scene, cameras[0], given.size))
-            note(f"wrote {given.output}")
-        about = describe(device) | {"scene": scene.name} | repeat(given, "camera_path", "frame", "frames", "size")
-    return Report(about | {"culling": found["culling"]}, found["rows"], scene=scene)
+        if arguments.output is not None:
+            write_image(arguments.output, render_geometry_buffer_image(device, scene, cameras[0], arguments.size))
+            note(f"wrote {arguments.output}")
+        metadata = (
+            describe(device) | {"scene": scene.name} | repeat(arguments, "camera_path", "frame", "frames", "size")
+        )
+    return Report(metadata | {"culling": comparison["culling"]}, comparison["rows"], scene=scene)
 
 
-def show_steps(rows: Sequence[Record]) -> Sequence[Record]:
-    """Give each step a column of its own, before that of wrong pixels."""
+def add_step_columns(rows: Sequence[Record]) -> Sequence[Record]:
+    """Give each step its own column, before that of wrong pixels."""
     used = [name for name in STEPS if any(name in row["steps"] for row in rows)]
     return [
         {name: value for name, value in row.items() if name not in ("steps", "wrong_pixels")}
@@ -71,9 +73,9 @@ def show_steps(rows: Sequence[Record]) -> Sequence[Record]:
     ]
 
 
-def show_culling(about: Mapping[str, Any], markdown: bool) -> Sequence[str]:
-    """Return tables of what culling has drawn, and of what its steps took."""
-    culling = about["culling"]
+def format_culling_tables(metadata: Mapping[str, Any], markdown: bool) -> Sequence[str]:
+    """Format tables of what culling has drawn, and of the times of its steps."""
+    culling = metadata["culling"]
     counts: list[list[object]] = [
         ["instances in the view", culling["instances"]],
         ["drawn by the first pass", culling["first"]],
@@ -89,5 +91,5 @@ def show_culling(about: Mapping[str, Any], markdown: bool) -> Sequence[str]:
 
 COMMAND: Final = ComparisonProgram(
     "deferred-plus", "compare Deferred+ and clustered forward shading, with and without culling", __doc__,
-    _OPTIONS, _measure, show=show_steps, more=show_culling,
+    _OPTIONS, _measure, display_rows=add_step_columns, extra_tables=format_culling_tables,
 ).command  # fmt: skip

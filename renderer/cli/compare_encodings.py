@@ -21,10 +21,10 @@ from typing import Any, Final
 from renderer.cli import options
 from renderer.cli.comparison import ComparisonProgram, Report, repeat
 from renderer.cli.options import option
-from renderer.cli.output import open_working, show_progress
+from renderer.cli.output import open_available_devices, show_progress
 from renderer.lab.comparison import Record
-from renderer.lab.encodings import compare_encodings
-from renderer.lab.measure.encodings import ENCODINGS
+from renderer.lab.encoding_comparison import compare_encodings
+from renderer.lab.measure.encoding_errors import ENCODINGS
 
 _OPTIONS: Final = (
     option("--backend", "gl or cl", None, "all devices here that run shaders", metavar="NAME"),
@@ -35,21 +35,21 @@ _OPTIONS: Final = (
 )
 
 
-def _measure(given: argparse.Namespace) -> Report:
-    with ExitStack() as made:
-        devices = open_working(made, ("gl", "cl") if given.backend is None else (given.backend,))
+def _measure(arguments: argparse.Namespace) -> Report:
+    with ExitStack() as stack:
+        devices = open_available_devices(stack, ("gl", "cl") if arguments.backend is None else (arguments.backend,))
         rows = compare_encodings(
             devices,
             ENCODINGS,
-            count=given.count,
-            rounds=given.rounds,
+            count=arguments.count,
+            rounds=arguments.rounds,
             progress=partial(show_progress, what="store"),
         )
         names = {device.backend_name: device.capabilities.device for device in devices}
-    return Report({"devices": names} | repeat(given, "count"), rows, "Encodings of a geometry buffer")
+    return Report({"devices": names} | repeat(arguments, "count"), rows, "Encodings of a geometry buffer")
 
 
-def show_rows(rows: Sequence[Record]) -> Sequence[Record]:
+def add_device_columns(rows: Sequence[Record]) -> Sequence[Record]:
     """Round errors, and give each device a column."""
     errors = {"mean_error": ".2g", "max_error": ".3g"}
     return [
@@ -68,16 +68,16 @@ def plot_rows(figure: Any, rows: Sequence[Record]) -> None:
     for row in rows:
         if row["stores"] == "normal":
             lines.setdefault(row["name"].partition(", ")[2], []).append(row)
-    for name, some in lines.items():
-        bits = [row["bits"] // 2 for row in some]
-        (line,) = errors.plot(bits, [row["max_error"] for row in some], marker="o", label=name)
-        errors.plot(bits, [row["mean_error"] for row in some], linestyle="dotted", color=line.get_color())
+    for name, encoding_rows in lines.items():
+        bits = [row["bits"] // 2 for row in encoding_rows]
+        (line,) = errors.plot(bits, [row["max_error"] for row in encoding_rows], marker="o", label=name)
+        errors.plot(bits, [row["mean_error"] for row in encoding_rows], linestyle="dotted", color=line.get_color())
     errors.set(yscale="log", xlabel="bits of each number", ylabel="degrees: largest, and dotted the mean")
     errors.legend()
     for number, name in enumerate(rows[0]["nanoseconds"]):
-        places = [place + 0.4 * number for place in range(len(rows))]
-        times.barh(places, [row["nanoseconds"][name] for row in rows], height=0.4, label=name)
-    times.set_yticks([place + 0.2 for place in range(len(rows))], [row["name"] for row in rows], fontsize=6)
+        positions = [row_index + 0.4 * number for row_index in range(len(rows))]
+        times.barh(positions, [row["nanoseconds"][name] for row in rows], height=0.4, label=name)
+    times.set_yticks([row_index + 0.2 for row_index in range(len(rows))], [row["name"] for row in rows], fontsize=6)
     times.invert_yaxis()
     times.set(xlabel="ns to encode and decode a value")
     times.legend()
@@ -85,5 +85,5 @@ def plot_rows(figure: Any, rows: Sequence[Record]) -> None:
 
 COMMAND: Final = ComparisonProgram(
     "encodings", "compare the encodings of a geometry buffer", __doc__, _OPTIONS, _measure,
-    titles={"name": "encoding", "unit": ""}, show=show_rows, plot=plot_rows,
+    titles={"name": "encoding", "unit": ""}, display_rows=add_device_columns, plot=plot_rows,
 ).command  # fmt: skip

@@ -30,7 +30,7 @@ from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.output import show_progress
 from renderer.content import parse_camera
 from renderer.lab.comparison import Record
-from renderer.lab.light_culling import compare_light_culling
+from renderer.lab.light_culling_comparison import compare_light_culling
 from renderer.lights.culling import CONE_TESTS, SPHERE_TESTS
 from renderer.renderer import Renderer
 
@@ -42,12 +42,12 @@ _OPTIONS: Final = (
     options.SCENE,
     options.camera(),
     options.frame("frame of a path"),
-    options.several("--lights", "numbers of lights", options.parse_count, _COUNTS, "64,128,256,512,1024", "N,N,…"),
-    options.some("--tests", SPHERE_TESTS, "is not a test", list(SPHERE_TESTS), "all"),
+    options.values("--lights", "numbers of lights", options.parse_count, _COUNTS, "64,128,256,512,1024", "N,N,…"),
+    options.names("--tests", SPHERE_TESTS, "is not a test", list(SPHERE_TESTS), "all"),
     options.size((1280, 720)),
     options.count("--tile", "side of a tile in pixels", 8),
     options.count("--slices", "depth slices of a tile", 1),
-    options.some("--cones", CONE_TESTS, "is not a test", ["sphere"], "sphere, which makes none",
+    options.names("--cones", CONE_TESTS, "is not a test", ["sphere"], "sphere, which makes none",
                  "tests of spot lights' cones, "),
     options.choice("--depth-mask", "whether 32 slices of a tile's depths are told apart", _SWITCHES, "off"),
     options.choice("--pre-filter", "whether blocks of tiles are tested before tiles", _SWITCHES, "on"),
@@ -57,35 +57,35 @@ _OPTIONS: Final = (
 )  # fmt: skip
 
 
-def _measure(given: argparse.Namespace) -> Report:
-    scene = open_scene(given.scene)
-    camera = parse_camera(given.camera or next(iter(scene.views)), scene, given.frame)
-    with rhi.create_device(given.backend) as device:
-        with Renderer(device, scene, size=given.size, visibility="frustum") as renderer:
+def _measure(arguments: argparse.Namespace) -> Report:
+    scene = open_scene(arguments.scene)
+    camera = parse_camera(arguments.camera or next(iter(scene.views)), scene, arguments.frame)
+    with rhi.create_device(arguments.backend) as device:
+        with Renderer(device, scene, size=arguments.size, visibility="frustum") as renderer:
             rows = compare_light_culling(
                 renderer,
                 camera,
-                given.lights,
-                given.tests,
-                tile=given.tile,
-                slices=given.slices,
-                cones=given.cones,
-                depth_masks=_SWITCHES[given.depth_mask],
-                pre_filters=_SWITCHES[given.pre_filter],
-                rounds=given.rounds,
+                arguments.lights,
+                arguments.tests,
+                tile=arguments.tile,
+                slices=arguments.slices,
+                cones=arguments.cones,
+                depth_masks=_SWITCHES[arguments.depth_mask],
+                pre_filters=_SWITCHES[arguments.pre_filter],
+                rounds=arguments.rounds,
                 progress=partial(show_progress, what="collect"),
             )
-        about = describe(device) | {"scene": scene.name, "camera": given.camera or next(iter(scene.views))}
-    return Report(about | repeat(given, "frame", "size", "tile", "slices", "rounds"), rows, scene=scene)
+        metadata = describe(device) | {"scene": scene.name, "camera": arguments.camera or next(iter(scene.views))}
+    return Report(metadata | repeat(arguments, "frame", "size", "tile", "slices", "rounds"), rows, scene=scene)
 
 
 def plot_tests(figure: Any, rows: Sequence[Record]) -> None:
     """Draw pairs and times over the number of lights, with a line for each test (Thatcher 2014, figures 5, 6, 7, 9)."""
-    tests = dict.fromkeys(tuple(row[name] for name in _WAYS) for row in rows)
-    for place, (key, title) in enumerate(_CHARTED.items(), 1):
-        axes = figure.add_subplot(1, len(_CHARTED), place)
+    tests = dict.fromkeys(tuple(row[name] for name in _TEST_COLUMNS) for row in rows)
+    for number, (key, title) in enumerate(_CHART_COLUMNS.items(), 1):
+        axes = figure.add_subplot(1, len(_CHART_COLUMNS), number)
         for test in tests:
-            own = [row for row in rows if tuple(row[name] for name in _WAYS) == test]
+            own = [row for row in rows if tuple(row[name] for name in _TEST_COLUMNS) == test]
             words = [name.replace("_", " ") for name in ("depth_mask", "pre_filter") if own[0][name]]
             words += [] if own[0]["cones"] == "sphere" else [f"{own[0]['cones']} cones"]
             axes.plot(
@@ -100,8 +100,8 @@ def plot_tests(figure: Any, rows: Sequence[Record]) -> None:
     axes.legend(fontsize="small")
 
 
-_WAYS: Final = ("test", "cones", "depth_mask", "pre_filter")
-_CHARTED: Final = {"pairs": "pairs of a cell and a light", "collect_ms": "ms to list", "draw_ms": "ms to draw"}
+_TEST_COLUMNS: Final = ("test", "cones", "depth_mask", "pre_filter")
+_CHART_COLUMNS: Final = {"pairs": "pairs of a cell and a light", "collect_ms": "ms to list", "draw_ms": "ms to draw"}
 COMMAND: Final = ComparisonProgram(
     "light-culling", "compare the tests that assign lights to tiles or clusters", __doc__,
     (*_OPTIONS, options.chart("pairs and times")), _measure, plot=plot_tests,

@@ -34,25 +34,26 @@ from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.output import show_progress
 from renderer.content import load_scene
 from renderer.lab.comparison import Record
-from renderer.lab.techniques import compare_techniques, vary_scene
+from renderer.lab.technique_comparison import compare_techniques, vary_scene
 from renderer.techniques import TECHNIQUES
 
-SUBJECTS: Final[dict[str, tuple[str, dict[str, Any]]]] = {name: (name, {}) for name in TECHNIQUES} | {
+COMPARED_TECHNIQUES: Final[dict[str, tuple[str, dict[str, Any]]]] = {name: (name, {}) for name in TECHNIQUES} | {
     f"{name}_{way}": (name, {way: True})
     for name in TECHNIQUES
-    for way in options.WAYS
+    for way in options.TECHNIQUE_VARIANTS
     if way in signature(TECHNIQUES[name]).parameters
 }
-"""What can be compared: techniques, and those with another of their ways; with their settings."""
+"""The techniques to compare, also with variants, and their settings."""
 
 _OPTIONS: Final = (
     options.SCENE,
     *(
-        options.several(f"--{what}", f"numbers of {what}", options.parse_count, [None], "those of the scene as it is",
+        options.values(f"--{what}", f"numbers of {what}", options.parse_count, [None], "those of the scene as it is",
                         "N,N,…")
         for what in ("objects", "lights")
     ),
-    options.some("--techniques", SUBJECTS, "is not a technique", list(TECHNIQUES), "all, each in its first way"),
+    options.names("--techniques", COMPARED_TECHNIQUES, "is not a technique", list(TECHNIQUES),
+                  "all, each in its first way"),
     options.camera(),
     options.frame("frame of a path"),
     options.rounds("times each technique is timed"),
@@ -64,28 +65,30 @@ _OPTIONS: Final = (
 )  # fmt: skip
 
 
-def _measure(given: argparse.Namespace) -> Report:
-    settings = load_settings(given)
-    first, *others = [vary_scene(given.scene, objects, lights) for objects in given.objects for lights in given.lights]
-    scene = open_scene(first)  # a file's is the only one; generators leave nothing out
-    with rhi.create_device(given.backend) as device:
+def _measure(arguments: argparse.Namespace) -> Report:
+    settings = load_settings(arguments)
+    first, *others = [
+        vary_scene(arguments.scene, objects, lights) for objects in arguments.objects for lights in arguments.lights
+    ]
+    scene = open_scene(first)  # a file is the only scene; generators leave nothing out
+    with rhi.create_device(arguments.backend) as device:
         rows = compare_techniques(
             device,
             chain([scene], map(load_scene, others)),
             {
-                one: replace(settings.technique, **way).make_one(name)
-                for one in given.techniques
-                for name, way in [SUBJECTS[one]]
+                label: replace(settings.technique, **way).make_technique(name)
+                for label in arguments.techniques
+                for name, way in [COMPARED_TECHNIQUES[label]]
             },
-            given.size,
-            camera=given.camera,
-            frame=given.frame,
-            rounds=given.rounds,
+            arguments.size,
+            camera=arguments.camera,
+            frame=arguments.frame,
+            rounds=arguments.rounds,
             settings=settings,
             progress=partial(show_progress, what="compare"),
         )
-        about = describe(device) | repeat(given, "scene", "camera", "frame", "size", "rounds")
-        return Report(about, list(rows), f"{given.scene}, {about['device']}", scene)
+        metadata = describe(device) | repeat(arguments, "scene", "camera", "frame", "size", "rounds")
+        return Report(metadata, list(rows), f"{arguments.scene}, {metadata['device']}", scene)
 
 
 def plot_techniques(figure: Any, rows: Sequence[Record]) -> None:

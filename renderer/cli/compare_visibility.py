@@ -34,49 +34,54 @@ from renderer.cli import options
 from renderer.cli.arguments import open_scene
 from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.output import OutputError, show_progress
-from renderer.content import find_path
+from renderer.content import parse_camera_path
 from renderer.lab.comparison import Record
-from renderer.lab.visibility import compare_algorithms, list_contenders, list_frames
+from renderer.lab.visibility_comparison import compare_algorithms, list_contenders, list_frames
 from renderer.renderer import Renderer
 from renderer.visibility import ALGORITHMS, VisibilitySettings, check_algorithm, list_algorithms
 
 
-def measure_visibility(given: argparse.Namespace) -> Report:
+def measure_visibility(arguments: argparse.Namespace) -> Report:
     """Compare the algorithms that the command's arguments ask for."""
-    if given.teleport is not None and given.stride > 1:
+    if arguments.teleport is not None and arguments.stride > 1:
         raise OutputError("--teleport: it jumps between consecutive frames; leave out --stride")
     settings = VisibilitySettings()
-    tuned = None if given.settings is None else VisibilitySettings.load(given.settings)
-    if given.threshold is not None:
-        settings = replace(settings, threshold=given.threshold)
-        tuned = None if tuned is None else replace(tuned, threshold=given.threshold)
-    scene = open_scene(given.scene)
-    path = find_path(given.camera_path, scene)
-    drawn = given.warm_up + (given.frames - 1) * given.stride + 1
-    first = max(0, (len(path) - drawn + 1) // 2) if given.frame is None else given.frame
+    tuned = None if arguments.settings is None else VisibilitySettings.load(arguments.settings)
+    if arguments.threshold is not None:
+        settings = replace(settings, threshold=arguments.threshold)
+        tuned = None if tuned is None else replace(tuned, threshold=arguments.threshold)
+    scene = open_scene(arguments.scene)
+    path = parse_camera_path(arguments.camera_path, scene)
+    drawn = arguments.warm_up + (arguments.frames - 1) * arguments.stride + 1
+    first = max(0, (len(path) - drawn + 1) // 2) if arguments.frame is None else arguments.frame
     path.camera(first + drawn - 1)  # raises now, not after minutes
     frames = list_frames(
-        first, given.frames, len(path), stride=given.stride, warm_up=given.warm_up, teleport=given.teleport
+        first,
+        arguments.frames,
+        len(path),
+        stride=arguments.stride,
+        warm_up=arguments.warm_up,
+        teleport=arguments.teleport,
     )
-    given.queries = [kind for kind in options.QUERY_KINDS if kind in given.queries]
-    emulated = [kind == "emulated" for kind in given.queries]
-    with rhi.create_device(given.backend) as device, Renderer(device, scene, size=given.size) as renderer:
-        names = given.algorithms or [
+    arguments.queries = [kind for kind in options.QUERY_KINDS if kind in arguments.queries]
+    emulated = [kind == "emulated" for kind in arguments.queries]
+    with rhi.create_device(arguments.backend) as device, Renderer(device, scene, size=arguments.size) as renderer:
+        names = arguments.algorithms or [
             name for name in list_algorithms(device) if name != "conditional" or not emulated[0]
         ]
         for name in names:
             check_algorithm(name, device, "compare visibility")
         contenders = list_contenders(names, settings, tuned, emulated)
         rows = compare_algorithms(renderer, contenders, path, show_progress(frames, "compare"))
-        about = describe(device) | {"scene": scene.name, "camera_path": given.camera_path}
-    about |= {"first_frame": first + given.warm_up}
-    about |= repeat(given, "frames", "stride", "warm_up", "teleport", "size", "queries")
-    about |= {"settings": asdict(settings), "optimized": None if tuned is None else asdict(tuned)}
-    return Report(about, rows, f"{scene.name}, {given.camera_path}, {about['device']}", scene)
+        metadata = describe(device) | {"scene": scene.name, "camera_path": arguments.camera_path}
+    metadata |= {"first_frame": first + arguments.warm_up}
+    metadata |= repeat(arguments, "frames", "stride", "warm_up", "teleport", "size", "queries")
+    metadata |= {"settings": asdict(settings), "optimized": None if tuned is None else asdict(tuned)}
+    return Report(metadata, rows, f"{scene.name}, {arguments.camera_path}, {metadata['device']}", scene)
 
 
-def show_rows(rows: Sequence[Record]) -> Sequence[Record]:
-    """Leave out what simulations did where nothing is simulated."""
+def drop_idle_columns(rows: Sequence[Record]) -> Sequence[Record]:
+    """Drop the columns of simulations if nothing is simulated."""
     idle = ("simulation_steps", "skipped_simulations")
     if any(row[name] for row in rows for name in idle):
         return rows
@@ -86,9 +91,9 @@ def show_rows(rows: Sequence[Record]) -> Sequence[Record]:
 def plot_algorithms(figure: Any, rows: Sequence[Record]) -> None:
     """Draw times and triangles, with a bar for each algorithm."""
     names = [row["algorithm"] for row in rows]
-    for place, (key, form) in enumerate({"milliseconds": "{:,.1f}", "triangles": "{:,}"}.items(), 1):
+    for number, (key, form) in enumerate({"milliseconds": "{:,.1f}", "triangles": "{:,}"}.items(), 1):
         values = [row[key] for row in rows]
-        axes = figure.add_subplot(1, 2, place)
+        axes = figure.add_subplot(1, 2, number)
         bars = axes.barh(names, values, color="#4477aa")
         axes.bar_label(bars, labels=[form.format(value) for value in values], padding=3)
         axes.set_xlabel(f"{key} a frame")
@@ -100,23 +105,23 @@ def plot_algorithms(figure: Any, rows: Sequence[Record]) -> None:
 
 _OPTIONS: Final = (
     options.SCENE,
-    *options.walk("number of frames to time"),
+    *options.path_range("number of frames to time"),
     options.BACKEND,
-    options.some("--algorithms", ALGORITHMS, "is not an algorithm", None, "all that the device can run"),
-    options.some("--queries", options.QUERY_KINDS, "is not a kind of query", ["native"],
+    options.names("--algorithms", ALGORITHMS, "is not an algorithm", None, "all that the device can run"),
+    options.names("--queries", options.QUERY_KINDS, "is not a kind of query", ["native"],
                  help="emulated ones are two counters and a fence; "),
     options.settings("adds a row for CHC++ with the parameters in this file, which `tune` has written"),
     options.size(),
     options.count("--stride", "count every Nth frame of the path", 1),
     options.count("--warm-up", "number of frames that are drawn before a counted one, unless they are counted", 1,
-                  least=0),
+                  minimum=0),
     options.count("--threshold", "count boxes that pass at most this many samples as hidden", None, "the settings', 0",
-                  least=0),
+                  minimum=0),
     options.count("--teleport", "jump to the other half of the path, or back, after every N frames"),
     *options.form(),
     options.chart("times and triangles"),
 )  # fmt: skip
 COMMAND: Final = ComparisonProgram(
     "visibility", "compare visibility algorithms along a camera path", __doc__, _OPTIONS, measure_visibility,
-    show=show_rows, plot=plot_algorithms,
+    display_rows=drop_idle_columns, plot=plot_algorithms,
 ).command  # fmt: skip

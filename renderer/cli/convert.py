@@ -27,21 +27,21 @@ _OPTIONS: Final = (
 )
 
 
-def _run(given: argparse.Namespace) -> None:
-    scene = open_scene(given.scene)
-    given.output.parent.mkdir(parents=True, exist_ok=True)
-    left_out = save_scene(scene, given.output)
+def _run(arguments: argparse.Namespace) -> None:
+    scene = open_scene(arguments.scene)
+    arguments.output.parent.mkdir(parents=True, exist_ok=True)
+    left_out = save_scene(scene, arguments.output)
     for omission in left_out:
         note(f"left out: {omission}")
     report = {
-        "file": str(given.output),
-        "bytes": given.output.stat().st_size,
+        "file": str(arguments.output),
+        "bytes": arguments.output.stat().st_size,
         "objects": len(scene.objects),
         "triangles": scene.triangle_count,
         "left_out": [asdict(omission) for omission in (*scene.omissions, *left_out)],
     }
-    summary = f"{given.output}: {len(scene.objects):,} objects, {scene.triangle_count:,} triangles"
-    print(json.dumps(report) if given.json else summary)
+    summary = f"{arguments.output}: {len(scene.objects):,} objects, {scene.triangle_count:,} triangles"
+    print(json.dumps(report) if arguments.json else summary)
 
 
 COMMAND: Final = Subcommand("convert", "write a scene as a glTF file", _OPTIONS, _run, __doc__)

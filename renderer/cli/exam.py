@@ -23,11 +23,11 @@ from typing import Final
 import rhi
 from renderer.cli import options
 from renderer.cli.options import option
-from renderer.cli.output import note, open_working, prepare_image, show_progress, write_image
+from renderer.cli.output import note, open_available_devices, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Subcommand
-from renderer.lab.exam import CASES, Case, ExamRow, examine, find_cases
+from renderer.lab.exam import CASES, Case, ExamRow, examine, select_cases
 from renderer.lab.exam.case import NOTHING
-from renderer.lab.exam.pictures import join_pictures
+from renderer.lab.exam.case_images import join_images
 from renderer.lab.measure import format_table
 
 _OPTIONS: Final = (
@@ -36,58 +36,58 @@ _OPTIONS: Final = (
     option("--case", "only this case; may be repeated", [], "", action="append", type=int, metavar="N"),
     options.switch("--long", "also the cases that take minutes"),
     option("--show", "print all numbers of one case", type=int, metavar="N"),
-    option("--output", "with --show: where its pictures go", None, "none is written", type=Path, metavar="F.png"),
+    option("--output", "with --show: where its images go", None, "none is written", type=Path, metavar="F.png"),
     *options.form(),
 )  # fmt: skip
 
 
-def _run(given: argparse.Namespace) -> None:
-    if given.output is not None:
-        prepare_image(given.output)
-    with ExitStack() as made:
+def _run(arguments: argparse.Namespace) -> None:
+    if arguments.output is not None:
+        prepare_image(arguments.output)
+    with ExitStack() as stack:
         devices = (
-            [made.enter_context(rhi.create_device(name)) for name in given.backend]
-            if given.backend
-            else open_working(made, ("gl", "cl", "null"))
+            [stack.enter_context(rhi.create_device(name)) for name in arguments.backend]
+            if arguments.backend
+            else open_available_devices(stack, ("gl", "cl", "null"))
         )
-        if given.show is not None:
-            (case,) = find_cases([given.show])
-            has_failed = _show(case, devices, given.output, as_json=given.json)
+        if arguments.show is not None:
+            (case,) = select_cases([arguments.show])
+            has_failed = _print_case(case, devices, arguments.output, as_json=arguments.json)
         else:
-            cases = find_cases(given.case, are_long=given.long)
+            cases = select_cases(arguments.case, are_long=arguments.long)
             rows = [
                 row
                 for device in devices
                 for row in show_progress(examine(device, cases), device.backend_name, len(cases))
             ]
             has_failed = any(row.passed is False for row in rows)
-            if given.json:
+            if arguments.json:
                 print(json.dumps([row.as_record() for row in rows]))
             else:
-                print(show_rows(rows, markdown=given.markdown))
+                print(format_rows_by_backend(rows, markdown=arguments.markdown))
     if has_failed:
         sys.exit(1)
 
 
-def show_rows(rows: Sequence[ExamRow], *, markdown: bool = False) -> str:
+def format_rows_by_backend(rows: Sequence[ExamRow], *, markdown: bool = False) -> str:
     """Format the rows as a table with a line for each case and a column for each backend, and a line of the counts."""
     backends = list(dict.fromkeys(row.backend for row in rows))
     lines: dict[int, dict[str, ExamRow]] = {}
     for row in rows:
         lines.setdefault(row.case, {})[row.backend] = row
-    header = ["case", "about", "reference", "tolerance", *backends]
+    header = ["case", "description", "reference", "tolerance", *backends]
     cells: list[list[object]] = []
-    for number, found in lines.items():
-        first = next(iter(found.values()))
+    for number, rows_by_backend in lines.items():
+        first = next(iter(rows_by_backend.values()))
         tolerance = f"{first.tolerance:.3g} {first.unit}"
-        results = [_describe(found[name]) if name in found else "" for name in backends]
-        cells.append([str(number), first.about, first.reference, tolerance, *results])
+        results = [_describe(rows_by_backend[name]) if name in rows_by_backend else "" for name in backends]
+        cells.append([str(number), first.description, first.reference, tolerance, *results])
     counts = []
     for name in backends:
-        own = [row.passed for row in rows if row.backend == name and row.asks != NOTHING]
+        own = [row.passed for row in rows if row.backend == name and row.device_use != NOTHING]
         applied = len(own) - own.count(None)
         counts.append(f"{name}: {own.count(True)} of {applied} passed, {own.count(None)} not applicable")
-    others = [row.passed for row in rows if row.backend == backends[0] and row.asks == NOTHING]
+    others = [row.passed for row in rows if row.backend == backends[0] and row.device_use == NOTHING]
     if others:
         counts.append(f"that ask nothing of a device: {others.count(True)} of {len(others)} passed")
     table = format_table(header, cells, markdown=markdown)
@@ -103,36 +103,36 @@ def _describe(row: ExamRow) -> str:
     return f"FAILED: {'; '.join(part for part in (error, row.remark) if part)}"
 
 
-def _show(case: Case, devices: Sequence[rhi.Device], output: Path | None, *, as_json: bool) -> bool:
-    """Print what a case is about and what it finds on each device; write its pictures."""
+def _print_case(case: Case, devices: Sequence[rhi.Device], output: Path | None, *, as_json: bool) -> bool:
+    """Print a case and its results on each device; write its images."""
     report: dict[str, object] = {
         "case": case.number,
-        "about": case.about,
+        "description": case.description,
         "reference": case.reference,
         "tolerance": f"{case.tolerance:g} {case.unit}",
         "why": case.why,
     }
-    pictures, has_failed = {}, False
+    images, has_failed = {}, False
     for device in devices:
-        lack = case.find_lack(device.capabilities)
+        lack = case.find_missing_capability(device.capabilities)
         if lack is not None:
-            report[device.backend_name] = {"needs": lack}
+            report[device.backend_name] = {"missing": lack}
             continue
-        found = case.measure(device)
-        passed = case.judge(found)
+        result = case.measure(device)
+        passed = case.passes(result)
         has_failed |= not passed
         report[device.backend_name] = {
-            "error": float(found.error), "passed": passed, **found.numbers, **found.holds,
+            "error": float(result.error), "passed": passed, **result.numbers, **result.holds,
         }  # fmt: skip
         if output is not None:
-            shown = found.pictures()
-            pictures.update({f"{device.backend_name}: {title}": picture for title, picture in shown.items()})
+            case_images = result.images()
+            images.update({f"{device.backend_name}: {title}": image for title, image in case_images.items()})
     print(json.dumps(report, default=str) if as_json else _list_report(report))
-    if pictures and output is not None:
-        write_image(output, join_pictures(pictures))
-        note(f"wrote {output}: {', '.join(pictures)}")
+    if images and output is not None:
+        write_image(output, join_images(images))
+        note(f"wrote {output}: {', '.join(images)}")
     elif output is not None:
-        note(f"case {case.number} has numbers only, no pictures")
+        note(f"case {case.number} has numbers only, no images")
     return has_failed
 
 

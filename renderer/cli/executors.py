@@ -1,4 +1,4 @@
-"""Executors by the texts of `--executor`.
+"""Makes the executors that `--executor` names.
 
 Each of several processes gets CPUs of its own, and its drivers as many threads. PoCL and llvmpipe would otherwise
 start a thread for every CPU in each process, and PoCL's are pinned (`rhi.backends.cl.pocl.workers`): those of all
@@ -53,7 +53,7 @@ def make_executor(text: str) -> Iterator[Executor]:
         yield SerialExecutor()
     elif kind == "processes" and is_count:
         try:
-            with open_processes(share_cpus(int(rest) if rest else len(list_cpus()))) as pool:
+            with open_processes(partition_cpus(int(rest) if rest else len(list_cpus()))) as pool:
                 yield pool
         except BrokenExecutor:
             raise OutputError(f"--executor: a process of {text} was ended; what others have done is kept") from None
@@ -76,7 +76,7 @@ def make_executor(text: str) -> Iterator[Executor]:
 
 
 def list_cpus() -> list[int]:
-    """Return the CPUs that this process may use; those of a core follow each other."""
+    """The CPUs that this process may use; those of a core follow each other."""
     if not hasattr(os, "sched_getaffinity"):
         return list(range(os.cpu_count() or 1))
 
@@ -90,34 +90,34 @@ def list_cpus() -> list[int]:
     return sorted(os.sched_getaffinity(0), key=lambda cpu: (find_core(cpu), cpu))
 
 
-def share_cpus(count: int) -> list[list[int]]:
-    """Return the CPUs of each of `count` processes: as many for each, none twice unless there are fewer."""
+def partition_cpus(count: int) -> list[list[int]]:
+    """The CPUs of each of `count` processes: as many for each, none twice unless there are fewer."""
     cpus = list_cpus()
     each = max(len(cpus) // count, 1)
     return [[cpus[(number * each + i) % len(cpus)] for i in range(each)] for number in range(count)]
 
 
-def open_processes(shares: Sequence[Sequence[int]]) -> ProcessPoolExecutor:
-    """Return an executor with a process for each share of the CPUs. Each begins afresh: a driver's state doesn't
+def open_processes(cpu_groups: Sequence[Sequence[int]]) -> ProcessPoolExecutor:
+    """Open an executor with a process for each group of CPUs. Processes are spawned: a driver's state doesn't
     survive a fork."""
     context = get_context("spawn")
-    left: SimpleQueue[Sequence[int]] = context.SimpleQueue()
-    for share in shares:
-        left.put(share)
-    return ProcessPoolExecutor(len(shares), mp_context=context, initializer=_take_share, initargs=(left,))
+    remaining: SimpleQueue[Sequence[int]] = context.SimpleQueue()
+    for cpus in cpu_groups:
+        remaining.put(cpus)
+    return ProcessPoolExecutor(len(cpu_groups), mp_context=context, initializer=_use_next_cpus, initargs=(remaining,))
 
 
-def _take_share(left: SimpleQueue[Sequence[int]]) -> None:
-    """Use one of the shares in this process, before any driver has started its threads."""
-    use_cpus(left.get())
+def _use_next_cpus(remaining: SimpleQueue[Sequence[int]]) -> None:
+    """Use one of the groups of CPUs in this process, before any driver has started its threads."""
+    use_cpus(remaining.get())
 
 
 def use_cpus(cpus: Sequence[int]) -> None:
-    """Use only these CPUs in this process; drivers that start later have as many threads, unless the user has set
-    their number."""
+    """Restrict this process to these CPUs. Drivers that start later have as many threads, unless the user has
+    set their number."""
     for name in _THREAD_COUNTS:
         os.environ.setdefault(name, str(len(cpus)))
     if hasattr(os, "sched_setaffinity"):
         for task in _TASKS.iterdir():  # NumPy has started threads already
-            with suppress(OSError):  # it has ended
+            with suppress(OSError):  # the thread has ended
                 os.sched_setaffinity(int(task.name), cpus)

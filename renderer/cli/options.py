@@ -1,4 +1,4 @@
-"""Options of the command line: their kinds, each said once, and those that several commands share.
+"""Options of the command line: their kinds, each defined once, and those that several commands share.
 
 A kind gives an option its parser, its placeholder and the end of its help, "(default: …)". A command lists its options:
 they are data, so a command is its name, its summary, its options and the function that runs it.
@@ -23,14 +23,14 @@ from renderer.visibility import ALGORITHMS
 QUERY_KINDS: Final = ("native", "emulated")
 """The kinds of occlusion queries that `--queries` names."""
 
-WAYS: Final = {
+TECHNIQUE_VARIANTS: Final = {
     "all_lights": "forward looks at all lights of the scene for each fragment, instead of those of its object's list",
     "stencil": "deferred and light_pre_pass mask each light in a stencil buffer",
     "depth_first": "clustered draws depth before, so that no hidden fragment is lit",
     "multi_pass": "deferred_plus shades each material by draws of its own",
     "binned": "deferred_plus shades lists of each material's pixels",
 }
-"""Other ways of some techniques to the same picture, settings of `TechniqueSettings`."""
+"""Variants of some techniques that draw the same image: settings of `TechniqueSettings`, with their help."""
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -43,14 +43,14 @@ def parse_size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def parse_number(text: str, allowed: Callable[[float], bool], wanted: str) -> float:
+def parse_number(text: str, allowed: Callable[[float], bool], description: str) -> float:
     """Parse a number that is `allowed`."""
     try:
         number = float(text)
     except ValueError:
         number = -1.0
     if not allowed(number):
-        raise argparse.ArgumentTypeError(f"{text!r} is not {wanted}")
+        raise argparse.ArgumentTypeError(f"{text!r} is not {description}")
     return number
 
 
@@ -64,10 +64,10 @@ def parse_bound(text: str) -> float:
     return parse_number(text, lambda number: 0.0 < number < float("inf"), "a number above 0")
 
 
-def parse_count(text: str, least: int = 1) -> int:
-    """Parse a whole number of `least` or more."""
-    if not (text.isascii() and text.isdigit() and int(text) >= least):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of {least} or more")
+def parse_count(text: str, minimum: int = 1) -> int:
+    """Parse a whole number of `minimum` or more."""
+    if not (text.isascii() and text.isdigit() and int(text) >= minimum):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of {minimum} or more")
     return int(text)
 
 
@@ -76,14 +76,14 @@ def parse_frame(text: str) -> int:
     return parse_count(text, 0)
 
 
-def parse_names(known: Collection[str], what: str) -> Callable[[str], list[str]]:
-    """Return a parser of names between commas, each of which must be in `known`."""
+def parse_names(choices: Collection[str], what: str) -> Callable[[str], list[str]]:
+    """A parser of names between commas, each of which must be in `choices`."""
 
     def parse(text: str) -> list[str]:
         names = text.split(",")
         for name in names:
-            if name not in known:
-                raise argparse.ArgumentTypeError(f"{name!r} {what}; give some of {', '.join(known)}")
+            if name not in choices:
+                raise argparse.ArgumentTypeError(f"{name!r} {what}; give some of {', '.join(choices)}")
         return list(dict.fromkeys(names))
 
     return parse
@@ -94,70 +94,76 @@ class CommandOption:
     """An argument of a command.
 
     Attributes:
-        flag: its name.
-        told: what argparse is told of it.
+        flag: the option's name.
+        keywords: the keyword arguments of `add_argument`.
         group: options of one group exclude each other.
     """
 
     flag: str
-    told: dict[str, Any]
+    keywords: dict[str, Any]
     group: str = ""
 
 
 def add_options(parser: argparse.ArgumentParser, options: Iterable[CommandOption]) -> None:
-    """Let a parser read options."""
+    """Add options to an argparse parser."""
     groups: dict[str, Any] = {"": parser}
-    for one in options:
-        if one.group not in groups:
-            groups[one.group] = parser.add_mutually_exclusive_group()
-        groups[one.group].add_argument(one.flag, **one.told)
+    for command_option in options:
+        if command_option.group not in groups:
+            groups[command_option.group] = parser.add_mutually_exclusive_group()
+        groups[command_option.group].add_argument(command_option.flag, **command_option.keywords)
 
 
-def option(flag: str, help: str, default: Any = None, shown: object = None, **told: Any) -> CommandOption:
-    """Return an option whose help ends with its default, or with `shown` in its place; "" ends it without."""
-    shown = default if shown is None else shown
-    ending = "" if shown is None or shown == "" else f" (default: {shown})"
-    return CommandOption(flag, {"help": help + ending, "default": default, **told})
+def option(flag: str, help: str, default: Any = None, default_text: object = None, **keywords: Any) -> CommandOption:
+    """An option whose help ends with its default, or with `default_text` instead; "" shows none."""
+    default_text = default if default_text is None else default_text
+    ending = "" if default_text is None or default_text == "" else f" (default: {default_text})"
+    return CommandOption(flag, {"help": help + ending, "default": default, **keywords})
 
 
 def switch(flag: str, help: str) -> CommandOption:
-    """Return an option that is given or not."""
+    """A flag without a value."""
     return CommandOption(flag, {"help": help, "action": "store_true"})
 
 
-def count(flag: str, help: str, default: int | None = None, shown: object = None, least: int = 1) -> CommandOption:
-    """Return an option that is a whole number of `least` or more."""
-    return option(flag, help, default, shown, type=partial(parse_count, least=least), metavar="N")
-
-
-def length(flag: str, help: str, shown: object = None) -> CommandOption:
-    """Return an option that is a length in metres."""
-    return option(flag, help, None, shown, type=parse_length, metavar="M")
-
-
-def file(flag: str, help: str, form: str = "F.png", default: str | None = None, **told: Any) -> CommandOption:
-    """Return an option that is the path of a file or folder."""
-    return option(flag, help, None if default is None else Path(default), type=Path, metavar=form, **told)
-
-
-def choice(flag: str, help: str, known: Iterable[str], default: Any = None, shown: object = None) -> CommandOption:
-    """Return an option that is one of some names."""
-    return option(flag, help, default, shown, choices=known)
-
-
-def some(flag: str, known: Collection[str], wrong: str, default: Sequence[str] | None = None,
-         shown: object = None, help: str = "") -> CommandOption:  # fmt: skip
-    """Return an option that is a list of some of `known`; `wrong` says what another isn't."""
-    help = f"{help}some of {', '.join(known)}"
-    shown = shown or ",".join(default or ())
-    return option(flag, help, default, shown, type=parse_names(known, wrong), metavar="A,B,…")
-
-
-def several(
-    flag: str, help: str, parse: Callable[[str], Any], default: list[Any], shown: object, form: str
+def count(
+    flag: str, help: str, default: int | None = None, default_text: object = None, minimum: int = 1
 ) -> CommandOption:
-    """Return an option that is a list of values between commas."""
-    return option(flag, help, default, shown, type=lambda text: [parse(part) for part in text.split(",")], metavar=form)
+    """An option with a whole number of `minimum` or more."""
+    return option(flag, help, default, default_text, type=partial(parse_count, minimum=minimum), metavar="N")
+
+
+def length(flag: str, help: str, default_text: object = None) -> CommandOption:
+    """An option with a length in metres."""
+    return option(flag, help, None, default_text, type=parse_length, metavar="M")
+
+
+def file(flag: str, help: str, form: str = "F.png", default: str | None = None, **keywords: Any) -> CommandOption:
+    """An option with the path of a file or folder."""
+    return option(flag, help, None if default is None else Path(default), type=Path, metavar=form, **keywords)
+
+
+def choice(
+    flag: str, help: str, choices: Iterable[str], default: Any = None, default_text: object = None
+) -> CommandOption:
+    """An option with one of some names."""
+    return option(flag, help, default, default_text, choices=choices)
+
+
+def names(flag: str, allowed: Collection[str], wrong: str, default: Sequence[str] | None = None,
+         default_text: object = None, help: str = "") -> CommandOption:  # fmt: skip
+    """An option with a list of names in `allowed`; `wrong` is the error for other names."""
+    help = f"{help}some of {', '.join(allowed)}"
+    default_text = default_text or ",".join(default or ())
+    return option(flag, help, default, default_text, type=parse_names(allowed, wrong), metavar="A,B,…")
+
+
+def values(
+    flag: str, help: str, parse: Callable[[str], Any], default: list[Any], default_text: object, form: str
+) -> CommandOption:
+    """An option with a list of values between commas."""
+    return option(
+        flag, help, default, default_text, type=lambda text: [parse(part) for part in text.split(",")], metavar=form
+    )
 
 
 SCENE: Final = option("scene", "a scene generator (see `scenes`) or a model file", metavar="SCENE")
@@ -172,75 +178,76 @@ QUERIES_HELP: Final = "occlusion queries: the device's own, or emulated by two c
 
 
 def size(default: tuple[int, int] = (960, 540), what: str = "size of the image in pixels") -> CommandOption:
-    """Return the option `--size WxH`; `what` says what has that size."""
+    """The option `--size WxH`; `what` says what has that size."""
     return option("--size", what, default, "{}x{}".format(*default), type=parse_size, metavar="WxH")
 
 
-def camera(default: str | None = None, shown: object = None) -> CommandOption:
-    """Return the option `--camera CAMERA`; `shown` says what holds without it."""
-    shown = shown or default or "the scene's first view"
+def camera(default: str | None = None, default_text: object = None) -> CommandOption:
+    """The option `--camera CAMERA`; `default_text` describes the default."""
+    default_text = default_text or default or "the scene's first view"
     return option(
         "--camera", "a path (ground, sky), the .json file of a walk-through, a view of the scene, a position x,y,z, or "
-        "a position and a target x,y,z,x,y,z", default, shown, metavar="CAMERA",
+        "a position and a target x,y,z,x,y,z", default, default_text, metavar="CAMERA",
     )  # fmt: skip
 
 
-def frame(what: str = "first frame of the path", default: int | None = 0, shown: object = None) -> CommandOption:
-    """Return the option `--frame N`; `what` says which frame it is."""
-    return count("--frame", what, default, shown, least=0)
+def frame(what: str = "first frame of the path", default: int | None = 0, default_text: object = None) -> CommandOption:
+    """The option `--frame N`; `what` says which frame it is."""
+    return count("--frame", what, default, default_text, minimum=0)
 
 
 def frames(default: int | None, what: str = "number of frames") -> CommandOption:
-    """Return the option `--frames N`; `what` says what it counts."""
+    """The option `--frames N`; `what` says what it counts."""
     return count("--frames", what, default)
 
 
 def rounds(what: str, default: int = 5) -> CommandOption:
-    """Return the option `--rounds N`; `what` says what it counts."""
+    """The option `--rounds N`; `what` says what it counts."""
     return count("--rounds", what, default)
 
 
-def walk(what: str) -> tuple[CommandOption, ...]:
-    """Return the options of commands that draw a part of a path: where it begins and how long it is."""
+def path_range(what: str) -> tuple[CommandOption, ...]:
+    """The options of commands that draw a part of a path: its first frame and its length."""
     middle = "the frames lie around the path's middle"
     return PATH, frame("first frame of the path, at 60 a second", None, middle), frames(60, what)
 
 
 def form(what: str = "table") -> tuple[CommandOption, ...]:
-    """Return the options for how a result is printed."""
+    """The options for how a result is printed."""
     as_markdown = switch("--markdown", f"print the {what} as Markdown")
-    return tuple(replace(one, group="form") for one in (JSON, as_markdown))
+    return tuple(replace(form_option, group="form") for form_option in (JSON, as_markdown))
 
 
 def chart(what: str = "the times") -> CommandOption:
-    """Return the option for a chart; `what` is what it shows."""
+    """The option for a chart; `what` says what it shows."""
     return file("--plot", f"write a chart of {what}")
 
 
-def settings(what: str, shown: object = None) -> CommandOption:
-    """Return the option `--settings F.json`; `what` says what the file has, `shown` what holds without it."""
-    return option("--settings", what, None, shown, type=Path, metavar="F.json")
+def settings(what: str, default_text: object = None) -> CommandOption:
+    """The option `--settings F.json`; `what` says what the file has, `default_text` describes the default."""
+    return option("--settings", what, None, default_text, type=Path, metavar="F.json")
 
 
-def queries(shown: str) -> CommandOption:
-    """Return the option `--queries KIND`; `shown` says what holds without it."""
-    return choice("--queries", QUERIES_HELP, QUERY_KINDS, None, shown)
+def queries(default_text: str) -> CommandOption:
+    """The option `--queries KIND`; `default_text` describes the default."""
+    return choice("--queries", QUERIES_HELP, QUERY_KINDS, None, default_text)
 
 
-def visibility(default: str | None, shown: object = None, flag: str = "--visibility") -> CommandOption:
-    """Return the option that names an algorithm of visibility."""
-    return choice(flag, "what decides which objects are drawn", ALGORITHMS, default, shown)
+def visibility(default: str | None, default_text: object = None, flag: str = "--visibility") -> CommandOption:
+    """The option that names a visibility algorithm."""
+    return choice(flag, "what decides which objects are drawn", ALGORITHMS, default, default_text)
 
 
-def technique(name: str = AutoTechnique.name, *, is_given: bool = True) -> tuple[CommandOption, ...]:
-    """Return the options of a technique; not `is_given` leaves what isn't asked for to a file of settings."""
+def technique(name: str = AutoTechnique.name, *, has_defaults: bool = True) -> tuple[CommandOption, ...]:
+    """The options of a technique; without `has_defaults`, options that aren't set leave the value to a
+    settings file."""
     how = "how the scene is drawn; auto tries a few and takes the fastest"
     smooth = "samples per pixel, which smooth edges; with more than one, auto is forward"
     return (
-        choice("--technique", how, [AutoTechnique.name, *TECHNIQUES], name if is_given else None, name),
-        count("--samples", smooth, 1 if is_given else None, 1),
+        choice("--technique", how, [AutoTechnique.name, *TECHNIQUES], name if has_defaults else None, name),
+        count("--samples", smooth, 1 if has_defaults else None, 1),
         switch("--fxaa", "smooth the edges of the image, with any technique"),
-        *(switch(f"--{name.replace('_', '-')}", help) for name, help in WAYS.items()),
+        *(switch(f"--{name.replace('_', '-')}", help) for name, help in TECHNIQUE_VARIANTS.items()),
     )
 
 
@@ -250,20 +257,26 @@ STEREO: Final = (
     length("--eye-distance", "metres between the eyes", "comfortable for the first frame, at most 0.063"),
     length("--convergence", "metres from the eyes to the screen, where there is no parallax",
            "in the middle of what is seen"),
-    switch("--swap-eyes", "show each picture to the other eye"),
+    switch("--swap-eyes", "show each image to the other eye"),
     switch("--toe-in", "turn the eyes towards each other, to see why not"),
-    switch("--reproject", "make the right eye's picture of the left one's"),
+    switch("--reproject", "reproject the right eye's image from the left one's"),
 )  # fmt: skip
 DEPTH: Final = choice(
-    "--depth", "direction of depth: reversed has near at 1, standard has near at 0", [one.value for one in Depth], None,
+    "--depth",
+    "direction of depth: reversed has near at 1, standard has near at 0",
+    [member.value for member in Depth],
+    None,
     "the settings', reversed",
-)  # fmt: skip
+)
 BLENDING: Final = choice(
-    "--blending", "transparent surfaces are drawn back to front, or averaged in any order",
-    [one.value for one in Blending], None, "the settings', sorted",
-)  # fmt: skip
+    "--blending",
+    "transparent surfaces are drawn back to front, or averaged in any order",
+    [member.value for member in Blending],
+    None,
+    "the settings', sorted",
+)
 
 
 def executor(what: str, kinds: str) -> CommandOption:
-    """Return the option `--executor E`; `what` runs there, and `kinds` says where that can be."""
+    """The option `--executor E`; `what` runs there, and `kinds` lists the executors."""
     return option("--executor", f"where {what} run: {kinds} of a scheduler", "serial", metavar="E")

@@ -48,39 +48,38 @@ def show_builds() -> None:
         logger.setLevel(logging.INFO)
 
 
-def list_left_out(scene: Scene) -> dict[str, list[dict[str, Any]]]:
-    """Return what the file of a scene has and the scene hasn't as `left_out` of a JSON report; nothing if there is
-    nothing."""
-    return {"left_out": [asdict(one) for one in scene.omissions]} if scene.omissions else {}
+def report_omissions(scene: Scene) -> dict[str, list[dict[str, Any]]]:
+    """What was left out of a scene's file, as `left_out` of a JSON report; empty if nothing was."""
+    return {"left_out": [asdict(omission) for omission in scene.omissions]} if scene.omissions else {}
 
 
 def print_report(report: Mapping[str, Any], scene: Scene) -> None:
     """Print a report about a scene as JSON, with what was left out of its file."""
-    print(json.dumps({**report, **list_left_out(scene)}))
+    print(json.dumps({**report, **report_omissions(scene)}))
 
 
-def name_of(scene: Scene) -> str:
-    """Return a short name for files: the generator's, or the model file's without its extension."""
+def short_name(scene: Scene) -> str:
+    """A short name for files: the generator's, or the model file's without its extension."""
     name = scene.name.partition(":")[0]
     return Path(name).stem or "scene"
 
 
 def prepare_image(path: Path, option: str = "--output") -> Path:
-    """Check that the image which an option names can be written, before any work is done for it; return `path`."""
+    """Check that an option's image can be written, before any work is done for it; return `path`."""
     return _prepare(path, option, Image.registered_extensions(), "has no known image extension; end it with .png")
 
 
 def prepare_chart(path: Path) -> Path:
-    """Check that the chart which `--plot` names, a drawing or an image, can be written; return `path`."""
+    """Check that the chart that `--plot` names can be written; return `path`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    known = [f".{kind}" for kind in FigureCanvasAgg.get_supported_filetypes()]
+    suffixes = [f".{kind}" for kind in FigureCanvasAgg.get_supported_filetypes()]
     wrong = "is not the name of a chart: it has no known image extension; end it with .svg"
-    return _prepare(path, "--plot", known, wrong)
+    return _prepare(path, "--plot", suffixes, wrong)
 
 
-def _prepare(path: Path, option: str, known: Collection[str], wrong: str) -> Path:
-    if path.suffix.lower() not in known:
+def _prepare(path: Path, option: str, suffixes: Collection[str], wrong: str) -> Path:
+    if path.suffix.lower() not in suffixes:
         raise OutputError(f"{option}: {path.name!r} {wrong}")
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.is_dir():
@@ -108,11 +107,11 @@ def draw_chart(path: Path, title: str = "", dpi: int = 100) -> Iterator[Any]:
 
 
 def note(text: str) -> None:
-    """Print a message to stderr: anything but the result."""
+    """Print a message to stderr; results go to stdout."""
     print(text, file=sys.stderr)
 
 
-def open_working(stack: ExitStack, names: Iterable[str]) -> list[rhi.Device]:
+def open_available_devices(stack: ExitStack, names: Iterable[str]) -> list[rhi.Device]:
     """Open a device of each of these backends that works here, and say why the others are left out.
 
     Raises:

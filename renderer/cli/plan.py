@@ -8,7 +8,7 @@
 A pass is in the plan because an effect of the scene calls for it, or because another pass reads what it writes. The
 commands are counted on the null device, so no GPU is needed. With --technique auto, the device that --backend names
 says which technique is the fastest; the null device doesn't know. In the plot a column is a pass and a row a texture,
-with the contents that it holds in turn: dark where they are written, light where they are read.
+with the resources that share it: dark where they are written, light where they are read.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ from renderer.cli.options import option
 from renderer.cli.output import draw_chart, note, prepare_chart
 from renderer.cli.subcommand import Subcommand
 from renderer.content import parse_camera
-from renderer.lab.measure import format_table, settle
+from renderer.inspection import settle
+from renderer.lab.measure import format_table
 from renderer.lab.measure.memory import MemoryReport
-from renderer.lab.measure.plans import PlanReport, SimulationReport, describe_plan
+from renderer.lab.measure.plan_report import PlanReport, SimulationReport, describe_plan
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.techniques import AutoTechnique, Technique
@@ -46,46 +47,57 @@ _OPTIONS: Final = (
 )  # fmt: skip
 
 
-def _run(given: argparse.Namespace) -> None:
-    if given.plot is not None:
-        prepare_chart(given.plot)
-    scene = open_scene(given.scene)
-    camera = parse_camera(given.camera or next(iter(scene.views)), scene, given.frame)
-    technique, chosen = choose_technique(given, scene, camera)
-    report = describe_plan(scene, technique, camera, given.size)
-    if given.plot is not None:
-        plot_plan(report, given.plot, f"{technique.name}: {scene.name}")
-        note(f"wrote {given.plot}")
-    if given.json:
-        print(json.dumps(chosen | asdict(report)))
+def _run(arguments: argparse.Namespace) -> None:
+    if arguments.plot is not None:
+        prepare_chart(arguments.plot)
+    scene = open_scene(arguments.scene)
+    camera = parse_camera(arguments.camera or next(iter(scene.views)), scene, arguments.frame)
+    technique, explanation = choose_technique(arguments, scene, camera)
+    report = describe_plan(scene, technique, camera, arguments.size)
+    if arguments.plot is not None:
+        plot_plan(report, arguments.plot, f"{technique.name}: {scene.name}")
+        note(f"wrote {arguments.plot}")
+    if arguments.json:
+        print(json.dumps(explanation | asdict(report)))
     else:
-        print(f"technique: {chosen['technique']}, {chosen['because']}\n\n{show_plan(report)}")
+        print(f"technique: {explanation['technique']}, {explanation['reason']}\n\n{format_plan(report)}")
 
 
-def choose_technique(given: argparse.Namespace, scene: Scene, camera: Camera) -> tuple[Technique, dict[str, str]]:
-    """Return the technique that the arguments ask for, and why it is this one; `auto` measures a few."""
-    with rhi.create_device(given.backend) as device:
-        technique = make_technique(given, scene, device)
+def choose_technique(arguments: argparse.Namespace, scene: Scene, camera: Camera) -> tuple[Technique, dict[str, str]]:
+    """The technique that the arguments name, and the reason for it; `auto` measures a few."""
+    with rhi.create_device(arguments.backend) as device:
+        technique = make_technique(arguments, scene, device)
         if isinstance(technique, AutoTechnique):
-            with Renderer(device, scene, technique=technique, visibility="frustum", size=given.size) as renderer:
+            with Renderer(device, scene, technique=technique, visibility="frustum", size=arguments.size) as renderer:
                 settle(renderer, camera)
-        chosen = explain_technique(technique, given)
-        return technique.current if isinstance(technique, AutoTechnique) else technique, chosen
+        explanation = explain_technique(technique, arguments)
+        return technique.current if isinstance(technique, AutoTechnique) else technique, explanation
 
 
-def show_plan(report: PlanReport) -> str:
+def format_plan(report: PlanReport) -> str:
     """Format the plan as text."""
-    header = ("pass", "reads", "writes", "bytes", "draws", "dispatches", "because")
+    header = ("pass", "reads", "writes", "bytes", "draws", "dispatches", "reason")
     changed = ("pass", "programs", "bindings", "meshes", "states", "draws")
-    changes = [(one.name, *astuple(one.changes), one.draws) for one in report.passes]
-    orders = [astuple(one) for one in report.orders]
+    changes = [(pass_row.name, *astuple(pass_row.changes), pass_row.draws) for pass_row in report.passes]
+    orders = [astuple(order) for order in report.orders]
     rows = [
-        (one.name, ", ".join(one.reads), ", ".join(one.writes), one.bytes, one.draws, one.dispatches, one.because)
-        for one in report.passes
+        (
+            pass_row.name,
+            ", ".join(pass_row.reads),
+            ", ".join(pass_row.writes),
+            pass_row.bytes,
+            pass_row.draws,
+            pass_row.dispatches,
+            pass_row.reason,
+        )
+        for pass_row in report.passes
     ]
-    needed = "\n".join(f"  {name}: {because}" for name, because in report.effects.items())
-    left = "\n".join(f"  {one.name}: {one.because}" for one in report.left_out)
-    maps = [(one.name, one.size, one.casters, one.state, one.because) for one in report.shadow_maps]
+    needed = "\n".join(f"  {name}: {reason}" for name, reason in report.effects.items())
+    left = "\n".join(f"  {omission.name}: {omission.reason}" for omission in report.left_out)
+    maps = [
+        (shadow_map.name, shadow_map.size, shadow_map.casters, shadow_map.state, shadow_map.reason)
+        for shadow_map in report.shadow_maps
+    ]
     shared = f"{len(report.textures)} textures, {report.texture_bytes:,} bytes"
     return "\n\n".join(
         part
@@ -94,9 +106,9 @@ def show_plan(report: PlanReport) -> str:
             shared,
             format_table(changed, changes),
             format_table(("objects of a pass", "programs", "materials", "meshes", "draws"), orders),
-            format_table(("shadow map", "texels", "casters", "is", "because"), maps) if maps else "",
-            show_memory(report.memory),
-            show_simulations(report.simulations),
+            format_table(("shadow map", "texels", "casters", "is", "reason"), maps) if maps else "",
+            format_memory(report.memory),
+            format_simulations(report.simulations),
             f"needed:\n{needed}" if needed else "",
             f"left out:\n{left}" if left else "",
         )
@@ -104,17 +116,17 @@ def show_plan(report: PlanReport) -> str:
     )
 
 
-def show_simulations(found: SimulationReport | None) -> str:
-    """Format what simulations do in the next frame as text; nothing in a scene without any."""
-    if found is None:
+def format_simulations(report: SimulationReport | None) -> str:
+    """Format the work of simulations in the next frame as text; empty if there are none."""
+    if report is None:
         return ""
-    number = f"{found.run} of {found.run + found.skipped} objects"
-    return f"simulated a 60th of a second later: {number}, steps: {found.steps}, dispatches: {found.dispatches}"
+    number = f"{report.run} of {report.run + report.skipped} objects"
+    return f"simulated a 60th of a second later: {number}, steps: {report.steps}, dispatches: {report.dispatches}"
 
 
-def show_memory(memory: MemoryReport) -> str:
-    """Format what a renderer holds on a device as text."""
-    rows = [(one.name, one.shape, one.count, one.bytes) for one in memory.rows]
+def format_memory(memory: MemoryReport) -> str:
+    """Format the memory that a renderer uses on a device as text."""
+    rows = [(memory_row.name, memory_row.shape, memory_row.count, memory_row.bytes) for memory_row in memory.rows]
     table = format_table(("in memory", "is", "count", "bytes"), rows)
     total = f"{memory.bytes:,} bytes"
     if memory.image_bytes:
@@ -127,16 +139,16 @@ def plot_plan(report: PlanReport, path: Path, title: str) -> None:
     """Draw passes as columns and textures as rows."""
     with draw_chart(path, title) as figure:
         axes = figure.add_subplot()
-        for row, contents in enumerate(report.textures):
-            for name in contents:
-                writes = [i for i, one in enumerate(report.passes) if name in one.writes]
-                reads = [i for i, one in enumerate(report.passes) if name in one.reads]
+        for row, resource in enumerate(report.textures):
+            for name in resource:
+                writes = [i for i, pass_row in enumerate(report.passes) if name in pass_row.writes]
+                reads = [i for i, pass_row in enumerate(report.passes) if name in pass_row.reads]
                 last = max([*reads, *writes])
                 axes.barh(row, last - writes[0] + 0.9, left=writes[0] - 0.45, height=0.3, color="#d0d7de")
                 axes.barh([row] * len(reads), 0.9, left=[i - 0.45 for i in reads], height=0.7, color="#9ecae1")
                 axes.barh([row] * len(writes), 0.9, left=[i - 0.45 for i in writes], height=0.7, color="#2b6ca3")
                 axes.text(writes[0], row, name, ha="center", va="center", color="white", fontsize=8)
-        axes.set_xticks(range(len(report.passes)), [one.name for one in report.passes])
+        axes.set_xticks(range(len(report.passes)), [pass_row.name for pass_row in report.passes])
         axes.set_yticks(range(len(report.textures)), [f"texture {i + 1}" for i in range(len(report.textures))])
         axes.invert_yaxis()
         axes.set_xlim(-0.5, max(len(report.passes), 4) - 0.5)

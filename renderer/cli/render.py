@@ -32,18 +32,18 @@ import rhi
 from renderer.cli import options
 from renderer.cli.arguments import explain_technique, make_stereo, merge_settings, open_scene
 from renderer.cli.options import option
-from renderer.cli.output import list_left_out, name_of, note, prepare_image, show_progress, write_image
+from renderer.cli.output import note, prepare_image, report_omissions, short_name, show_progress, write_image
 from renderer.cli.subcommand import Subcommand
-from renderer.content import parse_shots
-from renderer.lab.measure import FrameCost, measure_frame
-from renderer.lab.measure.contents import picture_contents
+from renderer.content import parse_path_frames
+from renderer.inspection import FrameCost, measure_frame
+from renderer.inspection.texture_images import texture_to_image
 from renderer.layers.overlay import Overlay
 from renderer.layers.particles import Particles
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import CameraPath, Scene
 from renderer.settings import RenderSettings
-from renderer.stereo import Stereo, find_holes
-from renderer.techniques import AutoTechnique, Forward, Technique, Watched
+from renderer.stereo import Stereo, read_hole_mask
+from renderer.techniques import AutoTechnique, Forward, ResourceCapture, Technique
 from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.light_indexed import count_overflowing
 from rhi.trace import save
@@ -54,7 +54,7 @@ _MAGENTA: Final = (255, 0, 255, 255)
 _OPTIONS: Final = (
     options.SCENE,
     options.BACKEND,
-    *options.technique(is_given=False),
+    *options.technique(has_defaults=False),
     options.visibility(None, "the settings', auto"),
     options.settings("file with settings, written by `accuracy` or `tune`; other arguments count more"),
     options.queries("the settings', native"),
@@ -63,12 +63,12 @@ _OPTIONS: Final = (
     options.frames(1, "number of frames to time"),
     options.size(),
     *options.STEREO,
-    options.file("--holes", "as --reproject, and write the right eye's picture with its holes in magenta"),
+    options.file("--holes", "as --reproject, and write the right eye's image with its holes in magenta"),
     options.DEPTH,
     options.BLENDING,
     option("--edge-pixels", "length in pixels that edges of height fields are split down to", None, "the settings', 8",
            type=float, metavar="N"),
-    option("--show", f"picture what the frame is made of instead of its light: {', '.join(INSPECTIONS)}, or a texture "
+    option("--show", f"show what the frame is made of instead of its light: {', '.join(INSPECTIONS)}, or a texture "
            "of the technique's plan, such as surface (see `plan`)", metavar="NAME"),
     option("--output", "image to write", None, "SCENE.png", type=Path, metavar="F.png"),
     options.file("--trace", "write a trace of all commands (see python -m rhi trace)", "F.zip"),
@@ -80,78 +80,84 @@ _OPTIONS: Final = (
 )  # fmt: skip
 
 
-def _run(given: argparse.Namespace) -> None:
-    if given.output is not None:
-        prepare_image(given.output)
-    if given.holes is not None:
-        prepare_image(given.holes, "--holes")
-    given.reproject = given.reproject or given.holes is not None
-    settings = merge_settings(given)
-    given.reproject = given.reproject or (settings.reprojects and given.stereo is not None)
-    scene = open_scene(given.scene)
-    frames = range(given.frame, given.frame + given.frames)
-    shots = [
-        replace(shot, camera=settings.aim(shot.camera))
-        for shot in parse_shots(given.camera or next(iter(scene.views)), scene, frames)
+def _run(arguments: argparse.Namespace) -> None:
+    if arguments.output is not None:
+        prepare_image(arguments.output)
+    if arguments.holes is not None:
+        prepare_image(arguments.holes, "--holes")
+    arguments.reproject = arguments.reproject or arguments.holes is not None
+    settings = merge_settings(arguments)
+    arguments.reproject = arguments.reproject or (settings.reprojects and arguments.stereo is not None)
+    scene = open_scene(arguments.scene)
+    frames = range(arguments.frame, arguments.frame + arguments.frames)
+    path_frames = [
+        replace(path_frame, camera=settings.adapt_camera(path_frame.camera))
+        for path_frame in parse_path_frames(arguments.camera or next(iter(scene.views)), scene, frames)
     ]
-    if given.record is not None:
-        given.record.parent.mkdir(parents=True, exist_ok=True)
-        CameraPath.record([shot.camera for shot in shots]).save(given.record)
-        note(f"wrote {given.record}: {len(shots)} frames")
+    if arguments.record is not None:
+        arguments.record.parent.mkdir(parents=True, exist_ok=True)
+        CameraPath.record([path_frame.camera for path_frame in path_frames]).save(arguments.record)
+        note(f"wrote {arguments.record}: {len(path_frames)} frames")
     with (
-        rhi.create_device(given.backend, record=True if given.trace is not None else None) as device,
-        settings.open(device, scene, given.size, technique=_make_shown(given, settings, scene, device)) as renderer,
+        rhi.create_device(arguments.backend, record=True if arguments.trace is not None else None) as device,
+        settings.open(
+            device, scene, arguments.size, technique=_make_technique_to_show(arguments, settings, scene, device)
+        ) as renderer,
         ExitStack() as layers,
     ):
-        renderer.stereo = make_stereo(given, scene, shots[0].camera.with_aspect(given.size[0] / given.size[1]))
-        if given.particles:
+        renderer.stereo = make_stereo(
+            arguments, scene, path_frames[0].camera.with_aspect(arguments.size[0] / arguments.size[1])
+        )
+        if arguments.particles:
             renderer.layers.append(Particles(device))
-        if given.overlay:
-            renderer.layers.append(Overlay(device, scale=max(1, given.size[1] // 720)))
+        if arguments.overlay:
+            renderer.layers.append(Overlay(device, scale=max(1, arguments.size[1] // 720)))
         for layer in renderer.layers:
             layers.callback(layer.destroy)
         for _ in show_progress(warm_up(renderer), "find what is the fastest"):
-            measure_frame(renderer, shots[0])
+            measure_frame(renderer, path_frames[0])
         costs = []
-        for shot in show_progress(shots, "render"):
-            result, cost = measure_frame(renderer, shot)
+        for path_frame in show_progress(path_frames, "render"):
+            result, cost = measure_frame(renderer, path_frame)
             costs.append(cost)
-        if given.trace is not None:
-            given.trace.parent.mkdir(parents=True, exist_ok=True)
-            save(device, given.trace)
-            note(f"wrote {given.trace}: {len(device.stream):,} commands")
+        if arguments.trace is not None:
+            arguments.trace.parent.mkdir(parents=True, exist_ok=True)
+            save(device, arguments.trace)
+            note(f"wrote {arguments.trace}: {len(device.stream):,} commands")
         image, overflowing, holes = None, None, None
         if device.capabilities.shading:
             overflowing = count_overflowing(result.targets)
-            image = prepare_image(given.output or Path(f"{name_of(scene)}.png"))
+            image = prepare_image(arguments.output or Path(f"{short_name(scene)}.png"))
             watched = renderer.technique
-            if isinstance(watched, Watched) and watched.texels is not None:
-                write_image(image, picture_contents(given.show, watched.texels))
+            if isinstance(watched, ResourceCapture) and watched.texels is not None:
+                write_image(image, texture_to_image(arguments.show, watched.texels))
             else:
                 write_image(image, result.image.read())
-            if given.reproject and given.stereo is not None:
-                holes = _report_holes(result, given.holes)
+            if arguments.reproject and arguments.stereo is not None:
+                holes = _write_holes(result, arguments.holes)
         else:
             note(f"the {device.backend_name} device records and draws nothing: there is no image")
-        technique = explain_technique(renderer.technique, given)
+        technique = explain_technique(renderer.technique, arguments)
         report = describe_run(renderer, costs, image, overflowing, technique, holes)
-    print(json.dumps(report) if given.json else show_report(report))
+    print(json.dumps(report) if arguments.json else format_report(report))
 
 
-def _make_shown(given: argparse.Namespace, settings: RenderSettings, scene: Scene, device: rhi.Device) -> Technique:
-    """Return the technique that draws what `--show` names. Buffers are those of a technique that doesn't change."""
-    if given.show in INSPECTIONS:
-        return Inspection(given.show, settings.technique.find_cells(given.show))
+def _make_technique_to_show(
+    arguments: argparse.Namespace, settings: RenderSettings, scene: Scene, device: rhi.Device
+) -> Technique:
+    """The technique that draws what `--show` names. Buffers need a technique that stays the same."""
+    if arguments.show in INSPECTIONS:
+        return Inspection(arguments.show, settings.technique.get_cluster_settings(arguments.show))
     technique = settings.technique
-    if given.show is None:
+    if arguments.show is None:
         return technique.make(scene, device)
     if technique.name == AutoTechnique.name:
-        given.technique = Forward.name
-    return Watched(replace(technique, name=given.technique).make(scene, device), given.show)
+        arguments.technique = Forward.name
+    return ResourceCapture(replace(technique, name=arguments.technique).make(scene, device), arguments.show)
 
 
 def warm_up(renderer: Renderer) -> Iterator[None]:
-    """Yield once for each frame to draw before the first counted one: one, and with `auto` all on trial."""
+    """Yield once for each uncounted frame: one, and with `auto` all of its trials."""
     yield
     while renderer.is_trying:
         yield
@@ -165,7 +171,7 @@ def describe_run(
     technique: dict[str, str],
     holes: int | None = None,
 ) -> dict[str, Any]:
-    """Return the report that `--json` prints."""
+    """The report that `--json` prints."""
     summary = FrameCost.summarize(costs)
     summary["uploads_bytes"] = summary.pop("upload_bytes")
     return {
@@ -178,11 +184,11 @@ def describe_run(
         **summary,
         "image_bytes": renderer.image_bytes,
         **({} if overflowing is None else {"overflowing_pixels": overflowing}),
-        **({"dark_lamps": renderer.shadows.dark_lamps} if renderer.shadows.dark_lamps else {}),
+        **({"unshadowed_lights": renderer.shadows.unshadowed_lights} if renderer.shadows.unshadowed_lights else {}),
         **({} if renderer.stereo is None else _describe_stereo(renderer.stereo)),
         **({} if holes is None else {"holes": holes}),
         "image": None if image is None else str(image),
-        **list_left_out(renderer.scene),
+        **report_omissions(renderer.scene),
     }
 
 
@@ -191,10 +197,10 @@ def _describe_stereo(stereo: Stereo) -> dict[str, Any]:
     return {"stereo": stereo.output, "eye_distance": rig.eye_distance, "convergence": rig.convergence}
 
 
-def _report_holes(result: FrameResult, path: Path | None) -> int:
-    """Return the number of holes in a reprojected picture; write it with them to `path`."""
+def _write_holes(result: FrameResult, path: Path | None) -> int:
+    """Count the holes in a reprojected image; write it with them to `path`."""
     _, right = result.frames
-    holes = find_holes(right)
+    holes = read_hole_mask(right)
     if path is not None:
         pixels = right.targets.image.read()
         pixels[holes] = _MAGENTA
@@ -203,16 +209,16 @@ def _report_holes(result: FrameResult, path: Path | None) -> int:
     return int(holes.sum())
 
 
-def show_report(report: dict[str, Any]) -> str:
+def format_report(report: dict[str, Any]) -> str:
     """Format the report as text."""
     times = report["milliseconds"]
-    shown = report | {
+    printed = report | {
         "size": "{} × {}".format(*report["size"]),
         "milliseconds": f"{times['median']:.2f} (least {times['min']:.2f}, most {times['max']:.2f})",
         "image": report["image"] or "none: this device draws nothing",
     }
-    shown.pop("left_out", None)  # stderr has it
-    texts = {key: f"{value:,}" if isinstance(value, int) else value for key, value in shown.items()}
+    printed.pop("left_out", None)  # printed on stderr already
+    texts = {key: f"{value:,}" if isinstance(value, int) else value for key, value in printed.items()}
     names = {"uploads_bytes": "bytes uploaded", "image_bytes": "bytes of images"}
     return "\n".join(f"{names.get(key, key.replace('_', ' ')) + ':':<24}{text}" for key, text in texts.items())
 

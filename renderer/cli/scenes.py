@@ -3,7 +3,7 @@
   python -m renderer scenes
   python -m renderer render city:blocks=12,seed=3
 
-What isn't said of a scene's options is their default.
+Options of a scene that aren't named have their defaults.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from renderer.cli.subcommand import Subcommand
 from renderer.content import GENERATORS
 
 
-def _run(given: argparse.Namespace) -> None:
+def _run(arguments: argparse.Namespace) -> None:
     for generator in GENERATORS.values():
         print(f"{generator.name}: {generator.summary}")
         for option in generator.options:

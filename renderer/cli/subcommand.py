@@ -1,4 +1,4 @@
-"""The type of the command line's commands: each module makes one, and `renderer.cli.COMMANDS` lists them all."""
+"""Commands of the command line: each module defines one, and `renderer.cli.COMMANDS` lists them all."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Subcommand:
     Attributes:
         summary: one line for the list of commands; it begins the command's own help.
         options: the command's arguments.
-        run: executes the command, given its parsed arguments.
+        run: executes the command with its parsed arguments.
         notes: the docstring of the command's module. After its first line it has examples, and says what the results
             mean: the end of the command's help. None where Python keeps no docstrings.
     """
@@ -42,7 +42,7 @@ class Subcommand:
     notes: str | None
 
     def add_to(self, commands: Any) -> None:
-        """Add the command's parser to `commands`, which `add_subparsers` has made."""
+        """Add the command's parser to `commands`, the result of `add_subparsers`."""
         examples = (self.notes or "").partition("\n\n")[2].rstrip()
         parser = commands.add_parser(
             self.name, help=self.summary, description=_sentence(self.summary), epilog=f"examples:\n{examples}"
@@ -60,7 +60,7 @@ class SubcommandGroup:
     members: tuple[Subcommand, ...]
 
     def add_to(self, commands: Any) -> None:
-        """Add the parsers of all members to `commands`, which `add_subparsers` has made."""
+        """Add the parsers of all members to `commands`, the result of `add_subparsers`."""
         parser = commands.add_parser(
             self.name,
             help=self.summary,

@@ -7,7 +7,7 @@
 
 b is the number of hidden nodes that are queried as one batch, n the number of frames for which a visible object isn't
 queried again. Each trial renders the path with one pair of values and, in turn, with the default pair (b=50, n=20);
-pairs are judged by the ratio of the two times, so trials may run at the same time and on different machines. The best
+pairs are compared by the ratio of the two times, so trials may run at the same time and on different machines. The best
 three are then compared in one process. --leaf-size 1:16 then tries the best pair with leaves of 1, 2, 4, 8 and 16
 objects, which are queried and drawn together. `trials.csv`, `trials.png` and `settings.json` are written to DIR;
 `render`, `compare visibility` and `debug visibility` read the last with --settings.
@@ -30,83 +30,85 @@ from renderer.cli.executors import KINDS, make_executor
 from renderer.cli.options import option
 from renderer.cli.output import OutputError, draw_chart, note, print_report, show_progress
 from renderer.cli.subcommand import Subcommand
-from renderer.content import find_path
-from renderer.lab.accuracy.tuning import ParameterPair, Trial, Walk, find_best, search, space_evenly, try_pairs
+from renderer.content import parse_camera_path
+from renderer.lab.accuracy.tuning import ParameterPair, PathFrames, Trial, search, select_best, space_evenly, try_pairs
 from renderer.lab.measure import format_table, title_of
 from renderer.scene import CameraPath
 from renderer.visibility import VisibilitySettings, list_algorithms
 
 _LEAF_SIZES: Final = 5
-"""The largest number of sizes of leaves that are tried."""
+"""The most leaf sizes to try."""
 
 
-def _run(given: argparse.Namespace) -> None:
-    scene = open_scene(given.scene)
-    path = find_path(given.camera_path, scene)
-    first = max(0, (len(path) - given.frames - 1) // 2) if given.frame is None else given.frame
-    walk = Walk(
-        given.scene,
-        CameraPath.record([path.camera(first + frame) for frame in range(given.frames + 1)]),
+def _run(arguments: argparse.Namespace) -> None:
+    scene = open_scene(arguments.scene)
+    path = parse_camera_path(arguments.camera_path, scene)
+    first = max(0, (len(path) - arguments.frames - 1) // 2) if arguments.frame is None else arguments.frame
+    path_frames = PathFrames(
+        arguments.scene,
+        CameraPath.record([path.camera(first + frame) for frame in range(arguments.frames + 1)]),
         first,
-        given.backend,
-        given.size,
-        given.queries == "emulated",
+        arguments.backend,
+        arguments.size,
+        arguments.queries == "emulated",
     )
-    with rhi.create_device(given.backend) as device:
+    with rhi.create_device(arguments.backend) as device:
         backend, name = device.backend_name, device.capabilities.device
         if "chc_plus_plus" not in list_algorithms(device):
             raise OutputError(f"--backend: the {backend} device answers no queries, so there is nothing to tune")
-    with make_executor(given.executor) as executor:
-        given.output.mkdir(parents=True, exist_ok=True)
-        trials = list(search(given.b, given.n, given.rounds, lambda pairs: _try_all(executor, walk, pairs)))
-        finalists = find_best(trials)
+    with make_executor(arguments.executor) as executor:
+        arguments.output.mkdir(parents=True, exist_ok=True)
+        trials = list(
+            search(arguments.b, arguments.n, arguments.rounds, lambda pairs: _try_all(executor, path_frames, pairs))
+        )
+        finalists = select_best(trials)
         pairs = [(trial.batch, trial.persistence) for trial in finalists]
-        finals = executor.submit(try_pairs, walk, pairs).result()
-        best = find_best(finals, 1)[0]
-        least, most = given.leaf_size
+        finals = executor.submit(try_pairs, path_frames, pairs).result()
+        best = select_best(finals, 1)[0]
+        least, most = arguments.leaf_size
         for size in space_evenly(least, most, _LEAF_SIZES):
             if size != best.leaf_size:
                 pair = (best.batch, best.persistence)
-                finals += executor.submit(try_pairs, walk, [pair], leaf_size=size).result()
-    best = find_best(finals, 1)[0]
+                finals += executor.submit(try_pairs, path_frames, [pair], leaf_size=size).result()
+    best = select_best(finals, 1)[0]
     is_better = best.ratio < 1.0  # than the default settings
-    settings = VisibilitySettings(emulated=walk.emulated)
+    settings = VisibilitySettings(emulated=path_frames.emulated)
     if is_better:
-        settings = VisibilitySettings(best.batch, best.persistence, best.leaf_size, emulated=walk.emulated)
+        settings = VisibilitySettings(best.batch, best.persistence, best.leaf_size, emulated=path_frames.emulated)
     report = {
         "backend": backend,
         "device": name,
         "scene": scene.name,
-        "camera_path": given.camera_path,
+        "camera_path": arguments.camera_path,
         "first_frame": first + 1,
-        "frames": given.frames,
-        "size": list(given.size),
+        "frames": arguments.frames,
+        "size": list(arguments.size),
         "ratio": min(best.ratio, 1.0),
     }
-    write_trials(given.output / "trials.csv", trials)
-    plot_trials(trials, finals, f"{scene.name}, {given.camera_path}, {name}", given.output / "trials.png")
-    settings.save(given.output / "settings.json", **report)
-    note(f"wrote trials.csv, trials.png and settings.json to {given.output}")
-    if given.json:
-        print_report({**report, "visibility": asdict(settings), "finals": [asdict(one) for one in finals]}, scene)
+    write_trials(arguments.output / "trials.csv", trials)
+    plot_trials(trials, finals, f"{scene.name}, {arguments.camera_path}, {name}", arguments.output / "trials.png")
+    settings.save(arguments.output / "settings.json", **report)
+    note(f"wrote trials.csv, trials.png and settings.json to {arguments.output}")
+    if arguments.json:
+        print_report({**report, "visibility": asdict(settings), "finals": [asdict(final) for final in finals]}, scene)
         return
     names = [field.name for field in fields(Trial)]
-    shown = sorted(finals, key=lambda trial: trial.ratio)
-    print(format_table([_title(name) for name in names], [[getattr(t, name) for name in names] for t in shown]))
-    found = f"b={settings.batch}, n={settings.persistence}, leaf size {settings.leaf_size}"
-    print(f"{found}: {report['ratio']:.2f} of the default's time")
+    sorted_finals = sorted(finals, key=lambda trial: trial.ratio)
+    print(format_table([_title(name) for name in names], [[getattr(t, name) for name in names] for t in sorted_finals]))
+    values_text = f"b={settings.batch}, n={settings.persistence}, leaf size {settings.leaf_size}"
+    print(f"{values_text}: {report['ratio']:.2f} of the default's time")
 
 
-def _try_all(executor: Executor, walk: Walk, pairs: Sequence[ParameterPair]) -> list[Trial]:
-    """Return a trial of each pair, in this order; as many run at a time as the executor allows."""
-    futures = [executor.submit(try_pairs, walk, [pair]) for pair in show_progress(pairs, "tune")]
+def _try_all(executor: Executor, path_frames: PathFrames, pairs: Sequence[ParameterPair]) -> list[Trial]:
+    """Try each pair, as many at a time as the executor allows, and return the trials in this order."""
+    futures = [executor.submit(try_pairs, path_frames, [pair]) for pair in show_progress(pairs, "tune")]
     for _ in show_progress(as_completed(futures), "tune", len(pairs)):  # a serial executor has finished them by now
         pass
     return [trial for future in futures for trial in future.result()]
 
 
 def write_trials(path: Path, trials: Sequence[Trial]) -> None:
-    """Write a row for each trial, in the order in which they ran."""
+    """Write a CSV row for each trial, in the order in which they ran."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         names = [field.name for field in fields(Trial)]
@@ -115,7 +117,7 @@ def write_trials(path: Path, trials: Sequence[Trial]) -> None:
 
 
 def plot_trials(trials: Sequence[Trial], finals: Sequence[Trial], title: str, path: Path) -> None:
-    """Write a chart of all trials' values and ratios; circles mark the finalists."""
+    """Draw a chart of all trials' values and ratios; circles mark the finalists."""
     with draw_chart(path, title) as figure:
         both, batch, persistence = figure.subplots(1, 3)
         points = both.scatter(
@@ -156,7 +158,7 @@ def _parse_range(text: str) -> ParameterPair:
 
 _OPTIONS: Final = (
     options.SCENE,
-    *options.walk("number of frames that a trial renders"),
+    *options.path_range("number of frames that a trial renders"),
     option("--b", "range of b", (1, 100), "1:100", type=_parse_range, metavar="LOW:HIGH"),
     option("--n", "range of n", (1, 40), "1:40", type=_parse_range, metavar="LOW:HIGH"),
     option("--leaf-size", "range of the leaf size to try with the best pair", (1, 1), "1", type=_parse_range,

@@ -23,13 +23,13 @@ from renderer.cli.options import option
 from renderer.cli.output import OutputError, note
 from renderer.cli.subcommand import Subcommand
 from renderer.content import parse_camera
-from renderer.viewer.budget import FrameBudget, load_steps
-from renderer.viewer.look import PLAIN, SHADOWS, Look
+from renderer.viewer.display_settings import PLAIN, SHADOWS, DisplaySettings
+from renderer.viewer.frame_budget import FrameBudget, load_steps
 
 _OPTIONS: Final = (
     options.SCENE,
     options.BACKEND,
-    *options.technique("forward", is_given=False),
+    *options.technique("forward", has_defaults=False),
     options.visibility(None, "the settings', or frustum"),
     options.settings("file with settings; what is saved to it takes effect; other arguments count more at first"),
     options.camera(),
@@ -38,10 +38,10 @@ _OPTIONS: Final = (
     options.choice("--shadows", "lights that cast shadows: those of which the scene says so, all, or none", SHADOWS,
                    SHADOWS[0]),
     options.STEREO_OUTPUT,
-    option("--show", "picture what the frame is made of, as `render` does", metavar="NAME"),
+    option("--show", "show what the frame is made of, as `render` does", metavar="NAME"),
     options.switch("--particles", "draw the drops of the hall's fountains as particles"),
     options.switch("--overlay", "draw times, counters and the culling over each frame"),
-    options.choice("--canvas", "where the picture is shown; page is one in the browser", ("window", "qt", "page"),
+    options.choice("--canvas", "where the image is shown; page is one in the browser", ("window", "qt", "page"),
                    "window"),
     option("--budget-ms", "with --live: the most that a frame is to take", type=options.parse_bound, metavar="M"),
     options.file("--live", "keep --budget-ms by the most accurate settings that do, of a folder of `accuracy`", "DIR"),
@@ -53,49 +53,55 @@ _OPTIONS: Final = (
 )  # fmt: skip
 
 
-def _run(given: argparse.Namespace) -> None:
-    from renderer.viewer.showing import open_viewer
+def _run(arguments: argparse.Namespace) -> None:
+    from renderer.viewer.viewer_screen import open_viewer
 
-    if (given.live is None) != (given.budget_ms is None):
-        raise OutputError("--live: the folder of a front, and --budget-ms what a frame may take: both, or neither")
-    steps = None if given.live is None else load_steps(given.live / "front.json")
-    scene = open_scene(given.scene)
-    camera = None if given.camera is None else parse_camera(given.camera, scene, given.frame)
-    script = "" if given.script is None else given.script.read_text(encoding="utf-8", errors="replace")
-    settings = load_settings(given, PLAIN)
-    chosen = {name: getattr(given, name) for name in ("technique", "samples", "visibility")}
-    chosen["fxaa"] = given.fxaa or None
-    look = Look(settings, shadows=given.shadows, overlay=given.overlay, particles=given.particles)
-    look = look.change(**{name: value for name, value in chosen.items() if value is not None})
-    shown = open_viewer(
+    if (arguments.live is None) != (arguments.budget_ms is None):
+        raise OutputError(
+            "--live: the folder of a Pareto front, and --budget-ms what a frame may take: both, or neither"
+        )
+    steps = None if arguments.live is None else load_steps(arguments.live / "pareto_front.json")
+    scene = open_scene(arguments.scene)
+    camera = None if arguments.camera is None else parse_camera(arguments.camera, scene, arguments.frame)
+    script = "" if arguments.script is None else arguments.script.read_text(encoding="utf-8", errors="replace")
+    settings = load_settings(arguments, PLAIN)
+    overrides = {name: getattr(arguments, name) for name in ("technique", "samples", "visibility")}
+    overrides["fxaa"] = arguments.fxaa or None
+    display = DisplaySettings(
+        settings, shadows=arguments.shadows, overlay=arguments.overlay, particles=arguments.particles
+    )
+    display = display.change(**{name: value for name, value in overrides.items() if value is not None})
+    viewer_screen = open_viewer(
         scene,
-        given.backend,
-        canvas=given.canvas,
-        size=given.size,
-        look=look,
+        arguments.backend,
+        canvas=arguments.canvas,
+        size=arguments.size,
+        display=display,
         camera=camera,
-        vsync=not given.immediate,
-        max_fps=10_000.0 if given.immediate else 60.0,
+        vsync=not arguments.immediate,
+        max_fps=10_000.0 if arguments.immediate else 60.0,
     )
     try:
-        stage = shown.viewer.stage
-        if given.settings is not None:
-            shown.viewer.saved.note_settings(given.settings)
-        stage.change(**{name: value for name, value in vars(given).items() if name in ("show", "stereo") and value})
+        session = viewer_screen.viewer.session
+        if arguments.settings is not None:
+            viewer_screen.viewer.file_reloader.note_settings(arguments.settings)
+        session.change(
+            **{name: value for name, value in vars(arguments).items() if name in ("show", "stereo") and value}
+        )
         if steps is not None:
-            stage.keep_budget(FrameBudget(steps, given.budget_ms))
-        shown.viewer.run_script(script)
-        if given.listen is not None:
-            port = shown.listen(given.listen, given.write_to)
-            note(f"listening on 127.0.0.1:{port}, for connections whose first line is: {shown.viewer.greeting}")
-        shown.end_after = given.frames
-        shown.run()
-        if given.frames is not None:
-            worked = f"{1e3 * stage.counter.processor:.1f} ms of processors a frame"
-            kept = "" if stage.budget is None else f"   {stage.budget.describe()}"
-            note(f"{stage.counter.describe()}   {worked}{kept}")
+            session.set_budget(FrameBudget(steps, arguments.budget_ms))
+        viewer_screen.viewer.run_script(script)
+        if arguments.listen is not None:
+            port = viewer_screen.listen(arguments.listen, arguments.write_to)
+            note(f"listening on 127.0.0.1:{port}, for connections whose first line is: {viewer_screen.viewer.greeting}")
+        viewer_screen.end_after = arguments.frames
+        viewer_screen.run()
+        if arguments.frames is not None:
+            worked = f"{1e3 * session.counter.processor:.1f} ms of processors a frame"
+            budget_text = "" if session.budget is None else f"   {session.budget.describe()}"
+            note(f"{session.counter.describe()}   {worked}{budget_text}")
     finally:
-        shown.close()
+        viewer_screen.close()
 
 
 COMMAND: Final = Subcommand("view", "show a scene in a window, and move through it", _OPTIONS, _run, __doc__)

@@ -6,10 +6,10 @@ camera = parse_camera("ground", scene, frame=600).with_aspect(16 / 9)
 
 from renderer.content.library import GENERATORS as GENERATORS
 from renderer.content.library import change_options as change_options
-from renderer.content.library import find_path as find_path
 from renderer.content.library import load_scene as load_scene
 from renderer.content.library import parse_camera as parse_camera
-from renderer.content.library import parse_shots as parse_shots
+from renderer.content.library import parse_camera_path as parse_camera_path
+from renderer.content.library import parse_path_frames as parse_path_frames
 from renderer.content.limits import ModelLimits as ModelLimits
 from renderer.content.models import add_model as add_model
 from renderer.content.models import load_model as load_model

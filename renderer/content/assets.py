@@ -25,20 +25,20 @@ _meshes: Final[WeakValueDictionary[bytes, MeshGeometry]] = WeakValueDictionary()
 
 
 def decode_images(encoded: Iterable[NDArray[np.uint8]]) -> list[ImagePixels | str]:
-    """Return the pixels of images (PNG, JPEG, and what else pillow reads), or for one that can't be read the reason.
+    """Return the pixels of images (PNG, JPEG and others that pillow reads), or the reason why one can't be read.
 
     Each content is decoded once, in as many threads as there are processors.
     """
     contents = list(encoded)
     ids = [hash_content(content) for content in contents]
-    found: dict[bytes, ImagePixels | str] = {key: _images[key] for key in ids if key in _images}
-    missing = {key: content for key, content in zip(ids, contents, strict=True) if key not in found}
+    decoded: dict[bytes, ImagePixels | str] = {key: _images[key] for key in ids if key in _images}
+    missing = {key: content for key, content in zip(ids, contents, strict=True) if key not in decoded}
     with ThreadPoolExecutor(min(cpu_count() or 1, 16)) as pool:
         for key, pixels in zip(missing, pool.map(_decode, missing.values()), strict=True):
-            found[key] = pixels
+            decoded[key] = pixels
             if not isinstance(pixels, str):
                 _images[key] = pixels
-    return [found[key] for key in ids]
+    return [decoded[key] for key in ids]
 
 
 def share_image(pixels: ImagePixels) -> ImagePixels:
@@ -56,7 +56,7 @@ def share_geometry(geometry: MeshGeometry) -> MeshGeometry:
 
 
 def hash_content(*parts: bytes | NDArray[np.uint8]) -> bytes:
-    """Return the id of a content: 16 bytes, of which equal ones mean equal contents."""
+    """Return the id of a content: a hash of 16 bytes."""
     digest = hashlib.blake2b(digest_size=16)
     for part in parts:
         digest.update(len(part).to_bytes(8, "little"))

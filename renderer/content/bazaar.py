@@ -14,7 +14,7 @@ import numpy as np
 from renderer.content import shapes
 from renderer.content.specs import SEED, Generator, Option
 from renderer.content.surfaces import KINDS, paint_surface
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Indices
 from renderer.scene.materials import TextureMap
 from renderer.scene.meshes import MeshGeometry
 from renderer.scene.paths import make_path
@@ -67,12 +67,12 @@ BAZAAR: Final = Generator(
 )
 
 
-def _add_materials(builder: SceneBuilder, rng: np.random.Generator, count: int, seed: int) -> Rows:
+def _add_materials(builder: SceneBuilder, rng: np.random.Generator, count: int, seed: int) -> Indices:
     """Add materials: each one of the surfaces, with a tint, a scale and a roughness of its own."""
     surfaces = [paint_surface(kind, _TEXELS, seed + turn) for turn in range(_VARIANTS) for kind in KINDS]
     images = [
-        [builder.add_image(image) for image in (one.color, one.normal, one.metal_roughness)]
-        for one in surfaces[: max(count, 1)]
+        [builder.add_image(image) for image in (surface.color, surface.normal, surface.metal_roughness)]
+        for surface in surfaces[: max(count, 1)]
     ]
     hue = 2.0 * np.pi * (rng.random((count, 1)) + np.array([0.0, 1.0, 2.0]) / 3.0)
     gray = rng.uniform(0.35, 0.8, (count, 1))
@@ -99,7 +99,7 @@ def _add_materials(builder: SceneBuilder, rng: np.random.Generator, count: int, 
     return np.array(added)
 
 
-def _add_walls(builder: SceneBuilder, rng: np.random.Generator, side: int, materials: Rows, most: int) -> int:
+def _add_walls(builder: SceneBuilder, rng: np.random.Generator, side: int, materials: Indices, most: int) -> int:
     """Add floors and walls of `side` x `side` rooms, `most` of them at most; return how many."""
     floor = builder.add_mesh(shapes.plane(2, (3.0, 3.0)), "floor")
     wall = builder.add_mesh(shapes.box(2), "wall")
@@ -146,7 +146,7 @@ def _add_things(
     builder: SceneBuilder,
     rng: np.random.Generator,
     side: int,
-    materials: Rows,
+    materials: Indices,
     meshes: int,
     count: int,
     detail: int,
@@ -161,17 +161,17 @@ def _add_things(
     away = rng.uniform(0.9, reach, (count, 2)) * rng.choice([-1.0, 1.0], (count, 2))
     size = rng.uniform(0.45, 1.15, count)
     floor = np.where(rng.random(count) < 0.3, rng.uniform(0.6, 2.0, count), 0.0)  # on shelves, and hanging
-    places = np.stack([middle[:, 0] + away[:, 0], floor, middle[:, 1] + away[:, 1]], axis=1)
+    positions = np.stack([middle[:, 0] + away[:, 0], floor, middle[:, 1] + away[:, 1]], axis=1)
     turned = rotation((0.0, 1.0, 0.0), rng.uniform(0.0, 2.0 * np.pi, count))
-    matrices = multiply(multiply(translation(places), turned), scaling(size[:, None] * np.ones(3)))
+    matrices = multiply(multiply(translation(positions), turned), scaling(size[:, None] * np.ones(3)))
     number = np.arange(count)
-    chosen = np.where(number < len(materials), number % len(materials), rng.integers(0, len(materials), count))
+    material_number = np.where(number < len(materials), number % len(materials), rng.integers(0, len(materials), count))
     which = np.where(number < meshes, number % meshes, rng.integers(0, meshes, count))
-    builder.add_objects(builder.add_nodes(matrices), ids[which], materials[chosen])
+    builder.add_objects(builder.add_nodes(matrices), ids[which], materials[material_number])
 
 
 def _make_thing(rng: np.random.Generator, detail: int) -> MeshGeometry:
-    """Make a vase, a barrel, a lamp or a post: a turned shape a metre high at most, on y = 0."""
+    """Make a vase, a barrel, a lantern or a post: a turned shape a metre high at most, on y = 0."""
     rings = max(detail - 3, 4)
     y = np.linspace(0.0, float(rng.uniform(0.5, 1.0)), rings)
     waves = rng.uniform(-1.0, 1.0, 3) * (0.16, 0.09, 0.05)
@@ -192,16 +192,16 @@ def _add_lights(builder: SceneBuilder, rng: np.random.Generator, side: int, coun
         lights.add_directional((-0.4, -0.8, -0.45), (1.0, 0.95, 0.88), 1.8)
         return
     half = 0.5 * side * ROOM - 0.5
-    places = rng.uniform((-half, 1.4, -half), (half, _HEIGHT - 0.2, half), (count, 3))
+    positions = rng.uniform((-half, 1.4, -half), (half, _HEIGHT - 0.2, half), (count, 3))
     colors = _hues(rng.random(count))
     reach = float(np.clip(2.2 * side * ROOM / np.sqrt(count), 2.5, 9.0))
-    lights.add_points(places, reach, colors, 0.16 * reach**2, source_radius=radius)
+    lights.add_points(positions, reach, colors, 0.16 * reach**2, source_radius=radius)
     bulb = builder.add_mesh(shapes.sphere(8), "bulb")
-    glows = _hues(np.arange(8) / 8.0)
-    glow = [builder.add_material(base_color=tuple(color), emission=1.6) for color in glows.tolist()]
-    nodes = builder.add_nodes(multiply(translation(places), scaling(np.full(3, 2.0 * radius or 0.12))))
-    nearest = np.abs(colors[:, None] - glows).sum(-1).argmin(1)
-    builder.add_objects(nodes, bulb, np.array(glow)[nearest], casts_shadow=False)
+    bulb_colors = _hues(np.arange(8) / 8.0)
+    bulb_materials = [builder.add_material(base_color=tuple(color), emission=1.6) for color in bulb_colors.tolist()]
+    nodes = builder.add_nodes(multiply(translation(positions), scaling(np.full(3, 2.0 * radius or 0.12))))
+    nearest = np.abs(colors[:, None] - bulb_colors).sum(-1).argmin(1)
+    builder.add_objects(nodes, bulb, np.array(bulb_materials)[nearest], casts_shadow=False)
 
 
 def _hues(turns: Floats) -> Floats:
@@ -212,12 +212,12 @@ def _hues(turns: Floats) -> Floats:
 
 def _add_cameras(builder: SceneBuilder, side: int) -> None:
     half = 0.5 * side * ROOM
-    lens = Perspective(fov=np.radians(60.0), near=0.1)
+    projection = Perspective(fov=np.radians(60.0), near=0.1)
     corner = np.array([-half - 7.5, 11.0, -half - 7.5])  # so far that all is in view, so high that a fifth is seen
-    builder.views["corner"] = Camera.look_at(corner, (0.0, 1.5, 0.0), projection=lens)
-    builder.views["overview"] = Camera.look_at((-1.1 * half, 0.8 * half, -1.1 * half), (0, 0, 0), projection=lens)
+    builder.views["corner"] = Camera.look_at(corner, (0.0, 1.5, 0.0), projection=projection)
+    builder.views["overview"] = Camera.look_at((-1.1 * half, 0.8 * half, -1.1 * half), (0, 0, 0), projection=projection)
     row = ROOM * (side // 2 + 0.5) - half
     low = [(-half + 1.0, 1.7, row), (half - 1.0, 1.7, row)]
-    builder.paths["ground"] = make_path(low, lens, rounding=2.0, ahead=5.0)
+    builder.paths["ground"] = make_path(low, projection, rounding=2.0, ahead=5.0)
     high = [(-half, _HEIGHT + 3.0, row), (half, _HEIGHT + 3.0, row)]
-    builder.paths["sky"] = make_path(high, lens, rounding=2.0, ahead=8.0, sink=3.0)
+    builder.paths["sky"] = make_path(high, projection, rounding=2.0, ahead=8.0, sink=3.0)

@@ -12,7 +12,7 @@ import numpy as np
 
 from renderer.content import shapes
 from renderer.content.textures import ROOF_UV, WINDOWS
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Indices
 from renderer.scene.meshes import MeshGeometry, join
 from rhi.math import multiply, scaling, translation
 
@@ -73,7 +73,9 @@ def make_building(kind: str, floors: int, detail: int) -> MeshGeometry:
     return join([body, *_balconies(bays), _block((0.15, 0.97, 0.0), (0.2, 0.1, 0.2))])
 
 
-def find_windows(building: MeshGeometry, windows: int, start: Floats, along: Floats) -> tuple[Floats, Floats, Floats]:
+def intersect_windows(
+    building: MeshGeometry, windows: int, start: Floats, along: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Return the middles (k, 3) of the windows that rays meet, and the vectors across and up a window and its frame.
 
     Rays begin at `start` (k, 3) and run along unit vectors (k, 3); each must meet the front of a wall. Their
@@ -83,9 +85,11 @@ def find_windows(building: MeshGeometry, windows: int, start: Floats, along: Flo
     uv = table["uv"].astype(np.float64)
     to_uv = np.stack([uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]], axis=-1)
     is_wall = np.linalg.det(to_uv) != 0.0  # what has no windows has one point of the texture
-    corners, uv, to_uv = table["position"][is_wall].astype(np.float64), uv[is_wall], to_uv[is_wall]
+    corners = table["position"][is_wall].astype(np.float64)
+    uv = uv[is_wall]
+    to_uv = to_uv[is_wall]
     edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    found: list[tuple[Rows, Floats]] = []
+    parts_of_blocks: list[tuple[Indices, Floats]] = []
     for at in range(0, len(start), _RAYS):
         ray, begin = along[at : at + _RAYS, None], start[at : at + _RAYS, None] - corners[:, 0]
         across, turned = np.cross(ray, other), np.cross(begin, edge)
@@ -95,8 +99,8 @@ def find_windows(building: MeshGeometry, windows: int, start: Floats, along: Flo
         distance = np.where(hit, (other * turned).sum(-1) / np.where(hit, area, 1.0), np.inf)
         nearest = distance.argmin(1)
         share = np.stack([u, v], -1)[np.arange(len(u)), nearest] / area[np.arange(len(u)), nearest, None]
-        found.append((nearest, share))
-    triangle, share = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        parts_of_blocks.append((nearest, share))
+    triangle, share = (np.concatenate(parts) for parts in zip(*parts_of_blocks, strict=True))
     sides = np.stack([edge, other], axis=-1)[triangle]
     met = uv[triangle, 0] + (to_uv[triangle] @ share[..., None])[..., 0]
     per_pane = sides @ np.linalg.inv(to_uv[triangle]) / windows
@@ -117,17 +121,17 @@ def make_trees(count: int, detail: int, seed: int) -> MeshGeometry:
         height, crown = rng.uniform(5.0, 10.0), crowns[tree % 2]
         middle = (spot[0], 0.62 * height, spot[1])
         width = 0.16 * rng.uniform(0.8, 1.2)
-        parts.append(crown.transformed(_placed(middle, (width, 0.75 * height, width))))
-        parts.append(trunk.transformed(_placed((spot[0], 0.15 * height, spot[1]), (0.02, 0.3 * height, 0.02))))
+        parts.append(crown.transformed(_box_transform(middle, (width, 0.75 * height, width))))
+        parts.append(trunk.transformed(_box_transform((spot[0], 0.15 * height, spot[1]), (0.02, 0.3 * height, 0.02))))
     return join(parts)
 
 
-def make_lamp(detail: int) -> MeshGeometry:
-    """Make a street lamp in metres: a post of 6 m, an arm along +x, and a lamp at (1.6, 5.9, 0)."""
+def make_street_light(detail: int) -> MeshGeometry:
+    """Make a street light in metres: a post of 6 m, an arm along +x, and a head at (1.6, 5.9, 0)."""
     post = shapes.lathe([(0.14, 0.0), (0.1, 0.6), (0.06, 6.0), (0.0, 6.0)], max(detail, 4))
-    arm = shapes.box().transformed(_placed((0.8, 5.97, 0.0), (1.7, 0.07, 0.07)))
-    lamp = shapes.sphere(max(detail, 4)).transformed(_placed((1.6, 5.9, 0.0), (0.5, 0.22, 0.3)))
-    return join([post, arm, lamp])
+    arm = shapes.box().transformed(_box_transform((0.8, 5.97, 0.0), (1.7, 0.07, 0.07)))
+    head = shapes.sphere(max(detail, 4)).transformed(_box_transform((1.6, 5.9, 0.0), (0.5, 0.22, 0.3)))
+    return join([post, arm, head])
 
 
 _SQUARE: Final = 0.5 * np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)], np.float64)
@@ -191,11 +195,11 @@ def _balconies(bays: int) -> list[MeshGeometry]:
 
 
 def _block(centre: tuple[float, float, float], size: tuple[float, float, float]) -> MeshGeometry:
-    part = shapes.box().transformed(_placed(centre, size))
+    part = shapes.box().transformed(_box_transform(centre, size))
     vertices = part.vertices.copy()
     vertices["uv"] = ROOF_UV
     return MeshGeometry(vertices, part.indices)
 
 
-def _placed(centre: tuple[float, float, float], size: tuple[float, float, float]) -> Floats:
+def _box_transform(centre: tuple[float, float, float], size: tuple[float, float, float]) -> Floats:
     return multiply(translation(centre), scaling(size))

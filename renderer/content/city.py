@@ -15,11 +15,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.content.buildings import KINDS, make_building, make_lamp, make_trees
+from renderer.content.buildings import KINDS, make_building, make_street_light, make_trees
 from renderer.content.shapes import plane
-from renderer.content.specs import FOG, GLOW, SEED, SHADOWS, Generator, Option, add_air, cast_shadows
+from renderer.content.specs import BLOOM, FOG, SEED, SHADOWS, Generator, Option, add_fog_and_bloom, cast_shadows
 from renderer.content.textures import NIGHT_WINDOWS, WINDOWS, paint_facade, paint_lit_facade, paint_street
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Indices
 from renderer.scene.meshes import MeshGeometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
@@ -48,7 +48,7 @@ _GLASS: Final = np.array([(0.42, 0.55, 0.62), (0.36, 0.46, 0.50), (0.52, 0.56, 0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CityPlan:
-    """The plan of a city: what stands where.
+    """The plan of a city: positions and sizes of its blocks and buildings.
 
     Attributes:
         centres: (n,) the middles of the blocks (x, z). half: half the width of the city.
@@ -59,29 +59,29 @@ class CityPlan:
 
     centres: Floats
     half: float
-    building: Rows
-    shapes: list[MeshGeometry]
-    shape: Rows
-    places: Floats
+    building_index: Indices
+    meshes: list[MeshGeometry]
+    mesh_index: Indices
+    lot_transforms: Floats
     route: Floats
 
 
-def make_city(blocks: int, detail: int, seed: int, shadows: int, fog: float = 0.0, glow: float = 0.0) -> Scene:
+def make_city(blocks: int, detail: int, seed: int, shadows: int, fog: float = 0.0, bloom: float = 0.0) -> Scene:
     """Make a city of `blocks` x `blocks`; `detail` sets how finely facades are divided, `seed` varies everything."""
     builder = SceneBuilder(f"city:blocks={blocks},detail={detail},seed={seed}")
     plan = add_city(builder, blocks, detail, seed)
     add_daylight(builder)
-    _add_lamps(builder, plan.route, detail)
+    _add_street_lights(builder, plan.route, detail)
     if shadows:
         cast_shadows(builder)
-    add_air(builder, fog, glow, builder.background, 0.05)
+    add_fog_and_bloom(builder, fog, bloom, builder.background, 0.05)
     return builder.build()
 
 
 def add_city(builder: SceneBuilder, blocks: int, detail: int, seed: int, at_night: bool = False) -> CityPlan:
     """Add ground, buildings, parks, paths and views, but no lights.
 
-    At night windows are lit, and the ground is cut into smaller tiles, so that few lamps reach each one.
+    At night windows are lit, and the ground is cut into smaller tiles, so that few lights reach each one.
     """
     rng = np.random.default_rng([seed, 44])
     index = np.stack(np.meshgrid(np.arange(blocks), np.arange(blocks), indexing="ij"), -1).reshape(-1, 2)
@@ -98,14 +98,14 @@ def add_city(builder: SceneBuilder, blocks: int, detail: int, seed: int, at_nigh
 
     materials = _add_materials(builder, seed, at_night)
     _add_ground(builder, blocks, seed, at_night)
-    shapes, shape, places = _add_buildings(
+    shapes, shape, transforms = _add_buildings(
         builder, rng, centre[built], height[built], near[built], detail, materials, at_night
     )
     _add_parks(builder, rng, centre[park], detail, seed)
     route = _street_route(blocks)
     _add_cameras(builder, route, half, float(height[built].max()))
     building = np.where(built, np.cumsum(built) - 1, -1)
-    return CityPlan(centre, half, building, shapes, shape, places, route)
+    return CityPlan(centre, half, building, shapes, shape, transforms, route)
 
 
 def add_daylight(builder: SceneBuilder) -> None:
@@ -125,7 +125,7 @@ CITY: Final = Generator(
         SEED,
         SHADOWS,
         FOG,
-        GLOW,
+        BLOOM,
     ),
     make_city,
 )
@@ -168,7 +168,7 @@ def _add_ground(builder: SceneBuilder, blocks: int, seed: int, at_night: bool) -
             builder.add_objects(node, meshes[x1 - x0, z1 - z0], streets, casts_shadow=False)
     wide = builder.add_mesh(plane(), "plain")
     extent, edge = 6.0 * blocks * PITCH + 2000.0, blocks * PITCH
-    # At night the plain is a frame around the city: one sheet below it would be in reach of all lamps.
+    # At night the plain is a frame around the city: one quad below it would be in reach of all lights.
     far, side = 0.25 * (extent + edge), 0.5 * (extent - edge)
     frame = [
         (0.0, far, extent, side),
@@ -177,8 +177,8 @@ def _add_ground(builder: SceneBuilder, blocks: int, seed: int, at_night: bool) -
         (-far, 0.0, side, edge),
     ]
     for x, z, width, depth in frame if at_night else [(0.0, 0.0, extent, extent)]:
-        place = multiply(translation((x, -0.5, z)), scaling((width, 1.0, depth)))
-        builder.add_objects(builder.add_node(place, name="plain"), wide, plain, casts_shadow=False)
+        transform = multiply(translation((x, -0.5, z)), scaling((width, 1.0, depth)))
+        builder.add_objects(builder.add_node(transform, name="plain"), wide, plain, casts_shadow=False)
 
 
 def _steps(edges: NDArray[np.int64]) -> set[int]:
@@ -194,12 +194,12 @@ def _add_buildings(
     detail: int,
     materials: dict[str, NDArray[np.int64]],
     at_night: bool,
-) -> tuple[list[MeshGeometry], Rows, Floats]:
+) -> tuple[list[MeshGeometry], Indices, Floats]:
     """Add a building on each block; return the meshes, which of them is each building's, and the lots' transforms."""
     count = len(centre)
     floors = height / _STOREY
     storeys = np.abs(np.log(floors[:, None] / np.array(_FLOORS))).argmin(1)
-    # Cumulative shares of the kinds, by height: houses and slabs are low, towers high.
+    # Cumulative fractions of the kinds, by height: houses and slabs are low, towers high.
     shares = np.array([(0.04, 0.02, 0.22, 0.06, 0.44, 0.22), (0.28, 0.12, 0.24, 0.10, 0.0, 0.26),
                        (0.40, 0.30, 0.0, 0.22, 0.0, 0.08)]).cumsum(1)  # fmt: skip
     kind = (rng.random(count)[:, None] > shares[storeys]).sum(1).clip(0, len(KINDS) - 1)
@@ -213,19 +213,19 @@ def _add_buildings(
         meshes.append(builder.add_mesh(shapes[-1], f"{name} {storey_count}"))
     size = np.stack([*(_LOT * rng.uniform(0.82, 1.0, (2, count))), height], axis=1)[:, [0, 2, 1]]
     turn = rotation((0, 1, 0), 0.5 * np.pi * rng.integers(0, 4, count))
-    place = translation(np.stack([centre[:, 0], np.zeros(count), centre[:, 1]], axis=1))
-    places = multiply(place, multiply(turn, scaling(size)))
-    nodes = builder.add_nodes(places)
+    to_centre = translation(np.stack([centre[:, 0], np.zeros(count), centre[:, 1]], axis=1))
+    transforms = multiply(to_centre, multiply(turn, scaling(size)))
+    nodes = builder.add_nodes(transforms)
 
     glass = (np.isin(kind, [KINDS.index("setback"), KINDS.index("round")])) | (near * rng.random(count) > 0.45)
     ribbon = ~glass & (rng.random(count) < 0.35)
     color = rng.random(count)
     material = np.empty(count, np.int64)
-    for style, chosen in (("glass", glass), ("ribbon", ribbon), ("punched", ~glass & ~ribbon)):
+    for style, is_style in (("glass", glass), ("ribbon", ribbon), ("punched", ~glass & ~ribbon)):
         ids = materials[style]
-        material[chosen] = ids[(color[chosen] * len(ids)).astype(np.int64)]
+        material[is_style] = ids[(color[is_style] * len(ids)).astype(np.int64)]
     builder.add_objects(nodes, np.array(meshes)[mesh], material)
-    return shapes, mesh, places
+    return shapes, mesh, transforms
 
 
 def _add_parks(builder: SceneBuilder, rng: np.random.Generator, centre: Floats, detail: int, seed: int) -> None:
@@ -237,8 +237,8 @@ def _add_parks(builder: SceneBuilder, rng: np.random.Generator, centre: Floats, 
         builder.add_material(base_color=c, specular_color=(0.02, 0.02, 0.02), rim_strength=0.2, rim_power=3.0)
         for c in ((0.12, 0.27, 0.07), (0.20, 0.30, 0.06), (0.28, 0.24, 0.05))
     ]
-    place = translation(np.stack([centre[:, 0], np.full(len(centre), 0.05), centre[:, 1]], axis=1))
-    nodes = builder.add_nodes(multiply(place, scaling((side, 1.0, side))))
+    to_centre = translation(np.stack([centre[:, 0], np.full(len(centre), 0.05), centre[:, 1]], axis=1))
+    nodes = builder.add_nodes(multiply(to_centre, scaling((side, 1.0, side))))
     pick = rng.integers(0, 3, (2, len(centre)))
     builder.add_objects(nodes, lawn, grass, casts_shadow=False)
     builder.add_objects(nodes, np.array(trees)[pick[0]], np.array(leaves)[pick[1]])
@@ -261,38 +261,40 @@ def _street_route(blocks: int) -> Floats:
     return np.stack([xz[:, 0], np.full(len(xz), EYE_HEIGHT), xz[:, 1]], axis=1)
 
 
-def _add_lamps(builder: SceneBuilder, route: Floats, detail: int) -> None:
-    """Add street lamps along the route, a spot and a point light in turn."""
+def _add_street_lights(builder: SceneBuilder, route: Floats, detail: int) -> None:
+    """Add street lights along the route, a spot and a point light in turn."""
     lights = builder.lights
-    mesh = builder.add_mesh(make_lamp(detail), "lamp")
+    mesh = builder.add_mesh(make_street_light(detail), "street light")
     metal = builder.add_material(base_color=(0.10, 0.11, 0.12), specular_color=(0.4, 0.4, 0.4), shininess=60.0)
     to_kerb = 0.5 * STREET + 0.8
     lit = np.concatenate([route[1:-1], np.round(0.5 * (route[1:] + route[:-1]) / PITCH) * PITCH])
     for number, crossing in enumerate(lit):
         foot = crossing * (1.0, 0.0, 1.0) + (-to_kerb, 0.0, to_kerb)
         turn = multiply(translation(foot), rotation((0, 1, 0), 0.25 * np.pi))
-        builder.add_objects(builder.add_node(turn, name=f"lamp {number}"), mesh, metal)
-        lamp = (turn @ (1.6, 5.7, 0.0, 1.0))[:3]
+        builder.add_objects(builder.add_node(turn, name=f"street light {number}"), mesh, metal)
+        head = (turn @ (1.6, 5.7, 0.0, 1.0))[:3]
         if number % 2:
-            lights.add_spot(lamp, (0.0, -1.0, 0.0), 22.0, 0.5, 1.0, (1.0, 0.80, 0.50), 60.0)
+            lights.add_spot(head, (0.0, -1.0, 0.0), 22.0, 0.5, 1.0, (1.0, 0.80, 0.50), 60.0)
         else:
-            lights.add_point(lamp, 18.0, (1.0, 0.72, 0.42), 20.0)
+            lights.add_point(head, 18.0, (1.0, 0.72, 0.42), 20.0)
 
 
 def _add_cameras(builder: SceneBuilder, route: Floats, half: float, top: float) -> None:
-    lens = Perspective(fov=np.radians(60.0), near=0.2)
-    builder.paths["ground"] = make_path(route, lens, rounding=48.0, ahead=44.0)
+    projection = Perspective(fov=np.radians(60.0), near=0.2)
+    builder.paths["ground"] = make_path(route, projection, rounding=48.0, ahead=44.0)
     roofs = top + 12.0
     flight = [(-half, roofs, -0.7 * half), (-0.3 * half, roofs + 25.0, 0.2 * half),
               (0.3 * half, roofs, -0.2 * half), (half, roofs + 10.0, 0.7 * half)]  # fmt: skip
-    builder.paths["sky"] = make_path(flight, lens, rounding=0.5 * half, ahead=160.0, sink=85.0)
+    builder.paths["sky"] = make_path(flight, projection, rounding=0.5 * half, ahead=160.0, sink=85.0)
     builder.views["overview"] = Camera.look_at(
         (0.62 * half, top * 0.80 + 20.0, 0.70 * half),
         (0.0, -0.35 * top, 0.0),
-        projection=lens,
+        projection=projection,
     )
-    builder.views["street"] = Camera.look_at(route[0] + (2.0, 0.6, 0.0), route[1] + (0.0, 9.0, 0.0), projection=lens)
+    builder.views["street"] = Camera.look_at(
+        route[0] + (2.0, 0.6, 0.0), route[1] + (0.0, 9.0, 0.0), projection=projection
+    )
     builder.views["roofs"] = Camera.look_at(
-        (-0.5 * half, 0.5 * top + 12.0, 0.5 * half), (0.2 * half, 0.25 * top, -0.1 * half), projection=lens
+        (-0.5 * half, 0.5 * top + 12.0, 0.5 * half), (0.2 * half, 0.25 * top, -0.1 * half), projection=projection
     )
-    builder.views["above"] = Camera.look_at((0.0, 2.1 * half + top, 0.0), (0.0, 0.0, 0.0), (0, 0, -1), lens)
+    builder.views["above"] = Camera.look_at((0.0, 2.1 * half + top, 0.0), (0.0, 0.0, 0.0), (0, 0, -1), projection)

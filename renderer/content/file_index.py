@@ -20,13 +20,13 @@ from renderer.content.assets import hash_content
 from renderer.scene.files import read_file
 from rhi import PersistentDict
 
-MOST: Final = 10_000
+MAX_FILES: Final = 10_000
 """The most files that are remembered, and that are looked at in a folder and below."""
 _LOGGER: Final = logging.getLogger("renderer.content")
 
 
 class FileRecord(NamedTuple):
-    """What is remembered of a file: its bytes, its id, and the models that use it."""
+    """A record of a file: its size in bytes, its id, and the models that use it."""
 
     bytes: int
     id: str
@@ -37,7 +37,7 @@ class FileIndex(PersistentDict):
     """The records of files by their absolute paths, those that were used last at the end."""
 
     def __init__(self) -> None:
-        super().__init__("files", MOST)
+        super().__init__("files", MAX_FILES)
         self.update({path: FileRecord(*fields) for path, fields in self.items()})
 
     def note(self, file: str | Path, content: bytes, model: str | Path) -> None:
@@ -48,26 +48,26 @@ class FileIndex(PersistentDict):
         self[path] = FileRecord(len(content), hash_content(content).hex(), [*users, *more])
 
     def find(self, file: Path, folder: Path, allows: Callable[[Path], bool] = lambda path: True) -> Path:
-        """Return a file, or if it is missing, one with the content that it had: from a remembered path, or from
+        """Return a file, or if it is missing, a file with the content that it had: from a remembered path, or from
         `folder` or below. A warning names both paths.
 
         Args:
             allows: which paths may be read.
         """
-        known = self.get(os.path.abspath(file))
-        if known is None or file.exists():
+        listed = self.get(os.path.abspath(file))
+        if listed is None or file.exists():
             return file
-        remembered = [Path(path) for path, record in reversed(self.items()) if record.id == known.id]
-        for found in (*remembered, *walk(folder)):
+        remembered = [Path(path) for path, record in reversed(self.items()) if record.id == listed.id]
+        for candidate in (*remembered, *list_files(folder)):
             with suppress(OSError, ValueError):
-                is_alike = found.stat().st_size == known.bytes and allows(found)
-                if is_alike and hash_content(read_file(found, known.bytes)).hex() == known.id:
-                    _LOGGER.warning("%s isn't there; %s has its content, and is read instead", file, found)
-                    return found
+                is_alike = candidate.stat().st_size == listed.bytes and allows(candidate)
+                if is_alike and hash_content(read_file(candidate, listed.bytes)).hex() == listed.id:
+                    _LOGGER.warning("%s isn't there; %s has its content, and is read instead", file, candidate)
+                    return candidate
         return file
 
 
-def walk(folder: Path) -> Iterator[Path]:
-    """Yield the files in a folder and below, at most `MOST`, without links."""
-    files = (Path(place, name) for place, _, names in os.walk(folder) for name in sorted(names))
-    yield from (file for file in islice(files, MOST) if not file.is_symlink())
+def list_files(folder: Path) -> Iterator[Path]:
+    """Yield the files in a folder and below, at most `MAX_FILES`, without links."""
+    files = (Path(directory, name) for directory, _, names in os.walk(folder) for name in sorted(names))
+    yield from (file for file in islice(files, MAX_FILES) if not file.is_symlink())

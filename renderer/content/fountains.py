@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene.arrays import Floats, Rows, hash_to_unit
-from renderer.scene.catching_up import Stepwise
+from renderer.scene.arrays import Floats, Indices, hash_to_unit
+from renderer.scene.catch_up import Stepwise
 from renderer.scene.meshes import VERTEX, MeshGeometry
 
 DROPS: Final = 90
@@ -36,7 +36,7 @@ BOUNDS: Final = (
 """The lower and upper corner (3,) of the box that drops never leave, with the nozzle at the origin."""
 
 
-class Fountains:
+class FountainSimulation:
     """The simulation of `count` fountains, each with its nozzle at its own origin.
 
     22 fountains that show at once are up to date in that frame, of more some are late by a few frames.
@@ -53,7 +53,7 @@ class Fountains:
         self.position: Floats = np.zeros((count, drops, 3))
         self.velocity: Floats = np.zeros((count, drops, 3))
 
-    def step(self, members: Rows, numbers: Rows) -> None:
+    def step(self, members: Indices, numbers: Indices) -> None:
         """Move the drops of `members` (j,), and throw one drop of each."""
         velocity, drops = self.velocity[members], self.position.shape[1]
         position = self.position[members] + velocity * self.interval
@@ -64,7 +64,7 @@ class Fountains:
         position[each, slot], velocity[each, slot] = 0.0, self._throw(members, numbers * DROPS // drops)
         self.position[members], self.velocity[members] = position, velocity
 
-    def _throw(self, members: Rows, numbers: Rows) -> Floats:
+    def _throw(self, members: Indices, numbers: Indices) -> Floats:
         """Return velocities (j, 3): hashes of member and step number, so that skipping steps needs no state."""
         key = (members.astype(np.uint64) << np.uint64(40)) + numbers.astype(np.uint64) + np.uint64(self._seed)
         angle, away, up = (hash_to_unit(key * np.uint64(3) + np.uint64(part)) for part in range(3))
@@ -73,11 +73,11 @@ class Fountains:
         rise = _UP[0] + (_UP[1] - _UP[0]) * up
         return np.stack([away * np.cos(angle), rise, away * np.sin(angle)], axis=1)
 
-    def vertices(self, members: Rows) -> NDArray[Any]:
+    def vertices(self, members: Indices) -> NDArray[Any]:
         """Return the vertices (12 * drops * j,) of `members` (j,): a tetrahedron for each drop."""
         return _tetrahedra(self.position[members].reshape(-1, 3))
 
-    def particles(self, members: Rows) -> tuple[Floats, Floats]:
+    def particles(self, members: Indices) -> tuple[Floats, Floats]:
         """Return the positions and velocities (j, drops, 3) of the drops of `members` (j,)."""
         return self.position[members], self.velocity[members]
 

@@ -1,4 +1,4 @@
-"""Glass: coloured panes behind each other and balls of glass, between columns, for what is seen through others.
+"""Glass: coloured panes behind each other and balls of glass, between columns, to test objects seen through others.
 
 Panes stand in rows across the view, each of a colour and an opacity of its own, so that several cover each other
 wherever one looks along the rows.
@@ -27,7 +27,7 @@ _STEP: Final = 1.3
 
 
 def make_glass(panes: int, lights: int, seed: int) -> Scene:
-    """Make a scene of `panes` panes and half as many balls of glass, lit by the sun and by `lights` lamps."""
+    """Make a scene of `panes` panes and half as many balls of glass, lit by the sun and by `lights` point lights."""
     rng = np.random.default_rng([seed, 11])
     builder = SceneBuilder(f"glass:panes={panes},lights={lights},seed={seed}")
     builder.background = (0.16, 0.24, 0.36)
@@ -46,8 +46,8 @@ def make_glass(panes: int, lights: int, seed: int) -> Scene:
     stone = builder.add_material(base_color=(0.55, 0.48, 0.38), specular_color=(0.03, 0.03, 0.03))
     ends = np.arange(rows + 1) * _GAP - 0.5 * rows * _GAP
     for side in (-1.0, 1.0):
-        places = np.stack([np.full(rows + 1, side * (half[0] - 1.2)), np.full(rows + 1, 1.2), ends], axis=1)
-        builder.add_objects(builder.add_nodes(multiply(translation(places), scaling((0.35, 2.4, 0.35)))), box, stone)
+        positions = np.stack([np.full(rows + 1, side * (half[0] - 1.2)), np.full(rows + 1, 1.2), ends], axis=1)
+        builder.add_objects(builder.add_nodes(multiply(translation(positions), scaling((0.35, 2.4, 0.35)))), box, stone)
 
     tints = np.clip(_TINTS[rng.integers(0, len(_TINTS), panes)] + rng.uniform(-0.08, 0.08, (panes, 3)), 0.02, 1.0)
     clear = rng.uniform(0.35, 0.7, panes)
@@ -77,15 +77,15 @@ def make_glass(panes: int, lights: int, seed: int) -> Scene:
     builder.lights.add_directional((-0.5, -0.9, -0.4), (1.0, 0.95, 0.88), 0.9)
     if lights:
         spread = rng.uniform(-1, 1, (lights, 2)) * (half - 1.0)
-        places = np.stack([spread[:, 0], rng.uniform(0.8, 2.4, lights), spread[:, 1]], axis=1)
+        positions = np.stack([spread[:, 0], rng.uniform(0.8, 2.4, lights), spread[:, 1]], axis=1)
         hue = 2.0 * np.pi * (rng.random((lights, 1)) + np.array([0.0, 1.0, 2.0]) / 3.0)
-        builder.lights.add_points(places, 3.0, 0.55 + 0.45 * np.cos(hue), 1.5)
-    lens = Perspective(near=0.05)
-    builder.views["along"] = Camera.look_at((0.8, 1.9, half[1] + 0.9), (0.0, 0.7, 0.0), projection=lens)
-    builder.views["overview"] = Camera.look_at((half[0], 3.0, half[1] + 1.5), (0.0, 0.6, 0.0), projection=lens)
+        builder.lights.add_points(positions, 3.0, 0.55 + 0.45 * np.cos(hue), 1.5)
+    projection = Perspective(near=0.05)
+    builder.views["along"] = Camera.look_at((0.8, 1.9, half[1] + 0.9), (0.0, 0.7, 0.0), projection=projection)
+    builder.views["overview"] = Camera.look_at((half[0], 3.0, half[1] + 1.5), (0.0, 0.6, 0.0), projection=projection)
     way = np.array([(0.2, 1.4, half[1] + 2.0), (0.2, 1.4, -half[1] - 1.0)])
-    builder.paths["ground"] = make_path(way, lens, rounding=_GAP, ahead=_GAP)
-    builder.paths["sky"] = make_path(np.add(way, (0.0, 2.0, 0.0)), lens, _GAP, ahead=2.0 * _GAP, sink=2.0)
+    builder.paths["ground"] = make_path(way, projection, rounding=_GAP, ahead=_GAP)
+    builder.paths["sky"] = make_path(np.add(way, (0.0, 2.0, 0.0)), projection, _GAP, ahead=2.0 * _GAP, sink=2.0)
     return builder.build()
 
 
@@ -94,7 +94,7 @@ GLASS: Final = Generator(
     "coloured panes behind each other, and balls of glass; ground and sky paths",
     (
         Option("panes", 24, "how many panes", 1, 10_000),
-        Option("lights", 12, "coloured lamps between them", 0, 4_096),
+        Option("lights", 12, "coloured lights between them", 0, 4_096),
         SEED,
     ),
     make_glass,

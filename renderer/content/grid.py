@@ -46,30 +46,32 @@ def make_grid(mesh: str, count: int, spacing: float, lights: int, seed: int) -> 
     )
     side = int(np.ceil(np.sqrt(count)))
     row, column = np.divmod(np.arange(count), side)
-    places = np.stack([column - 0.5 * (side - 1), np.zeros(count), row - 0.5 * (side - 1)], axis=1) * spacing
-    nodes = builder.add_nodes(multiply(translation(places), rotation((0, 1, 0), rng.uniform(0, 6.28, count))))
+    positions = np.stack([column - 0.5 * (side - 1), np.zeros(count), row - 0.5 * (side - 1)], axis=1) * spacing
+    nodes = builder.add_nodes(multiply(translation(positions), rotation((0, 1, 0), rng.uniform(0, 6.28, count))))
     builder.add_objects(nodes, builder.add_mesh(geometry, mesh), materials[rng.integers(0, len(_COLORS), count)])
 
     half = 0.5 * side * spacing
-    lens = Perspective(near=0.05)
+    projection = Perspective(near=0.05)
     if lights:
         builder.background = (0.006, 0.007, 0.012)
         _add_lights(builder, lights, max(_FIELD, side) * spacing, spacing, seed)
         far = 0.5 * max(_FIELD, side) * spacing + 1.0
-        builder.views["field"] = Camera.look_at((0.0, 1.15 * far, 1.5 * far), (0.0, 0.0, 0.1 * far), projection=lens)
+        builder.views["field"] = Camera.look_at(
+            (0.0, 1.15 * far, 1.5 * far), (0.0, 0.0, 0.1 * far), projection=projection
+        )
     else:
         builder.background = (0.30, 0.36, 0.44)
         builder.lights.add_directional((-0.5, -0.8, -0.35), (1.0, 0.95, 0.88), 1.8)
-        place = (0.0, 0.5 * half + 2.0, half)
-        builder.lights.add_point(place, 2.0 * half + 4.0, (0.6, 0.75, 1.0), half * half)
+        light_position = (0.0, 0.5 * half + 2.0, half)
+        builder.lights.add_point(light_position, 2.0 * half + 4.0, (0.6, 0.75, 1.0), half * half)
     builder.views["overview"] = Camera.look_at(
-        (0.9 * half, 0.8 * half + 0.9, 1.5 * half + 0.6), (0, 0.3, 0), projection=lens
+        (0.9 * half, 0.8 * half + 0.9, 1.5 * half + 0.6), (0, 0.3, 0), projection=projection
     )
     aisle = (side // 2 - 0.5 * side) * spacing
     ends = np.array([(aisle, 0.0, half + 1.5 * spacing), (aisle, 0.0, -half - 0.5 * spacing)])
     low, high = np.array([0.0, 0.6, 0.0]), np.array([0.0, 1.5 + 0.4 * half, 0.0])
-    builder.paths["ground"] = make_path(ends + low, lens, rounding=spacing, ahead=spacing)
-    builder.paths["sky"] = make_path(ends + high, lens, spacing, ahead=half + 1.0, sink=high[1])
+    builder.paths["ground"] = make_path(ends + low, projection, rounding=spacing, ahead=spacing)
+    builder.paths["sky"] = make_path(ends + high, projection, spacing, ahead=half + 1.0, sink=high[1])
     return builder.build()
 
 
@@ -91,11 +93,11 @@ def _add_lights(builder: SceneBuilder, count: int, width: float, spacing: float,
     """Add point lights over a square around the origin, the first one above its middle."""
     draws = np.random.default_rng([seed, 7]).random((count, 2))
     xz = ((0.5 + np.arange(count)[:, None] * _STRIDES) % 1.0 - 0.5) * width
-    places = np.stack([xz[:, 0], 1.0 + spacing * (0.4 + 0.6 * draws[:, 0]), xz[:, 1]], axis=1)
+    positions = np.stack([xz[:, 0], 1.0 + spacing * (0.4 + 0.6 * draws[:, 0]), xz[:, 1]], axis=1)
     hue = 2.0 * np.pi * (draws[:, 1, None] + np.array([0.0, 1.0, 2.0]) / 3.0)
     lights = builder.lights
     lights.sky, lights.ground = (0.05, 0.055, 0.07), (0.03, 0.028, 0.025)
-    lights.add_points(places, 4.0 * spacing, 0.52 + 0.48 * np.cos(hue), 1.3 * spacing**2)
+    lights.add_points(positions, 4.0 * spacing, 0.52 + 0.48 * np.cos(hue), 1.3 * spacing**2)
 
 
 def _unit(geometry: MeshGeometry) -> MeshGeometry:

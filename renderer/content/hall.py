@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.content import shapes
-from renderer.content.fountains import BOUNDS, DROPS, Fountains, make_drops
-from renderer.content.specs import FOG, GLOW, SEED, SHADOWS, Generator, Option, add_air, cast_shadows
+from renderer.content.fountains import BOUNDS, DROPS, FountainSimulation, make_drops
+from renderer.content.specs import BLOOM, FOG, SEED, SHADOWS, Generator, Option, add_fog_and_bloom, cast_shadows
 from renderer.content.textures import paint_stripes
-from renderer.scene.arrays import Floats, Rows
-from renderer.scene.catching_up import Recompute
-from renderer.scene.cloth import Cloths, Fabric, Gust, Sheet, Wind, make_sheet
-from renderer.scene.cloth.sheets import INTERVAL, SUB_STEPS
+from renderer.scene.arrays import Floats, Indices
+from renderer.scene.catch_up import Recompute
+from renderer.scene.cloth import ClothGrid, ClothSimulation, Fabric, Gust, Wind, make_cloth_grid
+from renderer.scene.cloth.cloth_grid import INTERVAL, SUB_STEPS
 from renderer.scene.meshes import MeshGeometry, make_geometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
@@ -77,36 +77,36 @@ def make_hall(
     cloth_rate: int,
     sub_steps: int,
     fog: float = 0.0,
-    glow: float = 0.0,
+    bloom: float = 0.0,
 ) -> Scene:
     """Make a hall of `columns` x `rows` columns with `flags` flags and `fountains` fountains along its middle aisle and
-    `cloths` banners between its columns, lit by its lamps, or by `lights` coloured lights among the columns."""
+    `cloths` banners between its columns, lit by its bulbs, or by `lights` coloured lights among the columns."""
     rng = np.random.default_rng([seed, 8])
     options = f"columns={columns},rows={rows},flags={flags},fountains={fountains},detail={detail},seed={seed}"
     others = {"drops": drops, "cloth_detail": cloth_detail, "cloth_rate": cloth_rate, "sub_steps": sub_steps}
     for name, value in {"cloths": cloths, **others}.items():
-        if value != _USUAL[name]:
+        if value != _DEFAULT_OPTIONS[name]:
             options = f"{name}={value},{options}"
     builder = SceneBuilder(f"hall:lights={lights},{options}" if lights else f"hall:{options}")
     builder.background = (0.01, 0.012, 0.02)
     length, width = columns * BAY, (rows + 1) * BAY
     _add_shell(builder, length, width, columns)
-    places = _add_columns(builder, columns, rows, length, detail)
-    _add_flags(builder, rng, _flag_places(flags, length), detail)
+    feet = _add_columns(builder, columns, rows, length, detail)
+    _add_flags(builder, rng, _flag_positions(flags, length), detail)
     _add_fountains(builder, fountains, length, detail, seed, drops)
     bars = _list_bars(cloths, columns, rows, length)
     if cloths:
         _add_banners(builder, bars, make_banner(2 * cloth_detail or detail, sub_steps, 1.0 / cloth_rate), seed)
     if lights:
-        _add_colored_lights(builder, lights, places, length, width, seed)
+        _add_colored_lights(builder, lights, feet, length, width, seed)
     else:
-        _add_lamps(builder, rng, columns, length, width)
+        _add_bulbs(builder, rng, columns, length, width)
     _add_cameras(builder, length, width)
     if cloths:
         _add_banner_camera(builder, float(bars[:, 0].min()))
     if shadows:
         cast_shadows(builder)
-    add_air(builder, fog, glow, (0.16, 0.13, 0.10), 0.4)
+    add_fog_and_bloom(builder, fog, bloom, (0.16, 0.13, 0.10), 0.4)
     return builder.build()
 
 
@@ -119,7 +119,7 @@ HALL: Final = Generator(
         Option("flags", 32, "flags on poles", 0, 4096),
         Option("fountains", 0, "fountains, simulated where they are drawn", 0, 4096),
         Option("cloths", 0, "banners of cloth, simulated on the device where they are drawn", 0, 4096),
-        Option("lights", 0, "coloured lights among the columns; 0: lamps along the aisle", 0, 65_536),
+        Option("lights", 0, "coloured lights among the columns; 0: bulbs along the aisle", 0, 65_536),
         Option("detail", 8, "how finely columns are divided", 3, 64),
         SEED,
         SHADOWS,
@@ -128,11 +128,11 @@ HALL: Final = Generator(
         Option("cloth_rate", round(1.0 / INTERVAL), "steps of banners a second", 10, 1000),
         Option("sub_steps", SUB_STEPS, "sub-steps of a step of banners", 1, 32),
         FOG,
-        GLOW,
+        BLOOM,
     ),
     make_hall,
 )
-_USUAL: Final = {option.name: option.default for option in HALL.options}
+_DEFAULT_OPTIONS: Final = {option.name: option.default for option in HALL.options}
 
 
 def _add_shell(builder: SceneBuilder, length: float, width: float, columns: int) -> None:
@@ -175,23 +175,23 @@ def _add_columns(builder: SceneBuilder, columns: int, rows: int, length: float, 
                (0.42, 7.4), (0.5, 7.6), (0.48, 7.75), (0.8, 8.5), (0.8, _HEIGHT)]  # fmt: skip
     mesh = builder.add_mesh(shapes.lathe(profile, 3 * detail), "column")
     x, z = np.meshgrid((np.arange(columns) + 0.5) * BAY - 0.5 * length, (np.arange(rows) - 0.5 * (rows - 1)) * BAY)
-    places = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
-    builder.add_objects(builder.add_nodes(translation(places)), mesh, marble)
-    return places
+    feet = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
+    builder.add_objects(builder.add_nodes(translation(feet)), mesh, marble)
+    return feet
 
 
-def _flag_places(flags: int, length: float) -> Floats:
+def _flag_positions(flags: int, length: float) -> Floats:
     """Return the feet of the poles (flags, 3): two lines along the middle aisle, or more if there are many flags."""
     number = np.arange(flags)
     lines = max(2, 2 * int(np.ceil(flags / (2.0 * length))))  # at least one metre between poles
     per_line = int(np.ceil(flags / lines)) or 1
-    line, place = number // per_line, number % per_line
+    line, slot = number // per_line, number % per_line
     side = np.where(line % 2, 1.0, -1.0) * (1.9 + 0.25 * (line // 2))
-    return np.stack([((place + 0.5) / per_line - 0.5) * (length - BAY), np.zeros(flags), side], axis=1)
+    return np.stack([((slot + 0.5) / per_line - 0.5) * (length - BAY), np.zeros(flags), side], axis=1)
 
 
-def _add_flags(builder: SceneBuilder, rng: np.random.Generator, places: Floats, detail: int) -> None:
-    count = len(places)
+def _add_flags(builder: SceneBuilder, rng: np.random.Generator, positions: Floats, detail: int) -> None:
+    count = len(positions)
     if not count:
         return
     width, height = _CLOTH
@@ -202,7 +202,7 @@ def _add_flags(builder: SceneBuilder, rng: np.random.Generator, places: Floats, 
     pole = builder.add_mesh(shapes.lathe([(0.06, 0.0), (0.04, 4.6), (0.09, 4.7), (0.0, 4.8)], detail), "pole")
     cloth = [builder.add_mesh(_cloth(part, detail), f"cloth {part}") for part in range(SEGMENTS)]
 
-    poles = builder.add_nodes(multiply(translation(places), rotation((0, 1, 0), rng.uniform(-0.6, 0.6, count))))
+    poles = builder.add_nodes(multiply(translation(positions), rotation((0, 1, 0), rng.uniform(-0.6, 0.6, count))))
     builder.add_objects(poles, pole, iron)
     material = cloths[np.arange(count) % len(cloths)]
     phase = rng.uniform(0.0, 2.0 * np.pi, count)
@@ -216,7 +216,7 @@ def _add_flags(builder: SceneBuilder, rng: np.random.Generator, places: Floats, 
     builder.animate(np.concatenate(segments), _Sway(hinges, phase), (lower, upper))
 
 
-def _add_striped(builder: SceneBuilder, colors: Sequence[Any], stripes: int, **values: Any) -> Rows:
+def _add_striped(builder: SceneBuilder, colors: Sequence[Any], stripes: int, **values: Any) -> Indices:
     """Add a cloth's material for each pair of colours; return their ids."""
     images = [builder.add_image(paint_stripes(first, second, stripes)) for first, second in colors]
     plain = {"specular_color": (0.05, 0.05, 0.05), **values}
@@ -232,12 +232,12 @@ class _Sway:
         self.hinges, self.phase = hinges, phase
         self.angle = np.zeros(SEGMENTS * len(phase))
 
-    def set_time(self, members: Rows, seconds: float) -> None:
+    def set_time(self, members: Indices, seconds: float) -> None:
         """Compute the angles of `members` (j,) at their hinges."""
         part, flag = np.divmod(members, len(self.phase))
         self.angle[members] = _SWING[part] * np.sin(2.4 * seconds + self.phase[flag] - _DELAY * part)
 
-    def transforms(self, members: Rows) -> Floats:
+    def transforms(self, members: Indices) -> Floats:
         """Return the transforms (j, 4, 4) of `members` (j,)."""
         hinge = self.hinges[members // len(self.phase)]
         return multiply(hinge, rotation((0, 1, 0), self.angle[members]))
@@ -263,7 +263,7 @@ def _cloth(part: int, detail: int) -> MeshGeometry:
     width, height = _CLOTH
     x, y = np.meshgrid(np.linspace(0.0, width, detail + 1), np.linspace(0.0, height, detail + 1))
     uv = np.stack([(part + x / width) / SEGMENTS, 1.0 - y / height], axis=-1).reshape(-1, 2)
-    front = shapes.sheet(np.stack([x, y, np.full_like(x, _THICKNESS)], axis=-1), uv.reshape(*x.shape, 2))
+    front = shapes.grid_mesh(np.stack([x, y, np.full_like(x, _THICKNESS)], axis=-1), uv.reshape(*x.shape, 2))
     vertices = np.concatenate([front.vertices, front.vertices])
     back = vertices[len(front.vertices) :]
     back["position"][:, 2] = -_THICKNESS
@@ -298,11 +298,11 @@ def _add_fountains(builder: SceneBuilder, count: int, length: float, detail: int
     basin = builder.add_mesh(shapes.lathe(profile, 2 * detail), "basin")
     x = ((np.arange(count) + 0.5) / count - 0.5) * (length - BAY)
     side = np.where(np.arange(count) % 2, 1.0, -1.0) * 0.5 * BAY
-    places = np.stack([x, np.zeros(count), side], axis=1)
-    builder.add_objects(builder.add_nodes(translation(places)), basin, stone)
+    positions = np.stack([x, np.zeros(count), side], axis=1)
+    builder.add_objects(builder.add_nodes(translation(positions)), basin, stone)
     sprays = [builder.add_mesh(make_drops(drops), f"spray {number}", BOUNDS) for number in range(count)]
-    nozzles = builder.add_nodes(translation(places + np.array([0.0, 0.9, 0.0])))
-    builder.simulate(builder.add_objects(nozzles, sprays, water), Fountains(count, seed, drops))
+    nozzles = builder.add_nodes(translation(positions + np.array([0.0, 0.9, 0.0])))
+    builder.simulate(builder.add_objects(nozzles, sprays, water), FountainSimulation(count, seed, drops))
 
 
 def _list_bars(count: int, columns: int, rows: int, length: float) -> Floats:
@@ -312,28 +312,28 @@ def _list_bars(count: int, columns: int, rows: int, length: float) -> Floats:
     aisles = (np.arange(rows - 1) - 0.5 * (rows - 2)) * BAY
     bays, aisles = bays[np.argsort(np.abs(bays), kind="stable")], aisles[np.argsort(np.abs(aisles), kind="stable")]
     slot = np.arange(count)
-    layer, place = np.divmod(slot, columns * (rows - 1))
+    layer, bay = np.divmod(slot, columns * (rows - 1))
     layers = -(-count // (columns * (rows - 1))) or 1
-    x = bays[place % columns] + BAY * layer / layers
-    return np.stack([x, np.full(count, _BAR), aisles[place // columns]], axis=1)
+    x = bays[bay % columns] + BAY * layer / layers
+    return np.stack([x, np.full(count, _BAR), aisles[bay // columns]], axis=1)
 
 
-def _add_banners(builder: SceneBuilder, places: Floats, sheet: Sheet, seed: int) -> None:
+def _add_banners(builder: SceneBuilder, positions: Floats, cloth_grid: ClothGrid, seed: int) -> None:
     """Hang banners across the aisles."""
-    count = len(places)
+    count = len(positions)
     wood = builder.add_material(base_color=(0.16, 0.09, 0.05), specular_color=(0.1, 0.1, 0.1))
     colors = (((0.72, 0.10, 0.12), (0.95, 0.80, 0.38)), ((0.12, 0.24, 0.60), (0.92, 0.90, 0.84)))
     cloths = _add_striped(builder, colors, 5, double_sided=True)
-    turned = multiply(translation(places), rotation((0, 1, 0), np.full(count, 0.5 * np.pi)))
+    turned = multiply(translation(positions), rotation((0, 1, 0), np.full(count, 0.5 * np.pi)))
     bars = builder.add_nodes(multiply(turned, scaling((_BANNER[0] + 0.5, 0.07, 0.07))))
     builder.add_objects(bars, builder.add_mesh(shapes.box(1), "bar"), wood)
-    mesh = sheet.make_mesh()
-    banners = [builder.add_mesh(mesh, f"banner {number}", sheet.bounds) for number in range(count)]
+    mesh = cloth_grid.make_mesh()
+    banners = [builder.add_mesh(mesh, f"banner {number}", cloth_grid.bounds) for number in range(count)]
     hung = builder.add_objects(builder.add_nodes(turned), banners, cloths[np.arange(count) // 2 % 2])
-    builder.simulate(hung, Cloths(count, sheet, DRAUGHT, seed=seed))
+    builder.simulate(hung, ClothSimulation(count, cloth_grid, DRAUGHT, seed=seed))
 
 
-def make_banner(detail: int, sub_steps: int = SUB_STEPS, interval: float = INTERVAL) -> Sheet:
+def make_banner(detail: int, sub_steps: int = SUB_STEPS, interval: float = INTERVAL) -> ClothGrid:
     """Make a banner that hangs in folds from the origin, about the plane of x and y, by five rings."""
     (width, height), part = _BANNER, max(detail // 2, 1)
     columns, rows = (_RINGS - 1) * part + 1, 6 * part + 1
@@ -346,8 +346,8 @@ def make_banner(detail: int, sub_steps: int = SUB_STEPS, interval: float = INTER
     pinned[0, ::part] = True
     room = ((-0.6 * width, -1.02 * height, -0.6 * height), (0.6 * width, 0.05 * height, 0.6 * height))
     fabric = Fabric(density=0.3, drag=3.0)
-    return make_sheet(
-        folded, pinned, flat=flat, fabric=fabric, room=room, sub_steps=sub_steps, interval=interval
+    return make_cloth_grid(
+        folded, pinned, flat=flat, fabric=fabric, bounds=room, sub_steps=sub_steps, interval=interval
     )  # fmt: skip
 
 
@@ -364,25 +364,25 @@ DRAUGHT: Final = Wind(
 
 def _add_banner_camera(builder: SceneBuilder, first: float) -> None:
     """Add a view along the middle aisle, of all banners from the `first` one on."""
-    lens = Perspective(fov=np.radians(65.0), near=0.1)
+    projection = Perspective(fov=np.radians(65.0), near=0.1)
     eye, aim = (first - 2.8, 2.2, 1.4), (first + 15.2, 5.6, -0.6)
-    builder.views["banners"] = Camera.look_at(eye, aim, projection=lens)
+    builder.views["banners"] = Camera.look_at(eye, aim, projection=projection)
 
 
-def _add_lamps(builder: SceneBuilder, rng: np.random.Generator, columns: int, length: float, width: float) -> None:
+def _add_bulbs(builder: SceneBuilder, rng: np.random.Generator, columns: int, length: float, width: float) -> None:
     lights = builder.lights
     lights.sky, lights.ground = (0.05, 0.055, 0.075), (0.035, 0.028, 0.02)
-    glow = builder.add_material(base_color=(1.0, 0.78, 0.45), emission=3.0)
+    bulb_material = builder.add_material(base_color=(1.0, 0.78, 0.45), emission=3.0)
     bulb = builder.add_mesh(shapes.sphere(12), "bulb")
     every = max(1, columns // 8)
     xs = (np.arange(0, columns, every) + 0.5) * BAY - 0.5 * length + 0.5 * BAY
     for number, x in enumerate(xs[:-1] if len(xs) > 1 else xs):
         side = 1.0 if number % 2 else -1.0
-        place = np.array([x, 4.2, side * 0.25 * width])
+        position = np.array([x, 4.2, side * 0.25 * width])
         color = ((1.0, 0.72, 0.40), (0.55, 0.72, 1.0), (1.0, 0.52, 0.36))[number % 3]
-        lights.add_point(place, 16.0, color, 26.0)
-        node = builder.add_node(multiply(translation(place), scaling((0.3, 0.3, 0.3))), name=f"bulb {number}")
-        builder.add_objects(node, bulb, glow)
+        lights.add_point(position, 16.0, color, 26.0)
+        node = builder.add_node(multiply(translation(position), scaling((0.3, 0.3, 0.3))), name=f"bulb {number}")
+        builder.add_objects(node, bulb, bulb_material)
         aim = (float(rng.uniform(-0.2, 0.2)), -1.0, -0.1 * side)
         lights.add_spot((x, _HEIGHT - 0.4, 0.0), aim, 14.0, 0.30, 0.55, (1.0, 0.95, 0.85), 55.0)
 
@@ -412,8 +412,8 @@ def _add_colored_lights(
     nearest = zs[np.abs(z[:, None] - zs).argmin(1)]
     away = np.maximum(np.hypot(x - middle, z - nearest), 1e-6)
     further = np.maximum(_CLEAR / away, 1.0)
-    places = np.stack([middle + (x - middle) * further, 0.0 * x, nearest + (z - nearest) * further], axis=1)
-    places[:, 1] = np.select(
+    positions = np.stack([middle + (x - middle) * further, 0.0 * x, nearest + (z - nearest) * further], axis=1)
+    positions[:, 1] = np.select(
         [kind == _HallLight.NEAR_FLOOR, kind >= _HallLight.NEAR_CEILING],
         [0.25, _HEIGHT - 0.35],
         1.0 + 5.0 * draws[:, 3],
@@ -423,26 +423,26 @@ def _add_colored_lights(
     is_spot = kind == _HallLight.SPOT
     lights = builder.lights
     lights.sky, lights.ground = (0.026, 0.028, 0.040), (0.020, 0.017, 0.015)
-    lights.add_points(places[~is_spot], reach, _HUES[number[~is_spot]], 0.12 * reach**2)
+    lights.add_points(positions[~is_spot], reach, _HUES[number[~is_spot]], 0.12 * reach**2)
     aims = np.stack([draws[:, 3] - 0.5, 0.0 * x - 2.0, draws[:, 4] - 0.5], axis=1)
     far = max(reach, _HEIGHT + 2.0)
-    lights.add_spots(places[is_spot], aims[is_spot], far, 0.14, 0.26, _HUES[number[is_spot]], 2.4 * far)
-    glow = np.array([builder.add_material(base_color=tuple(hue), emission=1.4) for hue in _HUES])
+    lights.add_spots(positions[is_spot], aims[is_spot], far, 0.14, 0.26, _HUES[number[is_spot]], 2.4 * far)
+    bulb_materials = np.array([builder.add_material(base_color=tuple(hue), emission=1.4) for hue in _HUES])
     bulb = builder.add_mesh(shapes.sphere(8), "bulb")
     size = 0.05 + 0.012 * reach
-    nodes = builder.add_nodes(multiply(translation(places), scaling((size, size, size))))
-    builder.add_objects(nodes, bulb, glow[number])
+    nodes = builder.add_nodes(multiply(translation(positions), scaling((size, size, size))))
+    builder.add_objects(nodes, bulb, bulb_materials[number])
 
 
 def _add_cameras(builder: SceneBuilder, length: float, width: float) -> None:
-    lens = Perspective(fov=np.radians(65.0), near=0.1)
+    projection = Perspective(fov=np.radians(65.0), near=0.1)
     end = 0.5 * length - 1.5
-    builder.views["overview"] = Camera.look_at((-end, 2.6, 0.6), (0.0, 2.8, 0.0), projection=lens)
+    builder.views["overview"] = Camera.look_at((-end, 2.6, 0.6), (0.0, 2.8, 0.0), projection=projection)
     builder.views["aisle"] = Camera.look_at(
-        (-end, 1.7, 0.5 * width - 2.0), (end, 2.2, 0.5 * width - 2.6), projection=lens
+        (-end, 1.7, 0.5 * width - 2.0), (end, 2.2, 0.5 * width - 2.6), projection=projection
     )
-    builder.views["flags"] = Camera.look_at((-end + 4.0, 3.4, 0.0), (-end + 10.0, 3.9, 2.2), projection=lens)
+    builder.views["flags"] = Camera.look_at((-end + 4.0, 3.4, 0.0), (-end + 10.0, 3.9, 2.2), projection=projection)
     low = [(-end, 1.7, 0.0), (end, 1.7, 0.0)]
     high = [(-end, _HEIGHT - 1.2, 0.0), (-1.0, 3.6, 0.0), (1.0, 3.6, 0.0), (end, _HEIGHT - 1.2, 0.0)]
-    builder.paths["ground"] = make_path(low, lens, rounding=4.0, ahead=8.0)
-    builder.paths["sky"] = make_path(high, lens, rounding=6.0, ahead=8.0, sink=1.5)
+    builder.paths["ground"] = make_path(low, projection, rounding=4.0, ahead=8.0)
+    builder.paths["sky"] = make_path(high, projection, rounding=6.0, ahead=8.0, sink=1.5)

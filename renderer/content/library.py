@@ -22,7 +22,7 @@ from renderer.content.night import NIGHT
 from renderer.content.specs import Generator
 from renderer.content.terrain import TERRAIN
 from renderer.content.yard import YARD
-from renderer.scene.paths import CameraPath, Shot
+from renderer.scene.paths import CameraPath, PathFrame
 from renderer.scene.scene import Scene
 from rhi.errors import refuse
 from rhi.math import Camera
@@ -45,9 +45,9 @@ def load_scene(text: str) -> Scene:
     if name in GENERATORS:
         generator = GENERATORS[name]
         return generator.build(**generator.parse(options))
-    if not any(Path(one).suffix.lower() in FORMATS or Path(one).is_file() for one in (text, name)):
-        known = [*GENERATORS, *(f"a file{end}" for end in FORMATS)]
-        rules.refuse_name(rules.UNKNOWN_SCENE, f"load_scene({text!r})", name, known)
+    if not any(Path(file).suffix.lower() in FORMATS or Path(file).is_file() for file in (text, name)):
+        accepted = [*GENERATORS, *(f"a file{end}" for end in FORMATS)]
+        rules.refuse_name(rules.UNKNOWN_SCENE, f"load_scene({text!r})", name, accepted)
     path, limits = text, None
     if not Path(text).is_file() and (parsed := ModelLimits.parse(options)) is not None:
         path, limits = name, parsed
@@ -61,16 +61,16 @@ def change_options(scene: str, text: str) -> str:
     name, _, options = scene.partition(":")
     if name not in GENERATORS or "=" not in text.partition(":")[0]:
         return text
-    values = dict(one.partition("=")[::2] for one in f"{options},{text}".split(",") if one)
+    values = dict(part.partition("=")[::2] for part in f"{options},{text}".split(",") if part)
     return f"{name}:{','.join(f'{key}={value}' for key, value in values.items())}"
 
 
-def find_path(text: str, scene: Scene) -> CameraPath:
+def parse_camera_path(text: str, scene: Scene) -> CameraPath:
     """Return the camera path that `text` names: one of the scene's, or the file of a walk-through (`.json`)."""
     if text in scene.paths:
         return scene.paths[text]
     if Path(text).suffix.lower() != ".json":
-        rules.refuse_name(rules.UNKNOWN_CAMERA, f"find_path({text!r})", text, scene.paths)
+        rules.refuse_name(rules.UNKNOWN_CAMERA, f"parse_camera_path({text!r})", text, scene.paths)
     return CameraPath.load(Path(text))
 
 
@@ -82,7 +82,7 @@ def parse_camera(text: str, scene: Scene, frame: int = 0) -> Camera:
     """
     call = f"parse_camera({text!r})"
     if text in scene.paths or Path(text).suffix.lower() == ".json":
-        return find_path(text, scene).camera(frame)
+        return parse_camera_path(text, scene).camera(frame)
     if text in scene.views:
         return scene.views[text]
     try:
@@ -93,10 +93,10 @@ def parse_camera(text: str, scene: Scene, frame: int = 0) -> Camera:
         refuse(rules.UNKNOWN_CAMERA, call, text, f"3 or 6 finite numbers, none beyond {_FARTHEST:g}")
     lower, upper = scene.bounds
     target = np.array(numbers[3:]) if len(numbers) == 6 else 0.5 * (lower + upper)
-    lens = next(iter(scene.views.values())).projection
-    return Camera.look_at(numbers[:3], target, projection=lens)
+    projection = next(iter(scene.views.values())).projection
+    return Camera.look_at(numbers[:3], target, projection=projection)
 
 
-def parse_shots(text: str, scene: Scene, frames: range) -> list[Shot]:
+def parse_path_frames(text: str, scene: Scene, frames: range) -> list[PathFrame]:
     """Return frames of the camera that `text` names, as `parse_camera` reads it."""
-    return [Shot(frame, parse_camera(text, scene, frame)) for frame in frames]
+    return [PathFrame(frame, parse_camera(text, scene, frame)) for frame in frames]

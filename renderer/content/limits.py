@@ -1,4 +1,4 @@
-"""What a model file may ask for: files that a stranger wrote shouldn't fill memory, wait for ever, or read others.
+"""Limits of model files: files that a stranger wrote shouldn't fill memory, wait for ever, or read others.
 
 Limits are generous, and said by `load_model(…, limits=…)`, or in a scene's text: `model.gltf:outside`,
 `model.gltf:unlimited`. They are counted while the file is read, before memory is taken.
@@ -25,7 +25,7 @@ _IMAGE_PART: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class ModelLimits:
-    """What a model file may ask for.
+    """The limits of a model file.
 
     Attributes:
         bytes: of the file, and of all that it names.
@@ -43,40 +43,40 @@ class ModelLimits:
 
     @classmethod
     def parse(cls, words: str) -> ModelLimits | None:
-        """Return what a scene's text says of a model file: `outside`, `unlimited` or both; None for other words."""
-        chosen = set(words.split(","))
-        if not chosen <= {"outside", "unlimited"}:
+        """Parse the options of a model file in a scene's text: `outside`, `unlimited` or both; None for other words."""
+        choices = set(words.split(","))
+        if not choices <= {"outside", "unlimited"}:
             return None
-        limits = cls(inf, inf, inf, inf) if "unlimited" in chosen else cls()
-        return replace(limits, outside="outside" in chosen)
+        limits = cls(inf, inf, inf, inf) if "unlimited" in choices else cls()
+        return replace(limits, outside="outside" in choices)
 
 
 @dataclass(slots=True)
 class Budget:
-    """What is left of the limits of a file that is being read."""
+    """The remaining limits of a file that is being read."""
 
     path: str
     limits: ModelLimits = field(default_factory=ModelLimits)
-    begun: float = field(default_factory=time.monotonic)
-    spent: dict[str, int] = field(default_factory=dict)
+    start_time: float = field(default_factory=time.monotonic)
+    used: dict[str, int] = field(default_factory=dict)
     index: FileIndex = field(default_factory=FileIndex)
 
-    def spend(self, kind: str, amount: int, most: float | None = None) -> None:
-        """Count `amount` of a kind: a field of the limits, or what has at most `most`.
+    def spend(self, kind: str, amount: int, maximum: float | None = None) -> None:
+        """Count `amount` of a kind: a field of the limits, or what has at most `maximum`.
 
         Raises:
             ValidationError: `scene-model-limit`: it is too much, or has taken too long.
         """
-        whole = self.spent[kind] = self.spent.get(kind, 0) + amount
-        most = getattr(self.limits, kind) if most is None else most
-        if whole > most:
-            self._refuse(f"{whole:,} {kind}", f"{most:,.0f}")
-        if time.monotonic() - self.begun > self.limits.seconds:
+        whole = self.used[kind] = self.used.get(kind, 0) + amount
+        maximum = getattr(self.limits, kind) if maximum is None else maximum
+        if whole > maximum:
+            self._refuse(f"{whole:,} {kind}", f"{maximum:,.0f}")
+        if time.monotonic() - self.start_time > self.limits.seconds:
             self._refuse(f"more than {self.limits.seconds:g} s", f"{self.limits.seconds:g} s")
 
     def spend_zeros(self, count: int) -> None:
-        """Count elements of which the file has no bytes: no more than its size suggests."""
-        most = inf if self.limits.vertices == inf else _ZEROS + _ZEROS_PER_BYTE * self.spent.get("bytes", 0)
+        """Count elements without bytes in the file, and refuse more than its size suggests."""
+        most = inf if self.limits.vertices == inf else _ZEROS + _ZEROS_PER_BYTE * self.used.get("bytes", 0)
         self.spend("elements without bytes", count, most)
 
     def spend_image(self, content: bytes) -> None:
@@ -98,7 +98,7 @@ class Budget:
         Raises:
             OSError, ValueError: as of `read_file`.
         """
-        left = min(self.limits.bytes, 1 << 62) - self.spent.get("bytes", 0)
+        left = min(self.limits.bytes, 1 << 62) - self.used.get("bytes", 0)
         content = read_file(file, int(max(left, 0)))
         self.spend("bytes", len(content))
         self.index.note(file, content, self.path)
@@ -112,5 +112,5 @@ class Budget:
         """Return whether a file may be read: if it isn't in the folder of this one, only if that was asked for."""
         return self.limits.outside or file.resolve().is_relative_to(Path(self.path).parent.resolve())
 
-    def _refuse(self, given: str, allowed: str) -> None:
-        refuse(rules.MODEL_LIMIT, f"load_model({self.path!r})", f"{self.path}: {given}", f"at most {allowed}")
+    def _refuse(self, value: str, allowed: str) -> None:
+        refuse(rules.MODEL_LIMIT, f"load_model({self.path!r})", f"{self.path}: {value}", f"at most {allowed}")

@@ -37,10 +37,10 @@ class Parallax(MaterialShader):
         relief = self.parameters[at.material]
         met = at
         if relief.height_texture >= 0:
-            met.uv = self.meet(at, relief)
+            met.uv = self.intersect_relief(at, relief)
         return super().describe(met)
 
-    def meet(self, at: SurfaceInput, relief: ParallaxParameters) -> sl.vec2:
+    def intersect_relief(self, at: SurfaceInput, relief: ParallaxParameters) -> sl.vec2:
         """Return the texture coordinates at which the ray from the eye meets the heights."""
         tangent = safe_normalize(at.tangent.xyz)
         up = sl.cross(at.normal, tangent) * (-1.0 if at.tangent.w < 0.0 else 1.0)
@@ -74,10 +74,10 @@ class MarbleParameters(sl.Struct):
 
 
 @sl.function
-def find_noise(place: sl.vec3) -> float:
+def value_noise(position: sl.vec3) -> float:
     """Return smooth noise of -1 to 1, which changes over lengths of 1: a number for each corner of a grid, mixed."""
-    cell = sl.floor(place)
-    part = place - cell
+    cell = sl.floor(position)
+    part = position - cell
     weight = part * part * part * (part * (part * 6.0 - 15.0) + 10.0)
     corner = sl.ivec3(cell)
     sum = 0.0
@@ -107,13 +107,13 @@ class Marble(MaterialShader):
 
     def describe(self, at: SurfaceInput) -> SurfaceParameters:
         stone = self.parameters[at.material]
-        place = self.find_world(at) * stone.frequency
+        position = self.world_position(at) * stone.frequency
         bend = 0.0
         size = 1.0
         for _ in range(4):
-            bend += size * sl.abs(find_noise(place / size))
+            bend += size * sl.abs(value_noise(position / size))
             size *= 0.5
-        wave = 0.5 + 0.5 * sl.sin(6.2831853 * (place.x + place.y + stone.turbulence * bend))
+        wave = 0.5 + 0.5 * sl.sin(6.2831853 * (position.x + position.y + stone.turbulence * bend))
         vein = wave * wave * wave
         described = super().describe(at)
         described.color = described.color * sl.vec4(sl.mix(sl.vec3(1.0), stone.vein_color, vein), 1.0)
@@ -138,11 +138,11 @@ class Checker(MaterialShader):
 
     def describe(self, at: SurfaceInput) -> SurfaceParameters:
         board = self.parameters[at.material]
-        place = at.uv * board.squares
-        width = sl.max((sl.abs(at.changes.xy) + sl.abs(at.changes.zw)) * board.squares, sl.vec2(1e-4))
+        position = at.uv * board.squares
+        width = sl.max((sl.abs(at.uv_gradients.xy) + sl.abs(at.uv_gradients.zw)) * board.squares, sl.vec2(1e-4))
         # The integral of a square wave of +1 and -1 is a triangle wave; their differences over a box are its mean.
-        ahead = sl.abs(sl.fract((place + 0.5 * width) * 0.5) - 0.5)
-        behind = sl.abs(sl.fract((place - 0.5 * width) * 0.5) - 0.5)
+        ahead = sl.abs(sl.fract((position + 0.5 * width) * 0.5) - 0.5)
+        behind = sl.abs(sl.fract((position - 0.5 * width) * 0.5) - 0.5)
         mean = 2.0 * (behind - ahead) / width
         share = 0.5 - 0.5 * mean.x * mean.y
         described = super().describe(at)

@@ -32,7 +32,7 @@ from rhi.errors import RhiError, refuse
 from rhi.math import Perspective, is_affine, translation
 
 if TYPE_CHECKING:
-    from renderer.content.gltf import Surroundings
+    from renderer.content.gltf import SceneExtras
 
 FORMATS: Final = (".gltf", ".glb", ".obj", ".ply", ".stl")
 """The extensions of the files that can be read."""
@@ -62,11 +62,11 @@ def load_model(path: str | Path, limits: ModelLimits | None = None) -> Scene:
     path = _find_file(path)
     builder = SceneBuilder(path)
     builder.background = (0.30, 0.36, 0.44)
-    surroundings = _add(builder, path, limits)
-    if surroundings is not None:
-        builder.background, builder.haze = surroundings.background, surroundings.haze
-        builder.lights.sky, builder.lights.ground = surroundings.sky, surroundings.ground
-        builder.paths.update(surroundings.paths)
+    scene_extras = _add(builder, path, limits)
+    if scene_extras is not None:
+        builder.background, builder.haze = scene_extras.background, scene_extras.haze
+        builder.lights.sky, builder.lights.ground = scene_extras.sky, scene_extras.ground
+        builder.paths.update(scene_extras.paths)
     elif not len(builder.lights):
         builder.lights.add_directional((-0.45, -0.8, -0.4), (1.0, 0.96, 0.9), 1.9)
         builder.lights.sky, builder.lights.ground = (0.28, 0.32, 0.40), (0.14, 0.13, 0.12)
@@ -75,7 +75,7 @@ def load_model(path: str | Path, limits: ModelLimits | None = None) -> Scene:
         builder.reserve(1, builder.add_mesh(triangle), builder.add_material())  # the renderer's arrays have rows
     scene = builder.build()
     scene.files = tuple(builder.files)
-    if surroundings is None:
+    if scene_extras is None:
         _add_paths(scene, has_view=bool(builder.views))
     return scene
 
@@ -104,19 +104,19 @@ def save_scene(scene: Scene, path: str | Path) -> tuple[Omission, ...]:
     return write_gltf(scene, path)
 
 
-def _add(builder: SceneBuilder, path: str, limits: ModelLimits | None) -> Surroundings | None:
-    """Add everything in a model file; return the surroundings of a scene that was saved."""
+def _add(builder: SceneBuilder, path: str, limits: ModelLimits | None) -> SceneExtras | None:
+    """Add everything in a model file; return the scene extras of a saved scene."""
     _check_file(path)
     budget = Budget(path, limits or ModelLimits())
-    surroundings = None
+    scene_extras = None
     if Path(path).suffix.lower() in _GLTF:
         from renderer.content.gltf import add_gltf
 
-        surroundings = add_gltf(builder, path, budget)
+        scene_extras = add_gltf(builder, path, budget)
     else:
         _add_by_trimesh(builder, path, budget)
     budget.index.save()
-    return surroundings
+    return scene_extras
 
 
 def _find_file(path: str | Path) -> str:
@@ -196,13 +196,13 @@ def _make_resolver(file: Path, budget: Budget) -> Any:
             self.refusal: RhiError | None = None
 
         def get(self, name: str) -> Any:
-            beside = [Path(self.parent) / one for one in (name.strip().lstrip("/"), Path(name).name)]
-            chosen = budget.find(([path for path in beside if path.is_file()] or beside)[0])
-            self.files.append(chosen)
-            if not budget.allows(chosen):
+            beside = [Path(self.parent) / relative for relative in (name.strip().lstrip("/"), Path(name).name)]
+            file = budget.find(([path for path in beside if path.is_file()] or beside)[0])
+            self.files.append(file)
+            if not budget.allows(file):
                 raise FileNotFoundError(f"{name} isn't in the folder of {file}")
             try:
-                content = budget.read(chosen)
+                content = budget.read(file)
                 budget.spend_image(content)
             except RhiError as error:  # which trimesh goes on after
                 self.refusal = error
@@ -301,8 +301,8 @@ def _add_material(builder: SceneBuilder, mesh: Any) -> int:
     material = getattr(visual, "material", None)
     image = getattr(material, "image", None)
     texture = -1 if image is None else builder.add_image(share_image(_pixels(image)))
-    given = getattr(material, "diffuse", None) if material is not None else getattr(visual, "main_color", None)
-    color = np.ones(4) if given is None or texture >= 0 else _unit_range(given)
+    diffuse = getattr(material, "diffuse", None) if material is not None else getattr(visual, "main_color", None)
+    color = np.ones(4) if diffuse is None or texture >= 0 else _unit_range(diffuse)
     return builder.add_material(base_color=(*from_srgb(color[:3]), color[3]), texture=texture, rim_strength=0.1)
 
 
@@ -313,8 +313,8 @@ def _pixels(image: Any) -> ImagePixels:
 
 def _unit_range(color: Any) -> Floats:
     """Convert a colour of three or four numbers to RGBA from 0 to 1."""
-    given = np.asarray(color)
-    values = given.astype(np.float64) / (255.0 if given.dtype.kind in "ui" else 1.0)
+    channels = np.asarray(color)
+    values = channels.astype(np.float64) / (255.0 if channels.dtype.kind in "ui" else 1.0)
     return np.clip(np.append(values, 1.0)[:4] if len(values) == 3 else values, 0.0, 1.0)
 
 
@@ -326,12 +326,12 @@ def _add_paths(scene: Scene, has_view: bool) -> None:
     along = np.array([1.0, 0.0, 0.0]) if size[0] >= size[2] else np.array([0.0, 0.0, 1.0])
     reach = 0.6 * float(size @ along)
     near = max(1e-4 * float(size.max()), 1e-6)
-    lens = Perspective(near=near)
+    projection = Perspective(near=near)
     for name, height in (("ground", 0.15), ("sky", 1.25)):
         level = middle * (1.0, 0.0, 1.0) + np.array([0.0, lower[1] + height * size[1], 0.0])
         sink = 0.0 if name == "ground" else 0.75 * float(size[1])
         ends = np.stack([level - reach * along, level + reach * along])
-        scene.paths[name] = make_path(ends, lens, rounding=0.1 * reach, ahead=0.5 * reach, sink=sink)
+        scene.paths[name] = make_path(ends, projection, rounding=0.1 * reach, ahead=0.5 * reach, sink=sink)
     if has_view:
         return
-    scene.views = {name: view.with_projection(lens) for name, view in scene.views.items()}
+    scene.views = {name: view.with_projection(projection) for name, view in scene.views.items()}

@@ -19,7 +19,7 @@ from renderer.scene.meshes import VERTEX, MeshGeometry, join
 _SLIVER: Final = 1e-4  # a triangle is dropped if its area is less than this times its longest edge squared
 
 
-def sheet(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | None = None) -> MeshGeometry:
+def grid_mesh(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | None = None) -> MeshGeometry:
     """Make quads over a grid of points (rows, columns, 3), or over each of several (..., rows, columns, 3); rows and
     columns are at least 2.
 
@@ -65,14 +65,14 @@ def box(detail: int = 1) -> MeshGeometry:
     face = np.stack([u, v, np.full_like(u, 0.5)], axis=-1)
     sides = (face, face * (-1.0, 1.0, -1.0))  # rotating by 180° about the second axis keeps the orientation
     faces = np.stack([np.roll(side, axis, axis=-1) for axis in range(3) for side in sides])
-    return sheet(faces, np.broadcast_to(np.stack([u + 0.5, 0.5 - v], axis=-1), (*faces.shape[:-1], 2)))
+    return grid_mesh(faces, np.broadcast_to(np.stack([u + 0.5, 0.5 - v], axis=-1), (*faces.shape[:-1], 2)))
 
 
 def plane(detail: int = 1, uv_scale: tuple[float, float] = (1.0, 1.0)) -> MeshGeometry:
     """Make a square from -1/2 to 1/2 in xz, facing up."""
     steps = np.linspace(-0.5, 0.5, detail + 1)
     x, z = np.meshgrid(steps, -steps)
-    return sheet(np.stack([x, np.zeros_like(x), z], axis=-1), (np.stack([x, z], axis=-1) + 0.5) * uv_scale)
+    return grid_mesh(np.stack([x, np.zeros_like(x), z], axis=-1), (np.stack([x, z], axis=-1) + 0.5) * uv_scale)
 
 
 def lathe(profile: ArrayLike, segments: int) -> MeshGeometry:
@@ -90,7 +90,7 @@ def lathe(profile: ArrayLike, segments: int) -> MeshGeometry:
         np.stack(np.broadcast_arrays(np.cos(angle) * of[:, :, 0], of[:, :, 1], -np.sin(angle) * of[:, :, 0]), -1)
         for of in (bands, np.broadcast_to(slope, bands.shape))
     )
-    return sheet(points, np.stack([u, -points[..., 1]], axis=-1), normals)
+    return grid_mesh(points, np.stack([u, -points[..., 1]], axis=-1), normals)
 
 
 def cylinder(segments: int = 24) -> MeshGeometry:
@@ -149,7 +149,7 @@ def loft(
     y, sx, sz = np.array(rings, np.float64).T[..., None]
     points = np.stack(np.broadcast_arrays(closed[:, 0] * sx, y, closed[:, 1] * sz), axis=-1)
     uv = np.stack(np.broadcast_arrays(around, -y * walls[1]), axis=-1)
-    side = sheet(points, uv)
+    side = grid_mesh(points, uv)
     vertices = side.vertices.copy()
     level = np.abs(vertices["normal"][:, 1]) > 0.3
     vertices["uv"][level] = roof_uv
@@ -167,7 +167,7 @@ def loft(
 def _smooth_surface(point: Callable[[Floats, Floats], tuple[Floats, Floats]], columns: int, rows: int) -> MeshGeometry:
     u, v = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, columns + 1), np.linspace(-0.5, 0.5, rows + 1) * np.pi)
     positions, normals = point(u, v)
-    return sheet(positions, np.stack([u / (2.0 * np.pi), 0.5 - v / np.pi], axis=-1), normals)
+    return grid_mesh(positions, np.stack([u / (2.0 * np.pi), 0.5 - v / np.pi], axis=-1), normals)
 
 
 def _sphere_point(u: Floats, v: Floats) -> tuple[Floats, Floats]:

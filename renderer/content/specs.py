@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from renderer import rules
-from renderer.scene.air import Fog, Glow
+from renderer.scene.fog_and_bloom import Bloom, Fog
 from renderer.scene.scene import Scene, SceneBuilder
 from rhi.errors import refuse
 
@@ -64,19 +64,19 @@ class Generator:
     def parse(self, text: str) -> dict[str, OptionValue]:
         """Parse `key=value,key=value`; return the values of all options, defaults included."""
         call = f"{self.name}:{text}"
-        known = {option.name: option for option in self.options}
+        options = {option.name: option for option in self.options}
         values: dict[str, OptionValue] = {option.name: option.default for option in self.options}
         seen: set[str] = set()
         for part in text.split(",") if text else []:
             key, equals, value = (piece.strip() for piece in part.partition("="))
             if not equals:
                 refuse(rules.SPEC_SYNTAX, call, part or "an empty option", f"{self.name}:key=value,key=value")
-            if key not in known:
-                rules.refuse_name(rules.UNKNOWN_KEY, call, key, known)
+            if key not in options:
+                rules.refuse_name(rules.UNKNOWN_KEY, call, key, options)
             if key in seen:
                 refuse(rules.SPEC_SYNTAX, call, f"{key} twice", "each key once")
             seen.add(key)
-            values[key] = known[key].parse(call, value)
+            values[key] = options[key].parse(call, value)
         return values
 
 
@@ -86,21 +86,23 @@ SHADOWS: Final = Option("shadows", 0, "1: all lights cast shadows", 0, 1)
 
 
 def cast_shadows(builder: SceneBuilder) -> None:
-    """Let all lights of a scene cast shadows, which its name then says."""
+    """Make all lights of a scene cast shadows, and add that to its name."""
     builder.lights.cast_shadows()
     builder.name += ",shadows=1"
 
 
 FOG: Final = Option("fog", 0.0, "density of the fog per metre, at the ground", 0.0, 10.0)
-GLOW: Final = Option("glow", 0.0, "share of all light that is scattered in the eye", 0.0, 1.0)
+BLOOM: Final = Option("bloom", 0.0, "share of all light that is scattered in the eye", 0.0, 1.0)
 
 
-def add_air(builder: SceneBuilder, fog: float, glow: float, color: tuple[float, float, float], falloff: float) -> None:
-    """Add fog and glow to a scene unless they are 0; its name then says so. The fog is of this colour, and thins with
+def add_fog_and_bloom(
+    builder: SceneBuilder, fog: float, bloom: float, color: tuple[float, float, float], falloff: float
+) -> None:
+    """Add fog and bloom to a scene unless they are 0; its name then says so. The fog is of this colour, and thins with
     the height."""
     if fog:
         builder.fog = Fog(fog, color, falloff)
         builder.name += f",fog={fog:g}"
-    if glow:
-        builder.glow = Glow(glow)
-        builder.name += f",glow={glow:g}"
+    if bloom:
+        builder.bloom = Bloom(bloom)
+        builder.name += f",bloom={bloom:g}"

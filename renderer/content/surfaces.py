@@ -59,8 +59,8 @@ def _noise(rng: np.random.Generator, size: int) -> Floats:
     length = np.hypot(frequency[:, None], frequency[None, :])
     waves = np.exp(2j * np.pi * rng.random((size, size))) / np.maximum(length, 1.0) ** 1.4
     waves[0, 0] = 0.0
-    found = np.fft.ifft2(waves).real
-    return np.asarray((found - found.min()) / np.ptp(found))
+    noise = np.fft.ifft2(waves).real
+    return np.asarray((noise - noise.min()) / np.ptp(noise))
 
 
 def _joints(x: Floats, y: Floats, width: float) -> Floats:

@@ -28,7 +28,7 @@ _PEAK: Final = 760.0
 _SEA: Final = 24.0 * _SIZE
 _SUN: Final = np.array([-0.62, -0.50, -0.45])
 """The direction of the sun's light."""
-_TURN: Final = np.array([[0.8, -0.6], [0.6, 0.8]])  # between octaves, so that their grids don't coincide
+_ROTATION: Final = np.array([[0.8, -0.6], [0.6, 0.8]])  # between octaves, so that their grids don't coincide
 
 _ROCK, _GRASS, _MEADOW, _SNOW, _SAND = (
     np.array(color)
@@ -47,7 +47,7 @@ def make_terrain(cells: int, trees: int, limit: int, seed: int) -> Scene:
     """Make an island 4 km wide of `cells` × `cells` cells, with `trees` firs, and at most `limit` triangles."""
     builder = SceneBuilder(f"terrain:cells={cells},trees={trees},limit={limit},seed={seed}")
     heights = _make_heights(cells, seed)
-    field = make_height_field(heights, _SIZE, limit=limit, is_mapped=True)
+    field = make_height_field(heights, _SIZE, limit=limit, has_normal_map=True)
     normals = field.normals()
     ground = builder.add_material(
         texture=builder.add_image(_paint(field, normals, seed)),
@@ -64,26 +64,26 @@ def make_terrain(cells: int, trees: int, limit: int, seed: int) -> Scene:
     builder.background, builder.haze = (0.44, 0.60, 0.78), 1.0 / 9000.0
     builder.lights.sky, builder.lights.ground = (0.31, 0.41, 0.58), (0.10, 0.10, 0.09)
     builder.lights.add_directional(_SUN.tolist(), (1.0, 0.88, 0.70), 3.2)
-    lens = Perspective(fov=np.radians(50.0), near=0.5)
+    projection = Perspective(fov=np.radians(50.0), near=0.5)
 
     def above(x: float, z: float, height: float) -> tuple[float, float, float]:
         """Return a point above the ground or the sea."""
-        return x, max(float(field.find_heights(x, z)), 0.0) + height, z
+        return x, max(float(field.sample_heights(x, z)), 0.0) + height, z
 
-    peak = _find_peak(field)
+    peak = _highest_point(field)
     inland = -peak * (1.0, 0.0, 1.0)
     inland /= np.linalg.norm(inland) or 1.0
     eye = above(peak[0] + 1450.0, peak[2] - 1200.0, 70.0)
-    builder.views["shore"] = Camera.look_at(eye, peak * (1.0, 0.42, 1.0), projection=lens)
-    builder.views["overview"] = Camera.look_at((2300.0, 1500.0, 2900.0), (0.0, 100.0, 100.0), projection=lens)
+    builder.views["shore"] = Camera.look_at(eye, peak * (1.0, 0.42, 1.0), projection=projection)
+    builder.views["overview"] = Camera.look_at((2300.0, 1500.0, 2900.0), (0.0, 100.0, 100.0), projection=projection)
     top = peak - 120.0 * inland + (0.0, 60.0, 0.0)
-    builder.views["summit"] = Camera.look_at(top, top + 600.0 * inland - (0.0, 170.0, 0.0), projection=lens)
+    builder.views["summit"] = Camera.look_at(top, top + 600.0 * inland - (0.0, 170.0, 0.0), projection=projection)
     walk = np.array([above(x, z, 12.0) for x, z in np.linspace((-1300.0, 700.0), (1300.0, -300.0), 160).tolist()])
     walk[:, 1] = np.lib.stride_tricks.sliding_window_view(np.pad(walk[:, 1], 8, "edge"), 17).max(-1)
-    builder.paths["ground"] = make_path(walk, lens, rounding=220.0, ahead=220.0)
+    builder.paths["ground"] = make_path(walk, projection, rounding=220.0, ahead=220.0)
     angles = np.linspace(0.0, 1.9 * np.pi, 40)
     circle = np.stack([2300.0 * np.cos(angles), np.full(40, 620.0), 2300.0 * np.sin(angles)], axis=1)
-    builder.paths["sky"] = make_path(circle, lens, rounding=600.0, ahead=1900.0, sink=420.0)
+    builder.paths["sky"] = make_path(circle, projection, rounding=600.0, ahead=1900.0, sink=420.0)
     return builder.build()
 
 
@@ -116,24 +116,24 @@ def _make_heights(cells: int, seed: int) -> Floats:
     return np.asarray(_PEAK * (peak * relief * 1.25 + 0.10 * rise))
 
 
-def _eroded(table: Floats, places: Floats, octaves: int) -> Floats:
+def _eroded(table: Floats, positions: Floats, octaves: int) -> Floats:
     """Return a sum of octaves of noise at the places (r, c, 2), from 0 to 2."""
-    total, weight = np.zeros(places.shape[:2]), 1.0
-    slope = np.zeros(places.shape)
+    total, weight = np.zeros(positions.shape[:2]), 1.0
+    slope = np.zeros(positions.shape)
     turned = np.eye(2)
     for _ in range(octaves):
-        value, change = _noise(table, places @ turned.T)
+        value, change = _noise(table, positions @ turned.T)
         slope += change @ turned / np.linalg.norm(turned, axis=1)[0]
         total += weight * value / (1.0 + (slope * slope).sum(-1))
         weight *= 0.5
-        turned = 2.0 * _TURN @ turned
+        turned = 2.0 * _ROTATION @ turned
     return total
 
 
-def _noise(table: Floats, places: Floats) -> tuple[Floats, Floats]:
+def _noise(table: Floats, positions: Floats) -> tuple[Floats, Floats]:
     """Return smooth noise at the places (..., 2), from 0 to 1, and its gradient."""
-    cell = np.floor(places)
-    part = places - cell
+    cell = np.floor(positions)
+    part = positions - cell
     column, row = (cell.astype(np.int64) % len(table))[..., 0], (cell.astype(np.int64) % len(table))[..., 1]
     right, below = (column + 1) % len(table), (row + 1) % len(table)
     a, b, c, d = table[row, column], table[row, right], table[below, column], table[below, right]
@@ -159,10 +159,10 @@ def _paint(field: HeightField, normals: Floats, seed: int) -> ImagePixels:
     rng = np.random.default_rng([seed, 43])
     table = rng.random((256, 256))
     along = np.arange(n) / n * _SIZE
-    places = np.stack(np.broadcast_arrays(along[None, :], along[:, None]), axis=-1)
-    patches = _noise(table, places / 190.0)[0] * 0.6 + _noise(table, places / 37.0)[0] * 0.4
+    positions = np.stack(np.broadcast_arrays(along[None, :], along[:, None]), axis=-1)
+    patches = _noise(table, positions / 190.0)[0] * 0.6 + _noise(table, positions / 37.0)[0] * 0.4
     grain = 0.88 + 0.24 * rng.random((n, n))
-    strata = 0.85 + 0.3 * _noise(table, np.stack([0.004 * places[..., 0], 0.09 * heights], axis=-1))[0]
+    strata = 0.85 + 0.3 * _noise(table, np.stack([0.004 * positions[..., 0], 0.09 * heights], axis=-1))[0]
 
     color = _ROCK * strata[..., None]
     green = _mix(_GRASS, _MEADOW, _ramp(patches, 0.35, 0.65))
@@ -170,7 +170,7 @@ def _paint(field: HeightField, normals: Floats, seed: int) -> ImagePixels:
     color = _mix(color, _SNOW, _ramp(heights + 110.0 * patches, 400.0, 470.0) * _ramp(level, 0.60, 0.78))
     color = _mix(color, _SAND, 1.0 - _ramp(heights + 5.0 * patches, 5.0, 10.0))
     color = _mix(color, np.array([0.02, 0.08, 0.09]), 1.0 - _ramp(heights, -14.0, 0.0))
-    light = 0.42 + 0.58 * _find_sunlit(heights, _SIZE / n)
+    light = 0.42 + 0.58 * _compute_sunlit(heights, _SIZE / n)
     linear = np.clip(color * (grain * light)[..., None], 0.0, 1.0)
     return make_opaque(to_srgb(linear))
 
@@ -179,7 +179,7 @@ def _mix(first: Floats, second: Floats, part: Floats) -> Floats:
     return np.asarray(first + (second - first) * part[..., None])
 
 
-def _find_sunlit(heights: Floats, step: float) -> Floats:
+def _compute_sunlit(heights: Floats, step: float) -> Floats:
     """Return how much of the sun each point sees, (r, c): rays towards it are followed for 2 km."""
     toward = -_SUN / np.hypot(_SUN[0], _SUN[2])
     lit = np.ones_like(heights)
@@ -193,7 +193,7 @@ def _find_sunlit(heights: Floats, step: float) -> Floats:
 
 
 def _shift(values: Floats, rows: int, columns: int) -> Floats:
-    """Return the value that lies `rows` and `columns` ahead of each, of the border beyond it."""
+    """Return each value `rows` and `columns` ahead; beyond the border, the border's value."""
     n = len(values)
     return values[np.ix_(*(np.clip(np.arange(n) + ahead, 0, n - 1) for ahead in (rows, columns)))]
 
@@ -212,14 +212,14 @@ def _plant(builder: SceneBuilder, field: HeightField, normals: Floats, count: in
     n = len(field.heights) - 1
     heights, level = field.heights.astype(np.float64), normals[..., 1]
     along = np.linspace(0.0, _SIZE, n + 1)
-    places = np.stack(np.broadcast_arrays(along[None, :], along[:, None]), axis=-1)
-    groves = _ramp(_noise(rng.random((256, 256)), places / 260.0)[0], 0.45, 0.7)
+    positions = np.stack(np.broadcast_arrays(along[None, :], along[:, None]), axis=-1)
+    groves = _ramp(_noise(rng.random((256, 256)), positions / 260.0)[0], 0.45, 0.7)
     likely = groves * _ramp(level, 0.78, 0.90) * (heights > 14.0) * (1.0 - _ramp(heights, 230.0, 330.0))
     chance = np.cumsum(likely.reshape(-1))
     if chance[-1] <= 0.0:
         return
-    chosen = np.searchsorted(chance, rng.random(count) * chance[-1])
-    row, column = np.divmod(np.minimum(chosen, likely.size - 1), n + 1)
+    selected = np.searchsorted(chance, rng.random(count) * chance[-1])
+    row, column = np.divmod(np.minimum(selected, likely.size - 1), n + 1)
     size = rng.uniform(9.0, 19.0, count)
     x, z = ((at / n - 0.5) * _SIZE for at in (column, row))
     foot = translation(np.stack([x, heights[row, column] - 0.04 * size, z], axis=1))
@@ -231,8 +231,8 @@ def _plant(builder: SceneBuilder, field: HeightField, normals: Floats, count: in
             for shade in (0.7, 0.9, 1.15)
         ]
     )
-    chosen = greens[rng.integers(0, 3, count)]
-    builder.add_objects(nodes, builder.add_mesh(_make_fir(), "fir"), chosen, casts_shadow=False)
+    selected = greens[rng.integers(0, 3, count)]
+    builder.add_objects(nodes, builder.add_mesh(_make_fir(), "fir"), selected, casts_shadow=False)
 
 
 def _make_fir() -> MeshGeometry:
@@ -245,7 +245,7 @@ def _make_fir() -> MeshGeometry:
     return join(cones)
 
 
-def _find_peak(field: HeightField) -> Floats:
+def _highest_point(field: HeightField) -> Floats:
     """Return the highest point of a field, (3,)."""
     points = field.positions().reshape(-1, 3)
     return np.asarray(points[points[:, 1].argmax()])

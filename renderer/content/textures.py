@@ -59,28 +59,28 @@ def paint_facade(style: str, seed: int) -> ImagePixels:
 def paint_lit_facade(style: str, seed: int) -> ImagePixels:
     """Paint a facade of `NIGHT_WINDOWS` x `NIGHT_WINDOWS` windows at night, for a material that emits light.
 
-    The walls are dark, so that they glow as faintly as under the sky of a city, and about a third of the windows are
+    The walls are dark, so that they emit as faintly as under the sky of a city, and about a third of the windows are
     bright. The first one is shuttered, as in `paint_facade`, and paints the roofs.
     """
     rng = np.random.default_rng([seed, 31, list(_PANES).index(style)])
     cell = IMAGE_SIZE // NIGHT_WINDOWS
     x0, x1, y0, y1 = (int(edge * cell) for edge in _PANES[style])
     pixels = np.repeat(0.30 + 0.02 * rng.standard_normal((IMAGE_SIZE, IMAGE_SIZE, 1)), 3, axis=2)
-    lamps = np.array(_LAMPS[style == "glass"])
+    window_colors = np.array(_WINDOW_COLORS[style == "glass"])
     for row in range(NIGHT_WINDOWS):
         busy = rng.random() < 0.3  # a storey where people work late
         for column in range(NIGHT_WINDOWS):
             window = pixels[row * cell + y0 : row * cell + y1, column * cell + x0 : column * cell + x1]
             window[:] = np.array([0.09, 0.11, 0.15]) * rng.uniform(0.8, 1.2)
             if rng.random() < (0.62 if busy else 0.26):
-                window[:] = lamps[rng.integers(len(lamps))] * rng.uniform(0.72, 1.0)
+                window[:] = window_colors[rng.integers(len(window_colors))] * rng.uniform(0.72, 1.0)
                 window[: int(rng.uniform(0.0, 0.5) * len(window))] *= 0.82  # a blind
             window[:, (x1 - x0) // 2] *= 0.4
     pixels[:cell, :cell] = 0.16
     return make_opaque(pixels)
 
 
-_LAMPS: Final = (
+_WINDOW_COLORS: Final = (
     ((1.0, 0.80, 0.50), (1.0, 0.88, 0.66), (1.0, 0.72, 0.40), (0.92, 0.92, 0.86)),
     ((0.94, 0.98, 1.0), (0.80, 0.92, 1.0), (1.0, 0.94, 0.80)),
 )

@@ -13,7 +13,7 @@ from renderer.content.specs import SEED, Generator, Option
 from renderer.content.surfaces import paint_surface
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.water import Water, WaterPool
+from renderer.scene.water import WaterPool, WaterSimulation
 from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 
 _SIDE: Final = 8.0
@@ -23,12 +23,12 @@ _POOL: Final = (2.6, 1.4)  # metres along x and z
 _RIM: Final = (0.12, 0.22)  # width and height of a pool's rim, metres
 
 
-def make_yard(columns: int, lamps: int, pools: int, shadows: int, seed: int) -> Scene:
-    """Make a yard with `columns` columns, each with a ball beside it, and `pools` pools, lit by the sun and by `lamps`
-    lamps."""
+def make_yard(columns: int, lights: int, pools: int, shadows: int, seed: int) -> Scene:
+    """Make a yard with `columns` columns, each with a ball beside it, and `pools` pools, lit by the sun and by `lights`
+    point lights."""
     rng = np.random.default_rng([seed, 29])
     wet = f"pools={pools}," if pools else ""
-    builder = SceneBuilder(f"yard:columns={columns},lamps={lamps},{wet}shadows={shadows},seed={seed}")
+    builder = SceneBuilder(f"yard:columns={columns},lights={lights},{wet}shadows={shadows},seed={seed}")
     builder.background = (0.30, 0.42, 0.58)
     half = 0.5 * _SIDE
 
@@ -42,12 +42,12 @@ def make_yard(columns: int, lamps: int, pools: int, shadows: int, seed: int) -> 
         wall,
         *(builder.add_material(parent=wall, base_color=tint) for tint in ((0.5, 0.42, 0.3), (0.4, 0.4, 0.42))),
     ]
-    sheet = builder.add_mesh(plane(uv_scale=(4.0, 1.5)), "wall")
+    wall_mesh = builder.add_mesh(plane(uv_scale=(4.0, 1.5)), "wall")
     upright = multiply(rotation((1, 0, 0), 0.5 * np.pi), scaling((_SIDE, 1.0, _HEIGHT)))
     for turn, material in zip((0.0, 0.5 * np.pi, -0.5 * np.pi), walls, strict=True):
-        place = translation((0.0, 0.5 * _HEIGHT, -half))
+        transform = translation((0.0, 0.5 * _HEIGHT, -half))
         builder.add_objects(
-            builder.add_node(multiply(multiply(rotation((0, 1, 0), turn), place), upright)), sheet, material
+            builder.add_node(multiply(multiply(rotation((0, 1, 0), turn), transform), upright)), wall_mesh, material
         )
 
     floor = builder.add_material(
@@ -65,12 +65,12 @@ def make_yard(columns: int, lamps: int, pools: int, shadows: int, seed: int) -> 
         for tint, frequency in zip(veins.tolist(), rng.uniform(1.0, 3.0, columns), strict=True)
     ]
     angle = 2.0 * np.pi * (np.arange(columns) + 0.5) / max(columns, 1)
-    places = np.stack([0.55 * half * np.cos(angle), np.zeros(columns), 0.55 * half * np.sin(angle)], axis=1)
+    feet = np.stack([0.55 * half * np.cos(angle), np.zeros(columns), 0.55 * half * np.sin(angle)], axis=1)
     column, ball = builder.add_mesh(cylinder(48), "column"), builder.add_mesh(BUILT_IN["sphere"](), "ball")
     if columns:
-        standing = multiply(translation(np.add(places, (0.0, 1.0, 0.0))), scaling((0.35, 2.0, 0.35)))
+        standing = multiply(translation(np.add(feet, (0.0, 1.0, 0.0))), scaling((0.35, 2.0, 0.35)))
         builder.add_objects(builder.add_nodes(standing), column, np.array(stones))
-        beside = multiply(translation(np.add(0.5 * places, (0.0, 0.3, 0.0))), scaling((0.6, 0.6, 0.6)))
+        beside = multiply(translation(np.add(0.5 * feet, (0.0, 0.3, 0.0))), scaling((0.6, 0.6, 0.6)))
         builder.add_objects(builder.add_nodes(beside), ball, np.array(stones)[::-1])
     plain = builder.add_material(base_color=(0.7, 0.55, 0.2), metallic=1.0, roughness=0.3)
     builder.add_objects(builder.add_node(multiply(translation((0, 0.5, 0)), scaling((0.5, 0.5, 0.5)))), ball, plain)
@@ -78,17 +78,19 @@ def make_yard(columns: int, lamps: int, pools: int, shadows: int, seed: int) -> 
     _add_pools(builder, pools, marble, seed)
     builder.lights.sky, builder.lights.ground = (0.22, 0.26, 0.32), (0.10, 0.09, 0.08)
     builder.lights.add_directional((0.7, -0.7, -0.35), (1.0, 0.95, 0.86), 1.4, casts_shadow=bool(shadows))
-    if lamps:
-        spread = rng.uniform(-0.9, 0.9, (lamps, 2)) * half
-        hue = 2.0 * np.pi * (rng.random((lamps, 1)) + np.array([0.0, 1.0, 2.0]) / 3.0)
-        where = np.stack([spread[:, 0], rng.uniform(0.4, 2.4, lamps), spread[:, 1]], axis=1)
+    if lights:
+        spread = rng.uniform(-0.9, 0.9, (lights, 2)) * half
+        hue = 2.0 * np.pi * (rng.random((lights, 1)) + np.array([0.0, 1.0, 2.0]) / 3.0)
+        where = np.stack([spread[:, 0], rng.uniform(0.4, 2.4, lights), spread[:, 1]], axis=1)
         builder.lights.add_points(where, 2.5, 0.55 + 0.45 * np.cos(hue), 1.2)
-    lens = Perspective(near=0.05)
-    builder.views["overview"] = Camera.look_at((0.9, 2.1, half + 2.6), (0.0, 0.9, 0.0), projection=lens)
-    builder.views["along"] = Camera.look_at((-0.3 * half, 1.5, -half + 0.5), (half, 1.2, -half + 0.1), projection=lens)
+    projection = Perspective(near=0.05)
+    builder.views["overview"] = Camera.look_at((0.9, 2.1, half + 2.6), (0.0, 0.9, 0.0), projection=projection)
+    builder.views["along"] = Camera.look_at(
+        (-0.3 * half, 1.5, -half + 0.5), (half, 1.2, -half + 0.1), projection=projection
+    )
     way = np.array([(0.3, 1.6, half + 2.0), (0.3, 1.6, -0.8 * half)])
-    builder.paths["ground"] = make_path(way, lens, rounding=1.0, ahead=1.5)
-    builder.paths["sky"] = make_path(np.add(way, (0.0, 1.6, 0.0)), lens, 1.0, ahead=3.0, sink=1.8)
+    builder.paths["ground"] = make_path(way, projection, rounding=1.0, ahead=1.5)
+    builder.paths["sky"] = make_path(np.add(way, (0.0, 1.6, 0.0)), projection, 1.0, ahead=3.0, sink=1.8)
     return builder.build()
 
 
@@ -96,13 +98,14 @@ def _add_pools(builder: SceneBuilder, count: int, stone: int, seed: int) -> None
     """Add pools one behind the other, in the rain, each with a rim of stone."""
     if not count:
         return
-    pool = WaterPool(_POOL, cells=(72, 40), depth=0.06, damping=0.6, rain=5.0, drop=0.06, radius=0.09, limit=0.15)
+    pool = WaterPool(_POOL, cells=(72, 40), depth=0.06, damping=0.6, rain=5.0, drop=0.06, radius=0.09, max_height=0.15)
     water = builder.add_material(base_color=(0.10, 0.24, 0.28), roughness=0.15, metallic=0.0)
     away = 0.5 * _SIDE + 1.9 * np.arange(count)
-    places = np.stack([np.zeros(count), np.full(count, _RIM[1] - 0.08), away], axis=1)
+    positions = np.stack([np.zeros(count), np.full(count, _RIM[1] - 0.08), away], axis=1)
     meshes = [builder.add_mesh(pool.make_mesh(), f"water {number}", pool.bounds) for number in range(count)]
     builder.simulate(
-        builder.add_objects(builder.add_nodes(translation(places)), meshes, water), Water(count, pool, seed=seed)
+        builder.add_objects(builder.add_nodes(translation(positions)), meshes, water),
+        WaterSimulation(count, pool, seed=seed),
     )
     builder.views["pool"] = Camera.look_at(
         (1.4, 1.5, 2.2 + away[0]), (0.0, 0.1, away[0]), projection=Perspective(near=0.05)
@@ -114,7 +117,7 @@ def _add_pools(builder: SceneBuilder, count: int, stone: int, seed: int) -> None
         (0.5 * (long - width), 0.0, (width, height, deep)),
     ):
         for side in (-1.0, 1.0):
-            rims = np.add(places, (side * x, 0.5 * height - places[0, 1], side * z))
+            rims = np.add(positions, (side * x, 0.5 * height - positions[0, 1], side * z))
             builder.add_objects(builder.add_nodes(multiply(translation(rims), scaling(size))), block, stone)
 
 
@@ -123,7 +126,7 @@ YARD: Final = Generator(
     "materials with shaders of their own: bricks in relief, marble, squares; ground and sky paths",
     (
         Option("columns", 7, "how many columns of marble", 0, 1_000),
-        Option("lamps", 6, "coloured lamps between them", 0, 4_096),
+        Option("lights", 6, "coloured lights between them", 0, 4_096),
         Option("pools", 0, "pools in the rain, whose surfaces are simulated where they are drawn", 0, 64),
         Option("shadows", 0, "whether the sun casts shadows, 0 or 1", 0, 1),
         SEED,

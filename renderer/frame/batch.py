@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.shaders import DRAW_LISTS
-from renderer.visibility.repeated import RepeatedCommands
+from renderer.visibility.command_cache import CommandCache
 from rhi import DRAW, Buffer, Device, Encoder, IndirectDraws
 
 _STEP: Final = 32
@@ -28,24 +28,23 @@ class BatchCommands:
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._passes: list[RepeatedCommands] = []
+        self._passes: list[CommandCache] = []
         self._next = 0
 
     def begin_frame(self) -> None:
-        """Begin with the first pass again."""
+        """Start again with the first pass."""
         self._next = 0
 
-    def next(self) -> RepeatedCommands:
-        """Return the commands of the next pass."""
+    def next(self) -> CommandCache:
+        """The commands of the next pass."""
         if self._next == len(self._passes):
-            self._passes.append(RepeatedCommands(self._device, ""))
+            self._passes.append(CommandCache(self._device, ""))
         self._next += 1
         return self._passes[self._next - 1]
 
 
 class FrameBatch:
-    """The draws of a frame that is one batch, on a device. The buffer is written when they differ from the last
-    frame's."""
+    """The draw arguments of a frame that is one batch, in a buffer that is written only if they change."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -64,25 +63,25 @@ class FrameBatch:
 
     def order(
         self,
-        rows: NDArray[np.int64],
+        object_indices: NDArray[np.int64],
         forward: NDArray[np.float64],
         arrange: Callable[[], list[NDArray[np.int64]]],
     ) -> list[NDArray[np.int64]]:
-        """Return what `arrange` returns for the objects `rows` and a direction of view, once in a frame."""
-        key, known = forward.tobytes(), self._parts
-        if known is None or known[0] is not rows or known[1] != key:
-            self._parts = known = rows, key, arrange()
-        return known[2]
+        """The result of `arrange` for these objects and direction of view, computed once per frame."""
+        key, cached = forward.tobytes(), self._parts
+        if cached is None or cached[0] is not object_indices or cached[1] != key:
+            self._parts = cached = object_indices, key, arrange()
+        return cached[2]
 
     def execute(
         self,
-        commands: RepeatedCommands,
+        commands: CommandCache,
         key: tuple[object, ...],
         draws: NDArray[Any],
         parts: Sequence[NDArray[np.int64]],
         issue: Callable[[Encoder, list[IndirectDraws | None]], None],
     ) -> None:
-        """Execute the commands that `issue` gives to an encoder; see `RepeatedCommands.execute`.
+        """Execute the commands that `issue` records with an encoder; see `CommandCache.execute`.
 
         Args:
             draws: (n,) of `rhi.DRAW`, one for each object; another array stands for another scene.
@@ -97,12 +96,12 @@ class FrameBatch:
         if parts is not self._written:  # other passes and the second eye draw the same
             self._counts = [-(-len(part) // _STEP) * _STEP for part in parts]
             self._starts = np.cumsum([0, *self._counts]).tolist()
-            rows = np.full(self._starts.pop(), len(draws))
+            object_indices = np.full(self._starts.pop(), len(draws))
             for part, start in zip(parts, self._starts, strict=True):
-                rows[start : start + len(part)] = part
-            if not np.array_equal(rows, self._rows):
-                self._buffer.write(self._with_nothing[rows])
-                self._rows = rows
+                object_indices[start : start + len(part)] = part
+            if not np.array_equal(object_indices, self._rows):
+                self._buffer.write(self._with_nothing[object_indices])
+                self._rows = object_indices
             self._written = parts
         buffer, counts, starts = self._buffer, self._counts, self._starts
 

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from renderer.frame.needs import Effect, Needs
-from renderer.frame.passes import Drawn, TechniquePass
+from renderer.frame.drawing import DrawResult, TechniqueDrawer
+from renderer.frame.effects import Effect, FrameEffects
 from renderer.frame.resources import SceneResources
 from renderer.frame.targets import Targets
-from renderer.frame.tones import find_light
 from renderer.frame.view import View
 from renderer.scene import Camera, Scene
-from renderer.scene.arrays import Rows
+from renderer.scene.arrays import Indices
+from renderer.shaders.tone_mapping import inverse_tone_map
 from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics
 from rhi import Device, Program, Texture
 from rhi.math import is_parallel
@@ -24,19 +24,19 @@ from rhi.shading import Precision, Shader
 
 @dataclass(eq=False, slots=True)
 class ViewRecord:
-    """The record of a view in one frame: the objects drawn, and the cost of finding them."""
+    """What a view has drawn in a frame, and what finding it cost."""
 
-    drawn: Drawn
+    draw_result: DrawResult
     statistics: VisibilityStatistics
 
 
 @dataclass(eq=False, slots=True)
 class Frame:
-    """A frame, to be drawn once.
+    """One frame, drawn once.
 
     Attributes:
         view: what the image is seen from. resources: the scene on the device, up to date for this view.
-        targets: the textures that the passes draw to. needs: the effects that are needed.
+        targets: the textures that the passes draw to. effects: the effects of this frame.
         first: the frame of the left eye, drawn before, if this is the right eye's.
         precision: that of the shaders which are FAST by themselves.
     """
@@ -45,26 +45,26 @@ class Frame:
     view: View
     resources: SceneResources
     targets: Targets
-    needs: Needs
+    effects: FrameEffects
     first: Frame | None = None
     precision: Precision = Precision.FAST
     _seen: dict[View, ViewRecord] = field(default_factory=dict)
 
     @property
     def camera(self) -> Camera:
-        """The camera of the image; its projection gives the direction of depth."""
+        """The camera of the image; its projection determines the direction of depth."""
         return self.view.camera
 
     @property
     def image(self) -> Texture:
-        """The texture that the technique draws to: the contents `needs.image`."""
-        return self.targets[self.needs.image.name]
+        """The texture that the technique draws to: the resource `effects.image`."""
+        return self.targets[self.effects.image.name]
 
     @property
     def background(self) -> tuple[float, float, float, float]:
-        """The value that `image` is cleared to, as a colour or as light."""
+        """The clear value of `image`, as a colour, or with bloom as light."""
         color = self.resources.scene.background
-        return (*find_light(color), 1.0) if Effect.GLOW in self.needs.effects else (*color, 1.0)
+        return (*inverse_tone_map(color), 1.0) if Effect.BLOOM in self.effects.enabled else (*color, 1.0)
 
     @property
     def visibility(self) -> VisibilityAlgorithm:
@@ -72,24 +72,26 @@ class Frame:
         return self.view.visibility
 
     @property
-    def drawn(self) -> Drawn:
-        """The objects in the image, once they have been drawn."""
+    def draw_result(self) -> DrawResult:
+        """The objects in the image, after they were drawn."""
         seen = self._seen.get(self.view)
-        return Drawn(self.resources) if seen is None else seen.drawn
+        return DrawResult(self.resources) if seen is None else seen.draw_result
 
     @property
     def statistics(self) -> VisibilityStatistics | None:
-        """The cost of finding the objects in the image; None before they were drawn."""
+        """The cost of finding the objects in the image; None before they are drawn."""
         seen = self._seen.get(self.view)
         return None if seen is None else seen.statistics
 
     def program(self, shader: type[Shader]) -> Program[...]:
-        """Return the program of a technique's shader, in the precision of the frame."""
+        """The program of a technique's shader, in the frame's precision."""
         return self.device.program(with_precision(shader, self.precision))
 
-    def draw_transparent(self, scene_pass: TechniquePass, view: View | None = None, *, in_order: bool = True) -> None:
-        """Draw the transparent objects that a view sees, which `draw_visible` has found. If there are none, nothing is
-        issued.
+    def draw_transparent(
+        self, scene_drawer: TechniqueDrawer, view: View | None = None, *, in_order: bool = True
+    ) -> None:
+        """Draw the transparent objects that a view sees, as `draw_visible` recorded them. Without any,
+        nothing is issued.
 
         Args:
             in_order: whether they are drawn back to front, by the distances of their boxes' centres. Otherwise it is in
@@ -97,63 +99,63 @@ class Frame:
         """
         view = view or self.view
         seen = self._seen.get(view)
-        if seen is None or not len(rows := seen.drawn.transparent):
+        if seen is None or not len(object_indices := seen.draw_result.transparent):
             return
         if in_order:
-            rows = sort_back_to_front(self.resources.scene, view.camera, rows)
+            object_indices = sort_back_to_front(self.resources.scene, view.camera, object_indices)
         else:
-            rows = rows[np.argsort(self.resources.group[rows], kind="stable")]
-        with scene_pass:
-            scene_pass.draw_in_order(rows)
+            object_indices = object_indices[np.argsort(self.resources.group[object_indices], kind="stable")]
+        with scene_drawer:
+            scene_drawer.draw_in_order(object_indices)
 
-    def draw_visible(self, scene_pass: TechniquePass, view: View | None = None) -> None:
-        """Draw what a view sees in a pass: the main view, unless another one is given.
+    def draw_visible(self, scene_drawer: TechniqueDrawer, view: View | None = None) -> None:
+        """Draw what a view sees in a pass: the main view by default.
 
         The first pass of a view finds the visible objects, in as many batches as its algorithm likes, which issues its
         own commands there. It must be the first to write the view's depth. Later passes draw the same objects again,
         and so does the right eye if the left one's were found by the frustum around both.
         """
         view = view or self.view
-        seen = self._seen.get(view) or self._find_shared(view)
-        with scene_pass:
+        seen = self._seen.get(view) or self._shared_record(view)
+        with scene_drawer:
             if seen is not None:
-                seen.drawn.draw_again(scene_pass)
+                seen.draw_result.draw_again(scene_drawer)
                 return
             if not view.visibility.opens_pass:
-                scene_pass.open()
-            statistics = view.visibility.render(view.camera, scene_pass)
-            if not scene_pass.was_opened:  # nothing was drawn: the targets are cleared all the same
-                scene_pass.open()
-        self._seen[view] = ViewRecord(scene_pass.drawn, statistics)
+                scene_drawer.open()
+            statistics = view.visibility.render(view.camera, scene_drawer)
+            if not scene_drawer.was_opened:  # nothing was drawn: the targets are cleared all the same
+                scene_drawer.open()
+        self._seen[view] = ViewRecord(scene_drawer.draw_result, statistics)
 
-    def _find_shared(self, view: View) -> ViewRecord | None:
-        """Return what the left eye has found for both, if it has: objects in the frustum around them."""
+    def _shared_record(self, view: View) -> ViewRecord | None:
+        """The left eye's record, if its objects are in the frustum around both eyes; else None."""
         if self.first is None or view is not self.view:
             return None
         seen = self.first._seen.get(self.first.view)
-        if seen is None or not seen.statistics.by_frustum:
+        if seen is None or not seen.statistics.is_frustum_only:
             return None
         self._seen[view] = seen
         return seen
 
 
 @cache
-def _make_exact(shader: Any) -> type[Shader]:
+def _exact_variant(shader: Any) -> type[Shader]:
     return type(f"Exact{shader.__name__}", (shader,), {"__module__": __name__, "precision": Precision.EXACT})
 
 
 def with_precision(shader: type[Shader], precision: Precision) -> type[Shader]:
-    """Return a shader in another precision. One that asks for EXACT itself keeps it."""
+    """A shader in another precision. Shaders that ask for EXACT themselves stay as they are."""
     if precision is Precision.FAST or shader.precision is Precision.EXACT:
         return shader
     key: Any = shader
-    return _make_exact(key)
+    return _exact_variant(key)
 
 
-def sort_back_to_front(scene: Scene, camera: Camera, rows: Rows) -> Rows:
-    """Return objects in the order of the distances of their boxes' centres from the eye, the farthest first; with a
-    parallel lens, from the plane of the eye. Objects at the same distance keep their order."""
+def sort_back_to_front(scene: Scene, camera: Camera, object_indices: Indices) -> Indices:
+    """The objects sorted by the distances of their boxes' centres from the eye, farthest first; with a
+    parallel projection, from the plane of the eye. Objects at the same distance keep their order."""
     objects = scene.objects
-    away = 0.5 * (objects.lower[rows] + objects.upper[rows]) - camera.position
+    away = 0.5 * (objects.lower[object_indices] + objects.upper[object_indices]) - camera.position
     distances = away @ camera.forward if is_parallel(camera.projection) else np.einsum("ij,ij->i", away, away)
-    return np.asarray(rows[np.argsort(-distances, kind="stable")])
+    return np.asarray(object_indices[np.argsort(-distances, kind="stable")])

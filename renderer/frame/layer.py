@@ -12,7 +12,7 @@ class Layer(Protocol):
     """Draws over a finished frame, before it is presented."""
 
     def render(self, device: Device, frame: Frame) -> None:
-        """Draw to `frame.targets`, which hold the frame as the technique has drawn it, its depth included."""
+        """Draw to `frame.targets`, which hold the finished frame and its depth."""
         ...
 
     def destroy(self) -> None:
@@ -21,5 +21,5 @@ class Layer(Protocol):
 
 
 class SceneLayer:
-    """The base of layers that belong to the scene: they draw to the contents `image` of the targets, with depth, before
-    the image is brought to the size that is shown."""
+    """Base of layers that belong to the scene: they draw to the resource `image` with depth, before the
+    image is scaled to the output's size."""

@@ -18,10 +18,10 @@ class _Destroyable(Protocol):
 
 
 class Releasable(_Destroyable, Protocol):
-    """An owner of resources that it can destroy, and makes again when they are needed."""
+    """An owner of resources that it can destroy and create again on demand."""
 
     def release(self) -> None:
-        """Destroy them."""
+        """Destroy the resources."""
 
 
 R = TypeVar("R", bound=_Destroyable)
@@ -46,16 +46,16 @@ class MirroredArray(Generic[T]):
     def __len__(self) -> int:
         return 0 if self.buffer is None else self.buffer.count
 
-    def write(self, array: NDArray[Any], chosen: NDArray[np.int64] | None = None) -> None:
-        """Make the buffer hold `array`, whose dtype must have the element's std430 layout, names aside.
+    def write(self, array: NDArray[Any], indices: NDArray[np.int64] | None = None) -> None:
+        """Make the buffer equal `array`, whose dtype has the element's std430 layout, names aside.
 
-        The rows that differ are uploaded, near ones together. Only the rows `chosen` (k,), ascending, are compared: the
-        others must be unchanged.
+        The rows that differ are uploaded, near ones together. Only the rows `indices` (k,), ascending, are compared:
+        the others must be unchanged.
         """
         if not len(array):
             self.destroy()
             return
-        if chosen is not None and not len(chosen) and len(array) == len(self):
+        if indices is not None and not len(indices) and len(array) == len(self):
             return
         rows = np.ascontiguousarray(array).view(np.uint8).reshape(len(array), -1)
         if self.buffer is None or rows.shape != self._rows.shape:
@@ -64,10 +64,10 @@ class MirroredArray(Generic[T]):
             self._upload(self.buffer, rows, 0)
             self._rows = rows.copy()
             return
-        if chosen is None:
+        if indices is None:
             changed = (rows != self._rows).any(1).nonzero()[0]
         else:
-            changed = chosen[(rows[chosen] != self._rows[chosen]).any(1)]
+            changed = indices[(rows[indices] != self._rows[indices]).any(1)]
         if len(changed) == len(rows):  # such as lights, when the eye has moved
             self._upload(self.buffer, rows, 0)
             self._rows[:] = rows
@@ -89,8 +89,8 @@ class MirroredArray(Generic[T]):
 
 
 class MirroredTable:
-    """A texture that mirrors an array, `TABLE_WIDTH` rows of it in a line of texels: for shaders that have no storage
-    buffer left. There is no texture before the first `write`; it grows by lines."""
+    """A texture that mirrors an array, `TABLE_WIDTH` elements per row of texels: for shaders with no
+    storage buffer left. Created by the first `write`; it grows row by row."""
 
     def __init__(self, device: Device, form: Format, label: str) -> None:
         self.texture: Texture | None = None
@@ -99,7 +99,7 @@ class MirroredTable:
         self._label = label
 
     def write(self, rows: NDArray[Any]) -> None:
-        """Make the texture hold rows (n,), or (n, k) with one of the k channels in each column."""
+        """Make the texture equal an array (n,), or (n, k) with one channel per column."""
         height = max(-(-len(rows) // TABLE_WIDTH), 1)
         texels = np.zeros((height * TABLE_WIDTH, *rows.shape[1:]), rows.dtype)
         texels[: len(rows)] = rows
@@ -118,8 +118,8 @@ class MirroredTable:
 
 
 def join_runs(begins: NDArray[np.int64], sizes: NDArray[np.int64] | int, gap: int = 0) -> list[tuple[int, int]]:
-    """Join the ranges from `begins` (k,), ascending, of `sizes` (k,), where they are at most `gap` apart; return the
-    begin and the end of each run."""
+    """Join ascending ranges that are at most `gap` apart, and return the begin and end of each run.
+    `begins` is (k,); `sizes` is (k,) or one size."""
     if not len(begins):
         return []
     ends = begins + sizes
@@ -136,7 +136,7 @@ class MirroredValue(Generic[S]):
         self._bytes = value.to_bytes()
 
     def write(self, value: S) -> None:
-        """Make the buffer hold `value`; it is uploaded if its bytes have changed."""
+        """Make the buffer equal `value`; it is uploaded if its bytes have changed."""
         data = value.to_bytes()
         if data != self._bytes:
             self.buffer.write(value)
@@ -148,38 +148,38 @@ class MirroredValue(Generic[S]):
 
 
 class Workspaces:
-    """The objects that techniques keep between frames, by kinds: each is made when it is first asked for."""
+    """The objects that techniques keep between frames, by their factory; each is created on first use."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._made: dict[Callable[[Device], Any], Any] = {}
+        self._workspaces: dict[Callable[[Device], Any], Any] = {}
 
-    def find(self, kind: Callable[[Device], R]) -> R:
-        """Return `kind(device)`, the same one each time."""
-        if kind not in self._made:
-            self._made[kind] = kind(self._device)
-        kept: R = self._made[kind]
-        return kept
+    def get_or_create(self, kind: Callable[[Device], R]) -> R:
+        """The object that `kind(device)` created on first use."""
+        if kind not in self._workspaces:
+            self._workspaces[kind] = kind(self._device)
+        workspace: R = self._workspaces[kind]
+        return workspace
 
     def mirror(self, value: S) -> UniformBuffer[S]:
-        """Return the uniform buffer of this type of struct; it is written where the value is another one."""
-        kept = self._made.get(type(value))
-        if kept is None:
-            kept = self._made[type(value)] = MirroredValue(self._device, value)
-        kept.write(value)
-        buffer: UniformBuffer[S] = kept.buffer
+        """The uniform buffer for this type of struct, written if the value has changed."""
+        mirrored = self._workspaces.get(type(value))
+        if mirrored is None:
+            mirrored = self._workspaces[type(value)] = MirroredValue(self._device, value)
+        mirrored.write(value)
+        buffer: UniformBuffer[S] = mirrored.buffer
         return buffer
 
-    def peek(self, kind: Callable[[Device], R]) -> R | None:
-        """Return `kind(device)` if it was made."""
-        kept: R | None = self._made.get(kind)
-        return kept
+    def get(self, kind: Callable[[Device], R]) -> R | None:
+        """The object of `kind`, if it was created."""
+        workspace: R | None = self._workspaces.get(kind)
+        return workspace
 
     def destroy(self) -> None:
-        """Destroy all."""
-        for kept in self._made.values():
-            kept.destroy()
-        self._made.clear()
+        """Destroy all objects."""
+        for workspace in self._workspaces.values():
+            workspace.destroy()
+        self._workspaces.clear()
 
 
 def split_doubles(positions: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -1,10 +1,11 @@
 """The buffers of a scene on a device. They are written only where they differ from what the device holds.
 
-- All meshes are one mesh, all images are layers of a few arrays (`images`), and per-object data is one row each. So a
-  whole scene can be one `draw_many`, in which an object's row is the base instance of its draw.
-- An object is a row of two arrays: `places` (32 bytes) has its position and mesh, `objects` (112 bytes) all else.
-  Positions are pairs of floats, from which shaders subtract the eye's position: a moved eye changes one constant.
-- Vertices of what is simulated are uploaded, or computed on the device where they lie (`DeformingOnDevice`).
+- All meshes are one mesh, all images are layers of a few arrays (`images`), and per-object data is one
+  element each. So a whole scene can be one `draw_many`, in which an object's index is the base instance of its draw.
+- An object is an element of two arrays: `object_positions` (32 bytes) has its position and mesh, `objects`
+  (112 bytes) all else. Positions are pairs of floats, from which shaders subtract the eye's position: a moved eye
+  changes one constant.
+- Vertices of what is simulated are uploaded, or computed on the device where they lie (`DeviceVertexSimulation`).
 - Objects that can't move aren't examined again, and simulated ones only before they are drawn. So a frame costs the
   CPU the same however many there are of them that aren't drawn.
 """
@@ -20,9 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules, shaders
-from renderer.frame.hidden import HiddenObjects
-from renderer.frame.images import AS_GIVEN, SceneImages, TextureSettings
-from renderer.frame.lamps import Lamps, Views
+from renderer.frame.hidden_objects import HiddenObjects
+from renderer.frame.local_lights import LocalLightBuffers, Views
 from renderer.frame.mirrors import (
     MirroredArray,
     MirroredValue,
@@ -33,12 +33,16 @@ from renderer.frame.mirrors import (
     join_runs,
     split_doubles,
 )
-from renderer.lights.lists import list_lights
-from renderer.scene import Camera, Deformed, DeformingOnDevice, Scene, Simulator, normal_matrices
+from renderer.frame.scene_images import SAMPLER_DEFAULTS, SceneImages, TextureSettings
+from renderer.light_kinds.bounds import BOUND_FIELDS
+from renderer.light_kinds.kind import LocalLightKind
+from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
+from renderer.lights.object_lists import list_lights
+from renderer.scene import Camera, DeformedObjects, DeviceVertexSimulation, Scene, Simulator, normal_matrices
 from renderer.scene.arrays import list_ranges
 from renderer.scene.lights import Lights
 from renderer.visibility import SceneArrays
-from renderer.visibility.boxes.volumes import find_in_view
+from renderer.visibility.boxes.volumes import select_in_view
 from renderer.visibility.gpu.draw_lists import DrawArguments
 from rhi import (
     DRAW,
@@ -68,8 +72,8 @@ transform that mirrors objects reverses the winding of their triangles, and of m
 culled."""
 
 
-def find_states(group: int) -> tuple[State, ...]:
-    """Return the states by which a group of objects is drawn."""
+def draw_group_states(group: int) -> tuple[State, ...]:
+    """States with which a group of objects is drawn."""
     return DRAW_GROUPS[group % len(DRAW_GROUPS)]
 
 
@@ -84,36 +88,36 @@ class SceneResources:
         mesh: all meshes in one. draws: (n,) of `rhi.DRAW`, one for each object.
         mirrored: (n,) bool, whether an object's transform mirrors it, which reverses the winding of its triangles.
         group: (n,) the number of each object's group: objects of one group are drawn with the same program and states.
-            It is the place of the states in `DRAW_GROUPS`, and 4 for each shader before that of the object's material.
+            It is the index of the states in `DRAW_GROUPS`, and 4 for each shader before that of the object's material.
         groups: the numbers of the groups that have objects, ascending.
         parameters: of each of the scene's shaders of materials, the values that it has for each material.
-        is_transparent: (n,) bool, whether an object is transparent. transparent_rows: the rows of those that are.
-        tessellated_rows: the rows of the height fields, ascending. The device chooses their triangles; their `draws`
-            have as many as there can be, of which those that aren't used are empty.
+        tessellated_indices: the indices of the height fields, ascending. The device chooses their triangles;
+            their `draws`
+            have as many as there can be, and unused ones are empty.
         tessellations: how often triangles were chosen.
         indices: the indices of `mesh`, as shaders write them; only in scenes with height fields.
-        light_cutoff: the light of a lamp that is too faint to matter, 0 for none (`Lights.cut`).
+        light_cutoff: the irradiance at which local lights end; 0 for none (`Lights.cut`).
         images: the scene's images; None if no material reads any.
-        objects, places, materials, directional, point, spot, light_rows: the arrays that shaders read; point and spot
-            lights are left out if none of them reaches an object.
-        source_radii: the radii of lamps' sources, two channels: point lights, spot lights.
+        objects, object_positions, materials, directional, light_list: the arrays that shaders read.
+        local_lights: those of the lights of each kind with a position, by its name; empty if none reaches an object.
+        source_radii: the radii of lights, a channel for each kind.
         ambient: the constants of ambient light.
         simulator: runs the simulations of what is drawn.
-        hidden: the objects that have been hidden for so long that they rest.
-        wake: brings height fields that rest to this frame's view, given rows among which they are.
+        hidden: the objects that have been hidden for so long that they are paused.
+        resume: brings paused height fields to this frame's view, given object indices that include theirs.
     """
 
-    def __init__(self, device: Device, scene: Scene, textures: TextureSettings = AS_GIVEN) -> None:
-        """Upload a scene, whose textures are read as well as these settings say. If anything can't be created, nothing
-        is left on the device."""
-        with ExitStack() as made:
-            self._made = made
+    def __init__(self, device: Device, scene: Scene, textures: TextureSettings = SAMPLER_DEFAULTS) -> None:
+        """Upload a scene, with these settings of its textures. If anything can't be created, nothing is
+        left on the device."""
+        with ExitStack() as stack:
+            self._stack = stack
             self._make(device, scene, textures)
-            self._made = made.pop_all()
+            self._stack = stack.pop_all()
 
     def _keep(self, resource: R) -> R:
-        """Destroy the resource together with the others; return it."""
-        self._made.callback(resource.destroy)
+        """Destroy `resource` together with the others, and return it."""
+        self._stack.callback(resource.destroy)
         return resource
 
     def _make(self, device: Device, scene: Scene, textures: TextureSettings) -> None:
@@ -121,53 +125,57 @@ class SceneResources:
         self._workspaces: Workspaces = self._keep(Workspaces(device))
         self.simulator: Simulator = scene.make_simulator()
         self.hidden = HiddenObjects(scene, self.simulator.deformed)
-        self.wake: Callable[[NDArray[np.int64]], None] = lambda _: None
-        self._held = np.zeros(len(scene.objects))  # by object, the state of the vertices on the device
+        self.resume: Callable[[NDArray[np.int64]], None] = lambda _: None
+        self._vertex_states = np.zeros(len(scene.objects))  # by object, the state of the vertices on the device
         self._device = device
         self._material_version = -1  # that of the materials on the device
         self.light_cutoff = 0.0
         self._cut: tuple[object, Lights] = (None, scene.lights)
         objects = scene.objects
-        computed = [one.objects for one in scene.simulated if isinstance(one.simulation, DeformingOnDevice)]
+        computed = [
+            simulated.objects
+            for simulated in scene.simulated
+            if isinstance(simulated.simulation, DeviceVertexSimulation)
+        ]
         self._is_computed: NDArray[np.bool_] | None = None  # by object, whether the device computes its vertices
-        self._computing: dict[Simulator, list[DeformingOnDevice]] = {}  # what holds memory on the device
+        self._computing: dict[Simulator, list[DeviceVertexSimulation]] = {}  # what holds memory on the device
         if computed and device.capabilities.compute:
             self._is_computed = np.zeros(len(objects), bool)
             self._is_computed[np.concatenate(computed)] = True
-            self._made.callback(self._release_all)
+            self._stack.callback(self._release_all)
         self.mesh: Mesh = self._make_mesh(device, scene)
         self.tessellations = 0
         self.draws = self._make_draws()
-        self.tessellated_rows: NDArray[np.int64] = np.array(sorted(scene.height_fields), np.int64)
+        self.tessellated_indices: NDArray[np.int64] = np.array(sorted(scene.height_fields), np.int64)
         has_images = len(scene.textures) > 0
         self.images = self._keep(SceneImages(device, scene, textures)) if has_images else None
         keep = self._keep
         self.objects = keep(MirroredArray(device, shaders.Object, "objects"))
-        self.places = keep(MirroredArray(device, shaders.ObjectPosition, "places"))
+        self.object_positions = keep(MirroredArray(device, shaders.ObjectPosition, "object_positions"))
         self.materials = keep(MirroredArray(device, shaders.Material, "materials"))
         self.parameters = [
             keep(MirroredArray(device, kind.parameters, f"parameters of {kind.shader.__name__}"))
             for kind in scene.shaders
         ]
         self.directional = keep(MirroredArray(device, shaders.DirectionalLight, "directional lights"))
-        self._lamps = keep(Lamps(device))
-        self.point, self.spot = self._lamps.find(0)
-        self.source_radii = self._lamps.radii
-        self.light_rows = keep(MirroredArray(device, int, "light rows"))
-        self._listed_from: object = None  # the contents of the lights that are listed
+        self._local_lights = keep(LocalLightBuffers(device))
+        self.local_lights = self._local_lights.for_eye(0)
+        self.source_radii = self._local_lights.radii
+        self.light_list = keep(MirroredArray(device, int, "light rows"))
+        self._listed_from: object = None  # the arrays of the lights that are listed
         self._lit: tuple[NDArray[Any], ...] = ()  # the state that the light lists were made from
-        self._listed: NDArray[np.int64] = np.zeros(0, np.int64)  # the light rows, as they are on the device
+        self._listed: NDArray[np.int64] = np.zeros(0, np.int64)  # the light list, as it is on the device
         self._fixed_lists: tuple[NDArray[Any], ...] = ()  # those of the objects with fixed bounds
-        self._reaching = (False, False)  # whether any point light is on a list, and any spot light
+        self._reaching = (False,) * len(LOCAL_LIGHT_KINDS)  # for each kind, whether any of its lights is on a list
         self.ambient = keep(MirroredValue(device, _ambient(scene)))
         self._rows: NDArray[Any] = np.zeros(len(objects), shaders.Object.dtype)
-        self._places: NDArray[Any] = np.zeros(len(objects), shaders.ObjectPosition.dtype)
-        self._places["mesh"] = objects.mesh
+        self._object_positions: NDArray[Any] = np.zeros(len(objects), shaders.ObjectPosition.dtype)
+        self._object_positions["mesh"] = objects.mesh
         self.mirrored: NDArray[np.bool_] = np.zeros(len(objects), bool)
-        self.transparent_rows: NDArray[np.int64] = np.zeros(0, np.int64)
+        self.transparent_indices: NDArray[np.int64] = np.zeros(0, np.int64)
         self.is_transparent: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self._has_two_sides: NDArray[np.bool_] = np.zeros(len(objects), bool)
-        self._shown: NDArray[np.bool_] = np.zeros(len(objects), bool)
+        self._is_shown: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self.group: NDArray[np.int32] = np.zeros(len(objects), np.int32)
         self.groups: tuple[int, ...] = (0,)
         self._shader: NDArray[np.int32] = np.zeros(len(objects), np.int32)
@@ -175,7 +183,7 @@ class SceneResources:
         self._transform(np.arange(len(objects)))
 
     def _make_draws(self) -> NDArray[Any]:
-        """Return the draw of each object."""
+        """Draw arguments of each object."""
         ranges = self.scene.meshes.ranges[self.scene.objects.mesh]
         return self.mesh.draws(
             ranges["first_index"],
@@ -185,7 +193,7 @@ class SceneResources:
         )
 
     def _make_mesh(self, device: Device, scene: Scene) -> Mesh:
-        """Make the mesh of all meshes. Indices of height fields are written on the device, and so are vertices of some
+        """Create the mesh of all meshes. The device writes indices of height fields, and vertices of some
         simulations."""
         meshes = scene.meshes
         vertices: NDArray[Any] | Buffer = meshes.vertices
@@ -200,115 +208,122 @@ class SceneResources:
 
     @cached_property
     def tessellated_draws(self) -> StorageBuffer[DrawArguments]:
-        """The draws of the height fields in the order of their rows, whose number of triangles the device writes."""
-        draws = self.draws[self.tessellated_rows].view(DrawArguments.dtype)
+        """Draw arguments of the height fields, ascending by object; the device writes their numbers of
+        triangles."""
+        draws = self.draws[self.tessellated_indices].view(DrawArguments.dtype)
         return self._keep(self._device.storage(DrawArguments, draws, label="height field draws"))
 
-    def count_triangles(self, rows: NDArray[np.int64]) -> int:
-        """Return the number of triangles of the objects `rows` (k,), of height fields that of the last view. Where
-        there are some, this waits for the device."""
-        own = np.isin(rows, self.tessellated_rows)
+    def count_triangles(self, object_indices: NDArray[np.int64]) -> int:
+        """Number of triangles of the objects `object_indices` (k,). For height fields it is the last
+        view's, which is read back from the device."""
+        own = np.isin(object_indices, self.tessellated_indices)
         if not own.any():
-            return self.scene.count_triangles(rows)
-        counts = self.tessellated_draws.read()["count"][np.searchsorted(self.tessellated_rows, rows[own])]
-        return self.scene.count_triangles(rows[~own]) + int(counts.sum()) // 3
+            return self.scene.count_triangles(object_indices)
+        counts = self.tessellated_draws.read()["count"][np.searchsorted(self.tessellated_indices, object_indices[own])]
+        return self.scene.count_triangles(object_indices[~own]) + int(counts.sum()) // 3
 
-    def draw_rows(
-        self, device: Device, program: Program[...], bindings: dict[str, Any], rows: NDArray[np.int64]
+    def draw_objects(
+        self, device: Device, program: Program[...], bindings: dict[str, Any], object_indices: NDArray[np.int64]
     ) -> None:
-        """Draw objects in one call, and each height field in one more."""
-        if len(self.tessellated_rows):
-            is_tessellated = np.isin(rows, self.tessellated_rows)
-            for row in rows[is_tessellated].tolist():
-                self.draw_tessellated(device, program, bindings, row)
-            rows = rows[~is_tessellated]
-        if len(rows):
-            device.draw_many(program, self.mesh, self.draws[rows], **bindings)
+        """Draw objects in one call, plus one for each height field."""
+        if len(self.tessellated_indices):
+            is_tessellated = np.isin(object_indices, self.tessellated_indices)
+            for object_index in object_indices[is_tessellated].tolist():
+                self.draw_tessellated(device, program, bindings, object_index)
+            object_indices = object_indices[~is_tessellated]
+        if len(object_indices):
+            device.draw_many(program, self.mesh, self.draws[object_indices], **bindings)
 
-    def draw_tessellated(self, encoder: Encoder, program: Program[...], bindings: dict[str, Any], row: int) -> None:
-        """Draw a height field with as many triangles as the device has chosen."""
-        place = int(np.searchsorted(self.tessellated_rows, row))
-        draw = IndirectDraws(self.tessellated_draws, 1, place * DRAW.itemsize)
+    def draw_tessellated(
+        self, encoder: Encoder, program: Program[...], bindings: dict[str, Any], object_index: int
+    ) -> None:
+        """Draw a height field with the triangles that the device has selected."""
+        draw_index = int(np.searchsorted(self.tessellated_indices, object_index))
+        draw = IndirectDraws(self.tessellated_draws, 1, draw_index * DRAW.itemsize)
         encoder.draw_indirect(program, self.mesh, draw, **bindings)
 
     @cached_property
-    def parts(self) -> StorageBuffer[shaders.MeshPart]:
-        """The meshes' boxes and index ranges, for shaders that make draws; created on first use."""
+    def mesh_parts(self) -> StorageBuffer[shaders.MeshPart]:
+        """Boxes and index ranges of the meshes, for shaders that write draws; created on first use."""
         meshes = self.scene.meshes
-        parts = np.zeros(len(meshes), shaders.MeshPart.dtype)
-        parts["lower"], parts["upper"] = meshes.lower, meshes.upper
-        parts["first"], parts["count"] = meshes.ranges["first_index"], meshes.ranges["index_count"]
-        parts["base_vertex"] = meshes.ranges["base_vertex"]
-        return self._keep(self._device.storage(shaders.MeshPart, parts, label="mesh parts"))
+        mesh_parts = np.zeros(len(meshes), shaders.MeshPart.dtype)
+        mesh_parts["lower"], mesh_parts["upper"] = meshes.lower, meshes.upper
+        mesh_parts["first"], mesh_parts["count"] = meshes.ranges["first_index"], meshes.ranges["index_count"]
+        mesh_parts["base_vertex"] = meshes.ranges["base_vertex"]
+        return self._keep(self._device.storage(shaders.MeshPart, mesh_parts, label="mesh parts"))
 
     def mirror(self, value: S) -> UniformBuffer[S]:
-        """Return a uniform buffer with this value, the same one for each type of struct."""
+        """The uniform buffer for this type of struct, written if the value has changed."""
         return self._workspaces.mirror(value)
 
     def workspace(self, kind: Callable[[Device], R]) -> R:
-        """Return what a technique keeps between frames beside the scene: `kind(device)`, which is made on first use and
-        destroyed with the resources. What depends on the camera is kept by its view (`View.workspace`)."""
-        return self._workspaces.find(kind)
+        """What a technique keeps between frames beside the scene: `kind(device)`, created on first use and
+        destroyed with the resources. What depends on the camera belongs to its view (`View.workspace`)."""
+        return self._workspaces.get_or_create(kind)
 
     def release(self, kind: Callable[[Device], Releasable]) -> None:
-        """Let a workspace, if it was made, destroy what it can make again."""
-        kept = self._workspaces.peek(kind)
-        if kept is not None:
-            kept.release()
+        """Release a workspace, if it exists: it destroys what it can create again."""
+        workspace = self._workspaces.get(kind)
+        if workspace is not None:
+            workspace.release()
 
-    def list_arrays(self, view: UniformRange[shaders.ViewConstants]) -> SceneArrays:
-        """Return the buffers of objects and meshes, as visibility algorithms on the device read them, and the constants
-        of a view."""
-        objects, places = self.objects.buffer, self.places.buffer
+    def scene_arrays(self, view: UniformRange[shaders.ViewConstants]) -> SceneArrays:
+        """Buffers of objects and meshes for visibility algorithms on the device, and the constants of a
+        view."""
+        objects, object_positions = self.objects.buffer, self.object_positions.buffer
         assert objects is not None, "a scene has at least one object"
-        assert places is not None
-        return SceneArrays(view, objects, places, self.parts)
+        assert object_positions is not None
+        return SceneArrays(view, objects, object_positions, self.mesh_parts)
 
     def simulate(
-        self, rows: NDArray[np.int64], *, is_drawn: bool = True, leave: Callable[[], None] | None = None
+        self, object_indices: NDArray[np.int64], *, is_drawn: bool = True, leave: Callable[[], None] | None = None
     ) -> None:
-        """Bring the simulated ones of the objects `rows` to the frame's time. Call it before they are drawn.
+        """Advance the simulated objects among `object_indices` to the frame's time, before they are drawn.
 
         Args:
             leave: ends a render pass that may be open; called if the device computes vertices.
         """
-        if is_drawn and (resting := rows[self.hidden.rests[rows]]).size:
+        if is_drawn and (paused := object_indices[self.hidden.paused[object_indices]]).size:
             if leave is not None:
                 leave()
-            self.wake(resting)
+            self.resume(paused)
         computed = self._is_computed
-        if computed is not None and leave is not None and self.simulator.is_due(rows[computed[rows]]):
+        if (
+            computed is not None
+            and leave is not None
+            and self.simulator.is_due(object_indices[computed[object_indices]])
+        ):
             leave()
-        advanced = self.simulator.advance(rows, is_drawn=is_drawn)
+        advanced = self.simulator.advance(object_indices, is_drawn=is_drawn)
         if len(advanced.moved):
             self._transform(advanced.moved)
             moved = np.sort(advanced.moved)
             self.objects.write(self._rows, moved)
-            self.places.write(self._places, moved)
-        for one in advanced.deformed:
-            self._deform(one)
+            self.object_positions.write(self._object_positions, moved)
+        for deformed in advanced.deformed:
+            self._deform(deformed)
 
-    def _deform(self, deformed: Deformed) -> None:
-        """Bring the vertices of objects that have another state than those on the device there: they are computed
-        there, or uploaded, adjacent meshes together."""
-        changed = np.flatnonzero(self._held[deformed.rows] != deformed.states)
+    def _deform(self, deformed: DeformedObjects) -> None:
+        """Update the vertices of objects whose state differs from the device's: computed there, or
+        uploaded, adjacent meshes together."""
+        changed = np.flatnonzero(self._vertex_states[deformed.object_indices] != deformed.states)
         if not len(changed):
             return
-        mesh = self.scene.objects.mesh[deformed.rows[changed]]
+        mesh = self.scene.objects.mesh[deformed.object_indices[changed]]
         begins = self.scene.meshes.ranges["base_vertex"][mesh].astype(np.int64)
-        if self._is_computed is not None and isinstance(deformed.simulation, DeformingOnDevice):
+        if self._is_computed is not None and isinstance(deformed.simulation, DeviceVertexSimulation):
             self._note_computing(deformed.simulation)
             stride = self.scene.meshes.vertices.itemsize // 4
             with self._device.event(SIMULATION_EVENT):
                 deformed.simulation.deform(self._device, deformed.members[changed], self._vertex_floats, begins, stride)
-            self._held[deformed.rows] = deformed.states
+            self._vertex_states[deformed.object_indices] = deformed.states
             return
         order = np.argsort(begins)
         changed, begins, sizes = changed[order], begins[order], self.scene.meshes.vertex_counts[mesh[order]]
         vertices = deformed.simulation.vertices(deformed.members[changed])
         if len(vertices) != int(sizes.sum()):
-            given, call = f"{len(vertices)} vertices", f"{type(deformed.simulation).__name__}.vertices"
-            refuse(rules.BAD_SIMULATION, call, given, f"the {sizes.sum()} of the members' meshes")
+            count, call = f"{len(vertices)} vertices", f"{type(deformed.simulation).__name__}.vertices"
+            refuse(rules.BAD_SIMULATION, call, count, f"the {sizes.sum()} of the members' meshes")
         buffer, at = self.mesh.vertices, 0
         assert buffer is not None
         for first, end in join_runs(begins, sizes):
@@ -321,63 +336,67 @@ class SceneResources:
                 part = vertices[at : at + end - first]
             buffer.write(part, first)
             at += end - first
-        self._held[deformed.rows] = deformed.states
+        self._vertex_states[deformed.object_indices] = deformed.states
 
-    def _note_computing(self, simulation: DeformingOnDevice) -> None:
-        """Note that a simulation of the simulator holds memory on the device, and release those that it has replaced,
-        because time went back."""
-        held = self._computing.setdefault(self.simulator, [])
-        if any(one is simulation for one in held):
+    def _note_computing(self, simulation: DeviceVertexSimulation) -> None:
+        """Record a simulation that holds memory on the device, and release those that it replaces after
+        time went back."""
+        simulations = self._computing.setdefault(self.simulator, [])
+        if any(held_simulation is simulation for held_simulation in simulations):
             return
         present = list(map(id, self.simulator.simulations))
-        for one in held:
-            if id(one) not in present:
-                one.release(self._device)
-        held[:] = [*(one for one in held if id(one) in present), simulation]
+        for held_simulation in simulations:
+            if id(held_simulation) not in present:
+                held_simulation.release(self._device)
+        simulations[:] = [
+            *(held_simulation for held_simulation in simulations if id(held_simulation) in present),
+            simulation,
+        ]
 
     def _release_all(self) -> None:
-        for held in self._computing.values():
-            for one in held:
-                one.release(self._device)
+        for simulations in self._computing.values():
+            for simulation in simulations:
+                simulation.release(self._device)
 
-    def expect(self, camera: Camera, rows: NDArray[np.int64], others: NDArray[np.int64] | None = None) -> None:
-        """Simulate those of the objects `rows` that `camera` may see, because they will probably be drawn, and all
-        `others` that are shown. It is one call, so that steps aren't divided by what was drawn."""
-        rows = self.find_in_view(camera, rows) if len(rows) else rows
+    def simulate_expected(
+        self, camera: Camera, object_indices: NDArray[np.int64], others: NDArray[np.int64] | None = None
+    ) -> None:
+        """Simulate the objects among `object_indices` that `camera` may see, and all shown ones among
+        `others`, in one call: steps then don't depend on what was drawn."""
+        object_indices = self.select_in_view(camera, object_indices) if len(object_indices) else object_indices
         if others is not None:
-            rows = np.union1d(rows, self.scene.objects.find_shown(others))
-        if len(rows):
-            self.simulate(rows, is_drawn=False)
+            object_indices = np.union1d(object_indices, self.scene.objects.select_shown(others))
+        if len(object_indices):
+            self.simulate(object_indices, is_drawn=False)
 
-    def find_in_view(self, camera: Camera, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return those of the objects `rows` whose bounds are not outside the view."""
-        return find_in_view(self.scene, camera, rows)
+    def select_in_view(self, camera: Camera, object_indices: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The objects among `object_indices` whose bounds are not outside the view."""
+        return select_in_view(self.scene, camera, object_indices)
 
     def has_shader(self, number: int) -> bool:
-        """Return whether any object has this shader of its material: 0 for the renderer's, or 1 more than the place of
-        its own in the scene's `shaders`."""
+        """Whether any object has this material shader: 0 is the renderer's, i + 1 that at index i of the
+        scene's `shaders`."""
         return any(group // len(DRAW_GROUPS) == number for group in self.groups)
 
-    def find_group(self, rows: NDArray[np.int64], number: int) -> slice | NDArray[np.bool_]:
-        """Return the index of those of `rows` whose objects are in a group. In a scene with one group this takes no
-        test."""
-        return slice(None) if len(self.groups) == 1 else self.group[rows] == number
+    def select_group(self, object_indices: NDArray[np.int64], number: int) -> slice | NDArray[np.bool_]:
+        """Index into `object_indices` of the objects of a group. A scene with one group needs no test."""
+        return slice(None) if len(self.groups) == 1 else self.group[object_indices] == number
 
-    def pair_lights(
-        self, rows: NDArray[np.int64], lights: NDArray[np.int64], *, spots: bool
+    def pair_objects_with_lights(
+        self, object_indices: NDArray[np.int64], lights: NDArray[np.int64], kind: LocalLightKind
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the objects (k,) and the entries (k,) of `light_rows` that are the pairs of one of the objects `rows`
-        and a light that reaches it. Only the point or spot lights `lights`, ascending, are paired. Pairs are in the
-        order of their lights."""
-        begins = self._rows["points_end" if spots else "lights_begin"][rows].astype(np.int64)
-        counts = self._rows["lights_end" if spots else "points_end"][rows] - begins
+        """Pairs of an object and a light of one kind that reaches it: object indices (k,), and entries
+        (k,) of the light list. Only the lights `lights`, ascending, are paired, in their order."""
+        number = LOCAL_LIGHT_KINDS.index(kind)
+        begins = self._rows[BOUND_FIELDS[number]][object_indices].astype(np.int64)
+        counts = self._rows[BOUND_FIELDS[number + 1]][object_indices] - begins
         entries = list_ranges(begins, counts)
         lit = self._listed[entries]
-        chosen = np.zeros(len(self.scene.lights.spot if spots else self.scene.lights.point), bool)
-        chosen[lights] = True
-        kept = np.flatnonzero(chosen[lit])
-        order = kept[np.argsort(lit[kept], kind="stable")]
-        return np.repeat(rows, counts)[order], entries[order]
+        is_requested = np.zeros(len(self.scene.lights.of_kind(kind)), bool)
+        is_requested[lights] = True
+        requested = np.flatnonzero(is_requested[lit])
+        order = requested[np.argsort(lit[requested], kind="stable")]
+        return np.repeat(object_indices, counts)[order], entries[order]
 
     @property
     def lights(self) -> Lights:
@@ -385,23 +404,23 @@ class SceneResources:
         lights = self.scene.lights
         if not self.light_cutoff:
             return lights
-        key = lights.contents, self.light_cutoff
+        key = lights.snapshot, self.light_cutoff
         if self._cut[0] != key:
-            self._cut = key, lights.cut(self.light_cutoff)
+            self._cut = key, lights.with_cutoff(self.light_cutoff)
         return self._cut[1]
 
     @property
-    def reaching(self) -> tuple[bool, bool]:
-        """Whether any point light reaches an object, and whether any spot light does."""
+    def reaching(self) -> tuple[bool, ...]:
+        """For each kind of lights with a position, whether any of its lights reaches an object."""
         return self._reaching
 
     def update(self, *eyes: Camera, views: Views = ()) -> None:
-        """Update the buffers to the scene, with lights for each of a frame's `eyes`; `look_from` chooses one. Of two
-        eyes, `views` are the constants on the device."""
+        """Update the buffers to the scene, with lights for each of the frame's `eyes`, of which
+        `look_from` selects one. With two eyes, `views` are their constants on the device."""
         scene, lights = self.scene, self.lights
-        following = scene.objects.following_rows  # others that move are simulated before they are drawn
+        following = scene.objects.following_indices  # others that move are simulated before they are drawn
         self._transform(following)
-        if self._listed_from is not lights.contents:
+        if self._listed_from is not lights.snapshot:
             self.directional.write(scene.lights.directional)
         has_others = False
         if self._material_version != scene.material_version:
@@ -411,114 +430,119 @@ class SceneResources:
                 mirrored.write(values)
             has_others = self._follow_materials()
         self.objects.write(self._rows, None if self._list_lights() or has_others else following)
-        self.places.write(self._places, None if has_others else following)
-        self._lamps.update(lights, self._reaching, [eye.position for eye in eyes], views)
+        self.object_positions.write(self._object_positions, None if has_others else following)
+        self._local_lights.update(lights, self._reaching, [eye.position for eye in eyes], views)
         self.look_from(0)
         self.ambient.write(_ambient(scene))
 
     def look_from(self, eye: int) -> None:
-        """Let `point` and `spot` be the lights relative to one of the frame's eyes."""
-        self.point, self.spot = self._lamps.find(eye)
+        """Select the eye that `local_lights` are relative to."""
+        self.local_lights = self._local_lights.for_eye(eye)
 
     def _follow_materials(self) -> bool:
-        """Find the objects that are shown, transparent, with two sides, their shaders, meshes and materials, and return
-        whether they are others than before."""
+        """Update which objects are shown, transparent and two-sided, and their shaders, meshes and
+        materials; return whether any changed."""
         scene, objects = self.scene, self.scene.objects
-        rows, two_sided = scene.find_transparent(), scene.materials["double_sided"][objects.material] != 0
+        object_indices, two_sided = scene.list_transparent(), scene.materials["double_sided"][objects.material] != 0
         shader = scene.materials["shader"][objects.material]
-        has_others = not np.array_equal(objects.mesh, self._places["mesh"])
+        has_others = not np.array_equal(objects.mesh, self._object_positions["mesh"])
         if has_others:
-            self._places["mesh"] = objects.mesh
+            self._object_positions["mesh"] = objects.mesh
             self.draws = self._make_draws()
         if not has_others and all(
             np.array_equal(new, old)
             for new, old in (
-                (rows, self.transparent_rows),
+                (object_indices, self.transparent_indices),
                 (two_sided, self._has_two_sides),
                 (shader, self._shader),
-                (objects.shown, self._shown),
+                (objects.is_shown, self._is_shown),
                 (objects.material, self._rows["material"]),
             )
         ):
             return False
         self._rows["material"] = objects.material
-        self.transparent_rows, self._has_two_sides, self._shown = rows, two_sided, objects.shown.copy()
+        self.transparent_indices = object_indices
+        self._has_two_sides = two_sided
+        self._is_shown = objects.is_shown.copy()
         self._shader = shader
         self.is_transparent[:] = False
-        self.is_transparent[rows] = True
+        self.is_transparent[object_indices] = True
         self._group_all()
-        self._places["draw_list"] = self._find_lists(slice(None))
+        self._object_positions["draw_list"] = self._find_lists(slice(None))
         return True
 
-    def _find_lists(self, rows: slice | NDArray[np.int64]) -> NDArray[np.int32]:
-        """Return on which of the device's lists the objects `rows` are; -1 for none."""
-        is_listed = self._shown[rows] & ~self.is_transparent[rows]
-        return np.where(is_listed, self.group[rows], -1).astype(np.int32)
+    def _find_lists(self, object_indices: slice | NDArray[np.int64]) -> NDArray[np.int32]:
+        """Number of the device's draw list of each object in `object_indices`; -1 for none."""
+        is_listed = self._is_shown[object_indices] & ~self.is_transparent[object_indices]
+        return np.where(is_listed, self.group[object_indices], -1).astype(np.int32)
 
     def _group_all(self) -> None:
         """Divide the objects into groups."""
         self.group = self.mirrored + 2 * self._has_two_sides.astype(np.int32) + len(DRAW_GROUPS) * self._shader
         self.groups = tuple(np.unique(self.group).tolist())
 
-    def _transform(self, rows: NDArray[np.int64]) -> None:
-        """Update the rows of the arrays that hold the transforms of the objects `rows`."""
-        if not len(rows):
+    def _transform(self, object_indices: NDArray[np.int64]) -> None:
+        """Update the elements of the arrays that hold the transforms of the objects `object_indices`."""
+        if not len(object_indices):
             return
-        world = self.scene.nodes.world[self.scene.objects.node[rows]]
+        world = self.scene.nodes.world[self.scene.objects.node[object_indices]]
         normal = normal_matrices(world)
         largest = np.abs(normal).max(axis=(1, 2), keepdims=True)  # no float32 under- or overflow
-        part = self._rows[rows]
+        part = self._rows[object_indices]
         part["linear"][:, :, :3] = world[:, :3, :3]
         part["normal"][:, :, :3] = normal / np.where(largest > 0.0, largest, 1.0)
-        self._rows[rows] = part
+        self._rows[object_indices] = part
         mirrored = np.linalg.det(world[:, :3, :3]) < 0.0
-        if (mirrored != self.mirrored[rows]).any():
-            self.mirrored[rows] = mirrored
+        if (mirrored != self.mirrored[object_indices]).any():
+            self.mirrored[object_indices] = mirrored
             self._group_all()
-        place = self._places[rows]
-        place["high"], place["low"] = split_doubles(world[:, :3, 3])
-        place["draw_list"] = self._find_lists(rows)
-        self._places[rows] = place
+        positions = self._object_positions[object_indices]
+        positions["high"], positions["low"] = split_doubles(world[:, :3, 3])
+        positions["draw_list"] = self._find_lists(object_indices)
+        self._object_positions[object_indices] = positions
 
     def _list_lights(self) -> bool:
-        """List the lights that reach each object, and return whether the lists may have changed.
+        """List the lights that reach each object; return whether the lists may have changed.
 
         The lists of objects with fixed bounds come first, so that those of others don't shift them.
         """
         objects, lights = self.scene.objects, self.lights
-        is_known, self._listed_from = self._listed_from is lights.contents, lights.contents
-        if is_known and not len(objects.following_rows):
+        is_known, self._listed_from = self._listed_from is lights.snapshot, lights.snapshot
+        if is_known and not len(objects.following_indices):
             return False
-        positions = np.concatenate([lights.point["position"], lights.spot["position"]])
-        ranges = np.concatenate([lights.point["range"], lights.spot["range"]]).astype(np.float64)
-        rows, points = objects.following_rows, len(lights.point)
-        state = (positions, ranges, np.array([points]), objects.lower[rows], objects.upper[rows])
+        by_kind = [lights.of_kind(kind) for kind in LOCAL_LIGHT_KINDS]
+        positions = np.concatenate([lights_of_kind["position"] for lights_of_kind in by_kind])
+        ranges = np.concatenate([lights_of_kind["range"] for lights_of_kind in by_kind]).astype(np.float64)
+        object_indices, light_ends = objects.following_indices, np.cumsum([len(part) for part in by_kind])
+        state = (positions, ranges, light_ends, objects.lower[object_indices], objects.upper[object_indices])
         if self._lit and all(map(np.array_equal, self._lit, state)):
             return False
-        fixed = objects.fixed_rows
+        fixed = objects.fixed_indices
         if not self._lit or not all(map(np.array_equal, self._lit[:2], state)):
             self._fixed_lists = list_lights(objects.lower[fixed], objects.upper[fixed], positions, ranges)
         self._lit = state
-        order = np.concatenate([fixed, rows])
+        order = np.concatenate([fixed, object_indices])
         ends, listed = self._fixed_lists
-        more, following = list_lights(objects.lower[rows], objects.upper[rows], positions, ranges)
+        more, following = list_lights(objects.lower[object_indices], objects.upper[object_indices], positions, ranges)
         ends, listed = np.concatenate([ends, ends[-1] + more[1:]]), np.concatenate([listed, following])
-        is_spot = listed >= points
-        spots = np.concatenate([[0], np.cumsum(is_spot)])[ends]
         self._rows["lights_begin"][order] = ends[:-1]
-        self._rows["points_end"][order] = ends[1:] - np.diff(spots)
+        for field, light_end in zip(BOUND_FIELDS[1:-1], light_ends, strict=False):
+            behind = np.concatenate([[0], np.cumsum(listed >= light_end)])[ends]
+            self._rows[field][order] = ends[1:] - np.diff(behind)
         self._rows["lights_end"][order] = ends[1:]
         # A power of two, so that the buffer isn't replaced in each frame.
         room = 1 << (len(listed) - 1).bit_length() if len(listed) else 0
-        light_rows = np.zeros(room, np.int32)
-        light_rows[: len(listed)] = self._listed = np.where(is_spot, listed - points, listed)
-        self.light_rows.write(light_rows)
-        self._reaching = (not is_spot.all(), bool(is_spot.any()))
+        light_list = np.zeros(room, np.int32)
+        light_begins = np.concatenate([[0], light_ends[:-1]])
+        kind_of = np.searchsorted(light_ends, listed, side="right")
+        light_list[: len(listed)] = self._listed = listed - light_begins[kind_of]
+        self.light_list.write(light_list)
+        self._reaching = tuple(np.bincount(kind_of, minlength=len(by_kind)).astype(bool).tolist())
         return True
 
     def destroy(self) -> None:
         """Destroy all resources."""
-        self._made.close()
+        self._stack.close()
 
 
 def _ambient(scene: Scene) -> shaders.Ambient:

@@ -17,7 +17,7 @@ from rhi import Device, UniformBuffer
 
 
 class View:
-    """A camera, and the algorithm that finds what it sees, with its memory of the last frames.
+    """A camera, and the algorithm that finds the visible objects, with its state of the last frames.
 
     The first pass of a view in a frame finds the visible objects, by a visibility algorithm that may issue commands of
     its own. Each further pass draws the same objects again (`Frame.draw_visible`). So the objects of a view are found
@@ -34,7 +34,7 @@ class View:
     def __init__(
         self, device: Device, name: str, visibility: VisibilityAlgorithm, batch: FrameBatch | None = None
     ) -> None:
-        """A view may share the `batch` of another one, which it doesn't destroy."""
+        """`batch` is shared with another view, which destroys it."""
         self.name = name
         self.visibility = visibility
         self.batch = batch or FrameBatch(device)
@@ -56,16 +56,16 @@ class View:
         return self._constants.buffer
 
     def mirror(self, value: S) -> UniformBuffer[S]:
-        """Return a uniform buffer with this value, the same one for each type of struct."""
+        """The uniform buffer for this type of struct, written if the value has changed."""
         return self._workspaces.mirror(value)
 
     def workspace(self, kind: Callable[[Device], R]) -> R:
-        """Return what a technique keeps between frames of this view: `kind(device)`, which is made on first use and
+        """What a technique keeps between frames of this view: `kind(device)`, created on first use and
         destroyed with the view."""
-        return self._workspaces.find(kind)
+        return self._workspaces.get_or_create(kind)
 
     def aim(self, camera: Camera, around: Camera | None = None) -> None:
-        """Look through `camera` in the next frame; its constants are uploaded if they have changed.
+        """Set the camera of the next frame; its constants are uploaded if they have changed.
 
         Args:
             around: a camera that sees at least as much, with which objects are sought for several views at once.

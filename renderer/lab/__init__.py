@@ -1,1 +1,1 @@
-"""Measurements and comparisons: one engine, and what is compared with it."""
+"""The lab: reference renderers, the exam, and comparisons of speed and accuracy. Only commands import it."""

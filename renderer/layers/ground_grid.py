@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import rhi.shading as sl
 from renderer.frame import Frame, SceneLayer
-from renderer.frame.passes import NEARER
+from renderer.frame.drawing import NEARER
 from renderer.shaders import ViewConstants
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device
 
@@ -18,37 +18,39 @@ _STRONG: Final = 10.0  # m between stronger lines
 
 
 class GridVarying(sl.Struct):
-    """The varyings of `GridLines`: a place from the eye, and from a crossing of stronger lines, along x and z."""
+    """The varyings of `GridLines`: a position relative to the eye, and relative to a crossing of stronger lines,
+    along x and z."""
 
     clip: sl.vec4
-    away: sl.vec2
-    place: sl.vec2
+    eye_offset: sl.vec2
+    grid_position: sl.vec2
 
 
 @sl.function
-def find_lines(place: sl.vec2) -> float:
-    """Return how much of a pixel the lines at whole numbers cover that are as wide as it, 0 where it holds several."""
-    width = sl.max(sl.fwidth(place), sl.vec2(1e-6))
-    near = sl.saturate(1.0 - sl.abs(sl.fract(place + 0.5) - 0.5) / width) * sl.saturate(1.0 - 2.0 * width)
+def line_coverage(grid_position: sl.vec2) -> float:
+    """Return how much of a pixel the lines at whole numbers cover that are as wide as it, 0 where it holds
+    several."""
+    width = sl.max(sl.fwidth(grid_position), sl.vec2(1e-6))
+    near = sl.saturate(1.0 - sl.abs(sl.fract(grid_position + 0.5) - 0.5) / width) * sl.saturate(1.0 - 2.0 * width)
     return sl.max(near.x, near.y)
 
 
 class GridLines(sl.Shader):
-    """Draws the lines; `eye` is where it is from a crossing of stronger lines of the plane."""
+    """Draws the lines; `eye` is the eye's position relative to a crossing of stronger lines."""
 
     view: sl.Uniform[ViewConstants]
     eye: sl.Uniform[sl.vec3]
 
     def vertex(self) -> GridVarying:
         number = sl.vertex_index()
-        away = _REACH * (sl.vec2(float((22 >> number) & 1), float((52 >> number) & 1)) * 2.0 - 1.0)
-        position = 0.999 * sl.vec3(away.x, -self.eye.y, away.y)  # before a floor in that plane
+        eye_offset = _REACH * (sl.vec2(float((22 >> number) & 1), float((52 >> number) & 1)) * 2.0 - 1.0)
+        position = 0.999 * sl.vec3(eye_offset.x, -self.eye.y, eye_offset.y)  # before a floor in that plane
         clip = self.view.relative_view_projection @ sl.vec4(position, 1.0)
-        return GridVarying(clip=clip, away=away, place=away + self.eye.xz)
+        return GridVarying(clip=clip, eye_offset=eye_offset, grid_position=eye_offset + self.eye.xz)
 
     def fragment(self, v: GridVarying) -> sl.vec4:
-        covered = sl.max(0.35 * find_lines(v.place), 0.7 * find_lines(v.place / _STRONG))
-        return sl.vec4(sl.vec3(0.8), covered * sl.saturate(1.0 - sl.length(v.away) / _REACH))
+        covered = sl.max(0.35 * line_coverage(v.grid_position), 0.7 * line_coverage(v.grid_position / _STRONG))
+        return sl.vec4(sl.vec3(0.8), covered * sl.saturate(1.0 - sl.length(v.eye_offset) / _REACH))
 
 
 class GroundGrid(SceneLayer):

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 import rhi.shading as sl
 from renderer.frame import Effect, Frame, SceneLayer
-from renderer.frame.air import bind_fog
-from renderer.frame.passes import NEARER
-from renderer.scene.arrays import Floats, Rows
+from renderer.frame.drawing import NEARER
+from renderer.frame.fog import bind_fog
+from renderer.scene.arrays import Floats, Indices
 from renderer.shaders import ViewConstants, tone_map
-from renderer.shaders.fog import FogConstants, pass_fog
+from renderer.shaders.fog import FogConstants, fog_transmittance
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device
 
 _CORNERS: Final = 6  # of the two triangles
@@ -31,26 +31,28 @@ _EXPOSURE: Final = 1.0 / 60.0  # seconds
 
 
 @runtime_checkable
-class EmitsParticles(Protocol):
+class ParticleEmitter(Protocol):
     """A simulation whose members are surrounded by particles."""
 
-    def particles(self, members: Rows) -> tuple[Floats, Floats]:
-        """Return positions and velocities (j, p, 3) of `members` (j,), in m and m/s and in the space of the object."""
+    def particles(self, members: Indices) -> tuple[Floats, Floats]:
+        """Return positions and velocities (j, p, 3) of `members` (j,), in m and m/s and in the space of the
+        object."""
         ...
 
 
 class Particle(sl.Struct):
-    """A particle along the axes of the world: its place relative to the eye, its way in the time of an exposure."""
+    """A particle along the axes of the world: its position relative to the eye, and the distance it moves during an
+    exposure."""
 
     centre: sl.vec3
-    way: sl.vec3
+    displacement: sl.vec3
 
 
 class ParticleVarying(sl.Struct):
-    """The varyings of `ParticleShader`; `place` is -1 to 1 from edge to edge."""
+    """The varyings of `ParticleShader`; `quad_position` is -1 to 1 from edge to edge."""
 
     clip: sl.vec4
-    place: sl.vec2
+    quad_position: sl.vec2
 
 
 class ParticleShader(sl.Shader):
@@ -66,48 +68,53 @@ class ParticleShader(sl.Shader):
         turn = number % 6
         x = float((22 >> turn) & 1) * 2.0 - 1.0  # the corners of the two triangles: 00 10 11, 00 11 01
         y = float((52 >> turn) & 1) * 2.0 - 1.0
-        along = particle.way
+        along = particle.displacement
         if sl.dot(along, along) < 1e-12:
             along = sl.vec3(0.0, 1e-6, 0.0)
         along = along / sl.length(along)
         aside = sl.cross(along, particle.centre)
         aside = aside / sl.max(sl.length(aside), 1e-6)
-        offset = along * (self.radius * x) + particle.way * (0.5 * x) + aside * (self.radius * y)
+        offset = along * (self.radius * x) + particle.displacement * (0.5 * x) + aside * (self.radius * y)
         offset -= particle.centre * (self.radius / sl.max(sl.length(particle.centre), 1e-6))  # before the drop itself
         return ParticleVarying(
-            clip=self.view.relative_view_projection @ sl.vec4(particle.centre + offset, 1.0), place=sl.vec2(x, y)
+            clip=self.view.relative_view_projection @ sl.vec4(particle.centre + offset, 1.0),
+            quad_position=sl.vec2(x, y),
         )
 
     def fragment(self, v: ParticleVarying) -> sl.vec4:
-        light = sl.max(1.0 - sl.dot(v.place, v.place), 0.0)
+        light = sl.max(1.0 - sl.dot(v.quad_position, v.quad_position), 0.0)
         return sl.vec4(sl.vec3(0.16, 0.24, 0.32) * light, 0.2 * light)
 
 
-class FoggedVarying(sl.Struct):
-    """The varyings of `FoggedParticles`: of the fog before a particle, how much of it is seen, and what passes it."""
+class FogParticleVarying(sl.Struct):
+    """The varyings of `FogParticleShader`: the colour of the fog in front of a particle, and the fraction of light
+    that passes it."""
 
     clip: sl.vec4
-    place: sl.vec2
+    quad_position: sl.vec2
     fog: sl.vec3
-    passing: float
+    transmittance: float
 
 
-class FoggedParticles(ParticleShader):
-    """Draws particles in fog. Theirs are colours of the image, so they are mixed with that of the fog."""
+class FogParticleShader(ParticleShader):
+    """Draws particles in fog: their colours are mixed with the fog's, both as the image has them."""
 
     fog: sl.Uniform[FogConstants]
 
-    def vertex(self) -> FoggedVarying:  # type: ignore[override]  # more varyings
+    def vertex(self) -> FogParticleVarying:  # type: ignore[override]  # more varyings
         v = super().vertex()
         centre = self.particles[sl.vertex_index() // 6].centre
-        passing = pass_fog(centre, self.fog)
-        return FoggedVarying(
-            clip=v.clip, place=v.place, fog=tone_map(self.fog.color) * (1.0 - passing), passing=passing
+        transmittance = fog_transmittance(centre, self.fog)
+        return FogParticleVarying(
+            clip=v.clip,
+            quad_position=v.quad_position,
+            fog=tone_map(self.fog.color) * (1.0 - transmittance),
+            transmittance=transmittance,
         )
 
-    def fragment(self, v: FoggedVarying) -> sl.vec4:  # type: ignore[override]  # as `vertex`
-        color = super().fragment(ParticleVarying(clip=v.clip, place=v.place))
-        return sl.vec4(color.rgb * v.passing + v.fog * color.a, color.a)
+    def fragment(self, v: FogParticleVarying) -> sl.vec4:  # type: ignore[override]  # as `vertex`
+        color = super().fragment(ParticleVarying(clip=v.clip, quad_position=v.quad_position))
+        return sl.vec4(color.rgb * v.transmittance + v.fog * color.a, color.a)
 
 
 class Particles(SceneLayer):
@@ -125,7 +132,7 @@ class Particles(SceneLayer):
 
     def render(self, device: Device, frame: Frame) -> None:
         """Draw the particles in one draw."""
-        parts = list(find_particles(frame))
+        parts = list(collect_particles(frame))
         self.count = sum(map(len, parts))
         if not self.count:
             return
@@ -133,7 +140,7 @@ class Particles(SceneLayer):
         if _CORNERS * len(array) > self._mesh.count:
             self._mesh.destroy()
             self._mesh = device.mesh(_CORNERS << (len(array) - 1).bit_length(), label="particles")
-        shader, fog = _find_shader(frame)
+        shader, fog = _select_shader(frame)
         program: Any = self._device.program(shader)
         targets, nearer = frame.targets, NEARER[frame.camera.projection.depth]
         with (
@@ -156,20 +163,20 @@ class Particles(SceneLayer):
         self._radius.destroy()
 
 
-def _find_shader(frame: Frame) -> tuple[type[ParticleShader], dict[str, Any]]:
+def _select_shader(frame: Frame) -> tuple[type[ParticleShader], dict[str, Any]]:
     """Return the shader for the fog of the frame, and what it binds for that."""
-    if Effect.FOG not in frame.needs.effects:
+    if Effect.FOG not in frame.effects.enabled:
         return ParticleShader, {}
-    return FoggedParticles, {"fog": bind_fog(frame)}
+    return FogParticleShader, {"fog": bind_fog(frame)}
 
 
-def find_particles(frame: Frame) -> Iterator[NDArray[np.float32]]:
+def collect_particles(frame: Frame) -> Iterator[NDArray[np.float32]]:
     """Yield the particles (p, 8) as rows of `Particle`, one array for each simulation of which anything was drawn."""
     scene, eye = frame.resources.scene, frame.camera.position
-    for simulation, rows, members in frame.resources.simulator.list_drawn():
-        if isinstance(simulation, EmitsParticles) and len(members):
+    for simulation, object_indices, members in frame.resources.simulator.list_drawn_members():
+        if isinstance(simulation, ParticleEmitter) and len(members):
             position, velocity = simulation.particles(members)
-            world = scene.nodes.world[scene.objects.node[rows]]
+            world = scene.nodes.world[scene.objects.node[object_indices]]
             turn = world[:, :3, :3].transpose(0, 2, 1)
             floats = np.zeros((*position.shape[:2], 8), np.float32)
             floats[:, :, 0:3] = position @ turn + (world[:, None, :3, 3] - eye)

@@ -1,4 +1,4 @@
-"""Bodies of few triangles that enclose a sphere or a cone, which are drawn as light volumes."""
+"""Light volumes: meshes of few triangles that enclose a sphere or a cone."""
 
 from __future__ import annotations
 
@@ -9,34 +9,34 @@ from renderer.scene.arrays import Floats
 
 
 def make_sphere() -> tuple[Floats, NDArray[np.uint32]]:
-    """Return corners (42, 3) and triangles (80, 3), counter-clockwise from outside, of a body that encloses the unit
+    """Return corners (42, 3) and triangles (80, 3), counter-clockwise from outside, of a mesh that encloses the unit
     sphere: an icosahedron with each face split into four."""
     golden = (1.0 + 5.0**0.5) / 2.0
     twelve = [(s, t * golden, 0.0) for s in (-1.0, 1.0) for t in (-1.0, 1.0)]
     corners = [np.roll(corner, turn) for turn in range(3) for corner in twelve]
-    places = [corner / np.linalg.norm(corner) for corner in corners]
+    vertices = [corner / np.linalg.norm(corner) for corner in corners]
     triangles = []
     for a in range(12):
         for b in range(a + 1, 12):
             for c in range(b + 1, 12):
-                if all(places[i] @ places[j] > 0.4 for i, j in ((a, b), (b, c), (c, a))):  # neighbours
-                    outward = np.cross(places[b] - places[a], places[c] - places[a]) @ places[a] > 0.0
+                if all(vertices[i] @ vertices[j] > 0.4 for i, j in ((a, b), (b, c), (c, a))):  # neighbours
+                    outward = np.cross(vertices[b] - vertices[a], vertices[c] - vertices[a]) @ vertices[a] > 0.0
                     triangles.append((a, b, c) if outward else (a, c, b))
     middles: dict[tuple[int, int], int] = {}
 
     def split(a: int, b: int) -> int:
         key = (min(a, b), max(a, b))
         if key not in middles:
-            middle = places[a] + places[b]
-            places.append(middle / np.linalg.norm(middle))
-            middles[key] = len(places) - 1
+            middle = vertices[a] + vertices[b]
+            vertices.append(middle / np.linalg.norm(middle))
+            middles[key] = len(vertices) - 1
         return middles[key]
 
     faces = []
     for a, b, c in triangles:
         ab, bc, ca = split(a, b), split(b, c), split(c, a)
         faces += [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
-    array, indices = np.array(places), np.array(faces, np.uint32)
+    array, indices = np.array(vertices), np.array(faces, np.uint32)
     first, second, third = (array[indices[:, i]] for i in range(3))
     normals = np.cross(second - first, third - first)
     normals /= np.linalg.norm(normals, axis=1)[:, None]

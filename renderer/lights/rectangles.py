@@ -1,4 +1,4 @@
-"""The smallest rectangles of the image around the light of lamps: their volumes on the screen.
+"""Bounding rectangles of local lights on the screen: the smallest around the projections of their spheres.
 
 A clip matrix maps a sphere and the eye's plane of an axis to an ellipse in (x, w), of which x / w is sought where
 w is not nearer than the near plane. Its extremes are at the tangents from the origin, or where the near plane cuts the
@@ -19,17 +19,17 @@ _MARGIN = 1e-6  # of the image: rounding to float32
 def bound_spheres(camera: Camera, centers: Floats, radii: Floats) -> Floats:
     """Return the rectangles (l, 4) of spheres in the image: left, bottom, right, top from -1 to 1.
 
-    They are clipped to the image. A sphere outside of it has no area; with a perspective lens, neither has one that is
-    nearer than the near plane.
+    They are clipped to the image. A sphere outside of it has no area; with a perspective projection, neither has one
+    that is nearer than the near plane.
 
     Args:
         centers, radii: (l, 3) and (l,) of the spheres, in the world.
     """
-    lens = camera.projection.matrix
-    turned = lens[:, :3] @ camera.rotation
+    matrix = camera.projection.matrix
+    turned = matrix[:, :3] @ camera.rotation
     away = centers - camera.position
-    middles = away @ turned.T + lens[:, 3]
-    near = _find_near(lens, camera.projection.depth)
+    middles = away @ turned.T + matrix[:, 3]
+    near = _near_plane_w(matrix, camera.projection.depth)
     result = np.empty((len(centers), 4))
     for axis in (0, 1):
         low, high = _bound(turned[axis], middles[:, axis], turned[3], middles[:, 3], radii, near)
@@ -38,31 +38,16 @@ def bound_spheres(camera: Camera, centers: Floats, radii: Floats) -> Floats:
     return result.clip(-1.0, 1.0)
 
 
-def bound_cones(positions: Floats, directions: Floats, ranges: Floats, outer: Floats) -> tuple[Floats, Floats]:
-    """Return the smallest spheres, centers (l, 3) and radii (l,), around the light of spots: sectors of balls.
-
-    Args:
-        outer: (l,) half angles.
-    """
-    cosine, sine = np.cos(outer), np.sin(outer)
-    narrow = outer <= 0.25 * np.pi
-    wide = ~narrow & (outer < 0.5 * np.pi)
-    around = 0.5 * ranges / np.maximum(cosine, 0.5)  # through the apex and the rim
-    radii = np.where(narrow, around, np.where(wide, ranges * sine, ranges))
-    along = np.where(narrow, around, np.where(wide, ranges * cosine, 0.0))
-    return positions + directions * along[:, None], radii
-
-
-def _find_near(lens: Floats, depth: Depth) -> float:
+def _near_plane_w(matrix: Floats, depth: Depth) -> float:
     """Return w on the near plane of a clip matrix."""
-    near = lens[3] - lens[2] if depth is Depth.REVERSED else lens[2]
+    near = matrix[3] - matrix[2] if depth is Depth.REVERSED else matrix[2]
     distance = near[3] / near[2]  # along the camera's axis
-    return float(lens[3, 3] - lens[3, 2] * distance)
+    return float(matrix[3, 3] - matrix[3, 2] * distance)
 
 
 def _bound(a: Floats, x: Floats, b: Floats, w: Floats, radii: Floats, near: float) -> tuple[Floats, Floats]:
-    """Return the least and the largest x / w, where w >= near, of the spheres whose points have (x, w) + radius ·
-    (a · d, b · d) for all d of length 1 or less. Without such a point the least is inf and the largest -inf."""
+    """Return the bounds of x / w, where w >= near, of spheres: their points are (x, w) + radius · (a · d, b · d) for
+    all d of length 1 or less. If no point has w >= near, the lower bound is inf and the upper one -inf."""
     aa, ab, bb = float(a @ a), float(a @ b), float(b @ b)
     if bb == 0.0:  # parallel rays
         reach = radii * np.sqrt(aa)
@@ -72,7 +57,7 @@ def _bound(a: Floats, x: Floats, b: Floats, w: Floats, radii: Floats, near: floa
     second, first, zeroth = w * w - squared * bb, x * w - squared * ab, x * x - squared * aa
     root = np.sqrt(np.maximum(first * first - second * zeroth, 0.0))
     stable = first + np.where(first >= 0.0, root, -root)
-    found: list[NDArray[np.float64]] = []
+    candidates: list[NDArray[np.float64]] = []
     valid: list[NDArray[np.bool_]] = []
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         # The near plane cuts it in a circle.
@@ -81,11 +66,11 @@ def _bound(a: Floats, x: Floats, b: Floats, w: Floats, radii: Floats, near: floa
         for tangent in (stable / second, zeroth / stable):
             normal = aa - 2.0 * tangent * ab + tangent * tangent * bb
             touched = w - (ab - tangent * bb) * (x - tangent * w) / normal
-            found.append(tangent)
+            candidates.append(tangent)
             valid.append(touched >= near)
         for side in (-aside, aside):
-            found.append((x + radii * (ab / bb * along + side)) / near)
+            candidates.append((x + radii * (ab / bb * along + side)) / near)
             valid.append(along * along <= bb)
-    low = np.min([np.where(fine, s, np.inf) for s, fine in zip(found, valid, strict=True)], axis=0)
-    high = np.max([np.where(fine, s, -np.inf) for s, fine in zip(found, valid, strict=True)], axis=0)
+    low = np.min([np.where(fine, s, np.inf) for s, fine in zip(candidates, valid, strict=True)], axis=0)
+    high = np.max([np.where(fine, s, -np.inf) for s, fine in zip(candidates, valid, strict=True)], axis=0)
     return low, high

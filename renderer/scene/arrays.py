@@ -9,27 +9,27 @@ from renderer import rules
 from rhi.errors import refuse
 from rhi.math import Floats as Floats
 
-Rows = NDArray[np.int64]
+Indices = NDArray[np.int64]
 """Row numbers: of objects, nodes, boxes or members, as the signature says."""
 
 
-def read_ids(call: str, given: ArrayLike, count: int) -> Rows:
-    """Return ids (k,), or rows, of which there are `count`; a single one is (1,).
+def read_ids(call: str, values: ArrayLike, count: int) -> Indices:
+    """Return ids (k,) from 0 to `count` - 1; a single id becomes (1,).
 
     Raises:
         ValidationError: `scene-bad-index`, in the name of `call`.
     """
-    ids = np.atleast_1d(np.asarray(given, np.int64))
+    ids = np.atleast_1d(np.asarray(values, np.int64))
     if ids.size and (ids.min() < 0 or ids.max() >= count):
         refuse(rules.BAD_INDEX, call, ids, f"0 to {count - 1}")
     return ids
 
 
-def list_ranges(firsts: ArrayLike, counts: ArrayLike) -> Rows:
+def list_ranges(firsts: ArrayLike, counts: ArrayLike) -> Indices:
     """Return the `counts` (k,) numbers from each of `firsts` (k,) on, one range after another."""
     begins, sizes = np.asarray(firsts, np.int64), np.asarray(counts, np.int64)
-    found: Rows = np.arange(sizes.sum()) + np.repeat(begins - np.cumsum(sizes) + sizes, sizes)
-    return found
+    indices: Indices = np.arange(sizes.sum()) + np.repeat(begins - np.cumsum(sizes) + sizes, sizes)
+    return indices
 
 
 def hash_to_unit(key: NDArray[np.uint64]) -> Floats:

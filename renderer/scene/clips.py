@@ -4,8 +4,8 @@ What a clip shows is a function of the scene's time: `Clip.play` says from when 
 the seconds that follow. So a simulation that reads clips needs no history, and what wasn't drawn misses nothing.
 
 Where several clips move the same property of a node, it is the mean of their values by their weights; a clip that is
-alone there is shown whatever its weight, and without any the property is at rest. Bounds that hold at all times
-follow from that: they hold each clip, the rest, and means of what is moved by several.
+alone there is shown whatever its weight, and without any the property has its rest pose. Bounds that hold at all times
+follow from that: they hold each clip, the rest pose, and blends of several clips.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Indices
 from renderer.scene.finite import check_finite
 
 _CLIP: Final = np.dtype(
     [
-        ("duration", "f8"), ("loops", "?"), ("speed", "f8"), ("since", "f8"), ("at", "f8"),
-        ("weight", "f8"), ("before", "f8"), ("faded", "f8"), ("fade", "f8"),
+        ("duration", "f8"), ("loops", "?"), ("speed", "f8"), ("start_time", "f8"), ("start_offset", "f8"),
+        ("weight", "f8"), ("previous_weight", "f8"), ("fade_start", "f8"), ("fade_duration", "f8"),
     ]
 )  # fmt: skip
-"""A clip is at the second `at` at the scene's time `since`; its weight was `before` at `faded`, and is `weight` after
-`fade` seconds more."""
+"""A clip is at the second `start_offset` at the scene's time `start_time`; its weight was `previous_weight` at
+`fade_start`, and is `weight` after `fade_duration` seconds more."""
 
 
 class Clips:
@@ -44,8 +44,8 @@ class Clips:
         self.names: dict[str, int] = {}
         self.nodes: list[list[int]] = []
         self._rows = np.zeros(0, _CLIP)
-        self._asked: tuple[float, int, int] | None = None  # what `_found` answers: one time for many tracks
-        self._found: tuple[Floats, Floats] = (np.zeros(0), np.zeros(0))
+        self._cache_key: tuple[float, int, int] | None = None  # what `_cached` answers: one time for many tracks
+        self._cached: tuple[Floats, Floats] = (np.zeros(0), np.zeros(0))
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -65,31 +65,33 @@ class Clips:
     def evaluate(self, seconds: float) -> tuple[Floats, Floats]:
         """Return how far into each clip (n,) the scene's time is, in seconds, and the weight (n,) that it has then."""
         asked = (seconds, self.version, len(self))
-        if asked != self._asked:
+        if asked != self._cache_key:
             rows = self._rows
-            times = rows["at"] + (seconds - rows["since"]) * rows["speed"]
-            duration, fade = rows["duration"], rows["fade"]
+            times = rows["start_offset"] + (seconds - rows["start_time"]) * rows["speed"]
+            duration, fade = rows["duration"], rows["fade_duration"]
             looped = np.mod(times, np.where(duration > 0.0, duration, 1.0))
             times = np.where(rows["loops"] & (duration > 0.0), looped, np.clip(times, 0.0, duration))
-            share = np.clip((seconds - rows["faded"]) / np.where(fade > 0.0, fade, 1.0), 0.0, 1.0)
-            faded = rows["before"] + share * (rows["weight"] - rows["before"])
-            self._asked, self._found = asked, (times, np.where(fade > 0.0, faded, rows["weight"]))
-        return self._found
+            share = np.clip((seconds - rows["fade_start"]) / np.where(fade > 0.0, fade, 1.0), 0.0, 1.0)
+            faded = rows["previous_weight"] + share * (rows["weight"] - rows["previous_weight"])
+            self._cache_key, self._cached = asked, (times, np.where(fade > 0.0, faded, rows["weight"]))
+        return self._cached
 
-    def change(self, row: int, **values: float) -> None:
+    def change(self, index: int, **values: float) -> None:
         """Set fields of a clip."""
         for name, value in values.items():
-            self._rows[row][name] = value
+            self._rows[index][name] = value
         self.version += 1
 
-    def fade(self, row: int, now: float, weight: float, fade: float) -> None:
-        """Let the weight of a clip go from that of the scene's time `now` to another one in `fade` seconds."""
-        self.change(row, before=self.evaluate(now)[1][row], weight=weight, faded=now, fade=fade)
+    def fade(self, index: int, now: float, weight: float, fade: float) -> None:
+        """Fade the weight of a clip from its value at the scene's time `now` to `weight` in `fade` seconds."""
+        self.change(
+            index, previous_weight=self.evaluate(now)[1][index], weight=weight, fade_start=now, fade_duration=fade
+        )
 
-    def find_rivals(self, row: int) -> list[int]:
+    def list_overlapping(self, index: int) -> list[int]:
         """Return the other clips that move any of a clip's nodes."""
-        mine = set(self.nodes[row])
-        return [other for other, nodes in enumerate(self.nodes) if other != row and not mine.isdisjoint(nodes)]
+        mine = set(self.nodes[index])
+        return [other for other, nodes in enumerate(self.nodes) if other != index and not mine.isdisjoint(nodes)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,30 +99,30 @@ class Clip:
     """A clip of a scene, which `Scene.clips` has by name."""
 
     clips: Clips
-    row: int
+    index: int
 
     @property
     def name(self) -> str:
         """The name of the animation in its file, with apostrophes if others have it too."""
-        return list(self.clips.names)[self.row]
+        return list(self.clips.names)[self.index]
 
     @property
     def duration(self) -> float:
         """Its length in seconds."""
-        return float(self.clips._rows["duration"][self.row])
+        return float(self.clips._rows["duration"][self.index])
 
     @property
-    def nodes(self) -> Rows:
+    def nodes(self) -> Indices:
         """The rows (k,) of the scene's nodes that it moves, or whose meshes it deforms."""
-        return np.array(self.clips.nodes[self.row], np.int64)
+        return np.array(self.clips.nodes[self.index], np.int64)
 
-    def find_time(self, now: float) -> float:
+    def time_at(self, now: float) -> float:
         """Return how many seconds into the clip the scene's time `now` is."""
-        return float(self.clips.evaluate(now)[0][self.row])
+        return float(self.clips.evaluate(now)[0][self.index])
 
-    def find_weight(self, now: float) -> float:
+    def weight_at(self, now: float) -> float:
         """Return its weight at the scene's time `now`."""
-        return float(self.clips.evaluate(now)[1][self.row])
+        return float(self.clips.evaluate(now)[1][self.index])
 
     def play(
         self,
@@ -145,28 +147,28 @@ class Clip:
         """
         check_finite("Clip.play", now=now, at=at, speed=speed)
         self._check("Clip.play", weight=weight, fade=fade)
-        self.clips.fade(self.row, now, weight, fade)
-        self.clips.change(self.row, since=now, at=at, speed=speed, loops=loops)
-        for other in self.clips.find_rivals(self.row) if alone else ():
+        self.clips.fade(self.index, now, weight, fade)
+        self.clips.change(self.index, start_time=now, start_offset=at, speed=speed, loops=loops)
+        for other in self.clips.list_overlapping(self.index) if alone else ():
             self.clips.fade(other, now, 0.0, fade)
 
     def seek(self, now: float, at: float) -> None:
         """Be `at` seconds into the clip at the scene's time `now`; speed and weight stay."""
         check_finite("Clip.seek", now=now, at=at)
-        self.clips.change(self.row, since=now, at=at)
+        self.clips.change(self.index, start_time=now, start_offset=at)
 
     def stop(self, now: float, fade: float = 0.0) -> None:
         """Stop playing at the scene's time `now`, or `fade` seconds later."""
         check_finite("Clip.stop", now=now)
         self._check("Clip.stop", fade=fade)
-        self.clips.fade(self.row, now, 0.0, fade)
+        self.clips.fade(self.index, now, 0.0, fade)
 
     def _check(self, call: str, **values: float) -> None:
         for name, value in values.items():
-            rules.check_amount(rules.BAD_CLIP, f"{call}({name}=...)", value)
+            rules.check_non_negative(rules.BAD_CLIP, f"{call}({name}=...)", value)
 
 
 def make_clips(clips: Clips, rows: NDArray[np.int64]) -> dict[str, Clip]:
     """Return the clips of a scene by name; `rows` are the scene's nodes by the ids that `Clips.nodes` has."""
     clips.nodes = [rows[ids].tolist() for ids in clips.nodes]
-    return {name: Clip(clips, row) for name, row in clips.names.items()}
+    return {name: Clip(clips, index) for name, index in clips.names.items()}

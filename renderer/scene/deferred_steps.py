@@ -12,11 +12,11 @@ from typing import Final, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
-from renderer.scene.arrays import Rows
+from renderer.scene.arrays import Indices
 from rhi import Device, StorageBuffer
 from rhi.errors import Rule, refuse
 
-MOST_MEMBERS: Final = 65_535
+MAX_MEMBERS: Final = 65_535
 """The most members of one simulation: each is a work-group of a dispatch."""
 
 
@@ -38,11 +38,11 @@ class DeferredSteps(ABC, Generic[H, D]):
 
     def __init__(self, count: int, rule: Rule) -> None:
         """Begin with `count` members; refuse by `rule` a number outside 1 to 65,535."""
-        if not 1 <= count <= MOST_MEMBERS:
-            refuse(rule, f"{type(self).__name__}(count=...)", count, f"1 to {MOST_MEMBERS:,}")
-        self._number: Rows = np.zeros(count, np.int64)  # of the last step that was asked for
-        self._due: Rows = np.zeros(count, np.int64)  # how many of the last ones weren't taken yet
-        self._arrays: H = self._begin()
+        if not 1 <= count <= MAX_MEMBERS:
+            refuse(rule, f"{type(self).__name__}(count=...)", count, f"1 to {MAX_MEMBERS:,}")
+        self._number: Indices = np.zeros(count, np.int64)  # of the last step that was asked for
+        self._due: Indices = np.zeros(count, np.int64)  # how many of the last ones weren't taken yet
+        self._arrays: H = self._make_initial_state()
         self._buffers: D | None = None
 
     def __len__(self) -> int:
@@ -50,17 +50,19 @@ class DeferredSteps(ABC, Generic[H, D]):
 
     def __deepcopy__(self, memo: object) -> Self:
         """Return a copy with a state of its own; where this one's is on a device, that waits for it."""
-        made = copy(self)
-        made._number, made._due = self._number.copy(), self._due.copy()
-        made._arrays, made._buffers = self._read(), None
-        return made
+        duplicate = copy(self)
+        duplicate._number, duplicate._due = self._number.copy(), self._due.copy()
+        duplicate._arrays, duplicate._buffers = self._read(), None
+        return duplicate
 
-    def step(self, members: Rows, numbers: Rows) -> None:
+    def step(self, members: Indices, numbers: Indices) -> None:
         """Note one more step for `members` (j,)."""
         self._number[members] = numbers
         self._due[members] += 1
 
-    def deform(self, device: Device, members: Rows, vertices: StorageBuffer[float], begins: Rows, stride: int) -> None:
+    def deform(
+        self, device: Device, members: Indices, vertices: StorageBuffer[float], first_vertices: Indices, stride: int
+    ) -> None:
         """Take the steps that are due of `members` (j,) on a device, and write their vertices. What a frame takes is
         one dispatch.
 
@@ -73,16 +75,16 @@ class DeferredSteps(ABC, Generic[H, D]):
             self._buffers = self._upload(device, self._read())
             if before is not None:
                 before.destroy()
-        self._run(members, begins, vertices, stride)
+        self._run(members, first_vertices, vertices, stride)
         self._due[members] = 0
 
     def release(self, device: Device) -> None:
         """Destroy what is on this device, if anything is: the members then are as they were at first."""
         if self._buffers is not None and self._buffers.device is device:
             self._buffers.destroy()
-            self._arrays, self._buffers = self._begin(), None
+            self._arrays, self._buffers = self._make_initial_state(), None
 
-    def _take(self, members: Rows) -> None:
+    def _take_due_steps(self, members: Indices) -> None:
         """Take the steps that are due, where the state is."""
         members = members[self._due[members] > 0]
         if not len(members):
@@ -90,19 +92,19 @@ class DeferredSteps(ABC, Generic[H, D]):
         if self._buffers is not None:
             self._run(members, np.zeros(len(members), np.int64), None, 0)
         else:
-            due, first = self._due[members], self._first_due(members)
+            due, first = self._due[members], self._first_due_steps(members)
             for number in range(int(due.max())):
                 going = due > number
                 self._step(members[going], first[going] + number)
         self._due[members] = 0
 
-    def _first_due(self, members: Rows) -> Rows:
+    def _first_due_steps(self, members: Indices) -> Indices:
         """Return the number (j,) of the first step that is due."""
-        first: Rows = self._number[members] - self._due[members] + 1
+        first: Indices = self._number[members] - self._due[members] + 1
         return first
 
     @abstractmethod
-    def _begin(self) -> H:
+    def _make_initial_state(self) -> H:
         """Return the state at first."""
 
     @abstractmethod
@@ -114,9 +116,11 @@ class DeferredSteps(ABC, Generic[H, D]):
         """Return a state on a device."""
 
     @abstractmethod
-    def _step(self, members: Rows, numbers: Rows) -> None:
+    def _step(self, members: Indices, numbers: Indices) -> None:
         """Take the steps `numbers` (j,) of `members` (j,) in the arrays."""
 
     @abstractmethod
-    def _run(self, members: Rows, begins: Rows, vertices: StorageBuffer[float] | None, stride: int) -> None:
+    def _run(
+        self, members: Indices, first_vertices: Indices, vertices: StorageBuffer[float] | None, stride: int
+    ) -> None:
         """Take the steps that are due on the device, and write `vertices` if they are given."""

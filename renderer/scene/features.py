@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene.arrays import Rows
-from renderer.scene.instances import OwnShader, find_tangent_readers
+from renderer.scene.arrays import Indices
+from renderer.scene.material_instances import CustomShader, needs_tangents
 from renderer.scene.materials import TEXTURES, AlphaMode, ShadingModel
 from rhi import SamplerDescriptor, Wrap
 
@@ -51,11 +51,13 @@ class MaterialFeatures:
         materials: NDArray[Any],
         textures: NDArray[Any],
         samplers: Sequence[SamplerDescriptor],
-        shaders: Sequence[OwnShader],
+        shaders: Sequence[CustomShader],
     ) -> None:
         self._shaders = shaders
         self._textures = textures
-        self._repeats = np.array([(one.wrap_u, one.wrap_v) == (Wrap.REPEAT, Wrap.REPEAT) for one in samplers], bool)
+        self._repeats = np.array(
+            [(sampler.wrap_u, sampler.wrap_v) == (Wrap.REPEAT, Wrap.REPEAT) for sampler in samplers], bool
+        )
         plain = (textures["transform"] == np.eye(2, 3)).all(axis=(1, 2)) & self._repeats[textures["sampler"]]
         self._is_transformed: NDArray[np.bool_] = ~plain
         self.version = 0
@@ -63,45 +65,45 @@ class MaterialFeatures:
 
     def _begin(self, materials: NDArray[Any]) -> None:
         """Examine all materials (k,)."""
-        self._known = materials.copy()
+        self._previous_materials = materials.copy()
         self._flags = self._examine(materials)
         self._totals = self._flags.sum(axis=0)
         self._base_reads, self._reads = self._count_reads(materials)
         self.counts: Mapping[str, int] = self._count()
 
     @property
-    def kinds(self) -> Rows:
+    def kinds(self) -> Indices:
         """A number (k,) for each material: those with the same one have the same features."""
         return np.unique(self._flags, axis=0, return_inverse=True)[1].reshape(-1)
 
-    def find_flags(self) -> dict[str, NDArray[np.bool_]]:
+    def compute_flags(self) -> dict[str, NDArray[np.bool_]]:
         """Return which of the materials (k,) have each of the features of `counts`."""
-        rows = np.stack([self._known[name] for name in TEXTURES], axis=1)
+        rows = np.stack([self._previous_materials[name] for name in TEXTURES], axis=1)
         reads, textures = rows >= 0, self._textures
-        flags = dict(zip(_FEATURES, self._flags.T, strict=True)) | {"images": self._known["texture"] >= 0}
+        flags = dict(zip(_FEATURES, self._flags.T, strict=True)) | {"images": self._previous_materials["texture"] >= 0}
         for name, has in (("second uvs", textures["uv_set"] > 0), ("texture transforms", self._is_transformed)):
             flags[name] = (reads & np.append(has, False)[rows]).any(axis=1)
         return flags
 
     def refresh(self, materials: NDArray[Any]) -> None:
         """Bring the counts up to date with `materials` (k,)."""
-        if len(materials) != len(self._known):  # another array in its place
+        if len(materials) != len(self._previous_materials):  # another array in its place
             self._begin(materials)
             self.version += 1
             return
-        if materials.tobytes() == self._known.tobytes():  # takes less than array operations
+        if materials.tobytes() == self._previous_materials.tobytes():  # takes less than array operations
             return
-        rows: Rows = np.flatnonzero((_view_words(materials) != _view_words(self._known)).any(axis=1))
+        rows: Indices = np.flatnonzero((_view_words(materials) != _view_words(self._previous_materials)).any(axis=1))
         changed, flags = materials[rows], self._examine(materials[rows])
         self._totals += flags.sum(axis=0) - self._flags[rows].sum(axis=0)
         for reads, before, after in zip(
             (self._base_reads, self._reads),
-            self._count_reads(self._known[rows]),
+            self._count_reads(self._previous_materials[rows]),
             self._count_reads(changed),
             strict=True,
         ):
             reads += after - before
-        self._flags[rows], self._known[rows] = flags, changed
+        self._flags[rows], self._previous_materials[rows] = flags, changed
         self.version += 1
         self.counts = self._count()
 
@@ -114,18 +116,18 @@ class MaterialFeatures:
             "emission": materials["emission"] != 0,
             "metals": is_metal,
             "emissive colors": emits,
-            "normal maps": find_tangent_readers(materials, self._shaders),
+            "normal maps": needs_tangents(materials, self._shaders),
             "roughness maps": is_metal & has["metallic_roughness_texture"],
             "occlusion maps": has["occlusion_texture"],
             "emissive maps": emits & has["emissive_texture"],
             "masks": materials["alpha_mode"] == AlphaMode.MASK,
             "two sides": materials["double_sided"] != 0,
-            "mixed coordinates": self._find_mixed(materials),
+            "mixed coordinates": self._flag_mixed_coordinates(materials),
             "material shaders": materials["shader"] > 0,
         }
         return np.stack([columns[name] for name in _FEATURES], axis=1)
 
-    def _find_mixed(self, materials: NDArray[Any]) -> NDArray[np.bool_]:
+    def _flag_mixed_coordinates(self, materials: NDArray[Any]) -> NDArray[np.bool_]:
         """Return which materials (k,) read textures at unlike places, or any that isn't repeated."""
         mixed, textures = np.zeros(len(materials), bool), self._textures
         rows = np.stack([materials[name] for name in TEXTURES], axis=1)
@@ -138,7 +140,7 @@ class MaterialFeatures:
             mixed[read] |= ~self._repeats[own["sampler"]]
         return mixed
 
-    def _count_reads(self, materials: NDArray[Any]) -> tuple[Rows, Rows]:
+    def _count_reads(self, materials: NDArray[Any]) -> tuple[Indices, Indices]:
         """Return how many of the materials have each texture (t,) as a base colour, and at all."""
         by_use = [
             np.bincount(materials[name][materials[name] >= 0], minlength=len(self._textures)) for name in TEXTURES

@@ -33,7 +33,7 @@ class FiniteArrays:
     def check(
         self,
         call: str,
-        given: Mapping[str, NDArray[Any]],
+        arrays: Mapping[str, NDArray[Any]],
         check_more: Mapping[str, Callable[[str, NDArray[Any]], None]] = MappingProxyType({}),
     ) -> None:
         """Refuse arrays of numbers, or of structs of them, that aren't finite, by the name and row of the first.
@@ -41,7 +41,7 @@ class FiniteArrays:
         Args:
             check_more: by name, functions of the call and the array that refuse more.
         """
-        for name, array in given.items():
+        for name, array in arrays.items():
             contents = array.tobytes()
             if self._checked.get(name) == contents:
                 continue

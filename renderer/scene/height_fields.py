@@ -25,7 +25,7 @@ from renderer.scene.arrays import Floats
 from renderer.scene.meshes import MeshGeometry, vertex_format
 from rhi.errors import refuse
 
-MOST_SAMPLES: Final = 4097
+MAX_SAMPLES: Final = 4097
 """The largest side of a map of heights."""
 
 _RELATIVE_SLACK: Final = 2.0**-20
@@ -41,13 +41,13 @@ class HeightField:
             smallest x.
         size: the lengths in metres along x and z.
         limit: the largest number of its triangles, a power of two.
-        is_mapped: whether the normals of its vertices are straight up, because a normal map has the true ones.
+        has_normal_map: whether the normals of its vertices are straight up, because a normal map has the true ones.
     """
 
     heights: NDArray[np.float32]
     size: tuple[float, float]
     limit: int
-    is_mapped: bool = False
+    has_normal_map: bool = False
 
     @property
     def levels(self) -> int:
@@ -74,15 +74,15 @@ class HeightField:
         points[..., 1] = self.heights
         return points
 
-    def find_heights(self, x: ArrayLike, z: ArrayLike) -> Floats:
-        """Return the heights at points, between vertices interpolated, beyond the border those of the border."""
+    def sample_heights(self, x: ArrayLike, z: ArrayLike) -> Floats:
+        """Return the heights at points, interpolated between vertices; points beyond the border are moved to it."""
         n = len(self.heights) - 1
-        places = [
+        coordinates = [
             np.clip((np.asarray(at, np.float64) / side + 0.5) * n, 0.0, n)
             for at, side in zip((z, x), self.size[::-1], strict=True)
         ]
-        row, column = (np.minimum(place.astype(np.int64), n - 1) for place in places)
-        down, along = (place - low for place, low in zip(places, (row, column), strict=True))
+        row, column = (np.minimum(coordinate.astype(np.int64), n - 1) for coordinate in coordinates)
+        down, along = (coordinate - low for coordinate, low in zip(coordinates, (row, column), strict=True))
         upper, lower = (
             self.heights[line, column] * (1.0 - along) + self.heights[line, column + 1] * along
             for line in (row, row + 1)
@@ -100,8 +100,8 @@ class HeightField:
         width = len(self.heights)
         vertices = np.zeros((width, width), vertex_format(["tangent"]))
         vertices["position"] = self.positions()
-        vertices["normal"] = (0.0, 1.0, 0.0) if self.is_mapped else self.normals()
-        slopes = np.gradient(self.heights.astype(np.float64), self.steps[0], axis=1) * (not self.is_mapped)
+        vertices["normal"] = (0.0, 1.0, 0.0) if self.has_normal_map else self.normals()
+        slopes = np.gradient(self.heights.astype(np.float64), self.steps[0], axis=1) * (not self.has_normal_map)
         vertices["tangent"][..., 0] = 1.0 / np.hypot(1.0, slopes)
         vertices["tangent"][..., 1] = slopes / np.hypot(1.0, slopes)
         vertices["tangent"][..., 3] = 1.0
@@ -113,7 +113,7 @@ class HeightField:
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
         """The length and the reach of each vertex, (n + 1, n + 1) each, in metres; see the module."""
-        return _find_bounds(self.positions())
+        return _compute_bounds(self.positions())
 
 
 def make_height_field(
@@ -121,7 +121,7 @@ def make_height_field(
     size: float | tuple[float, float],
     *,
     limit: int = 1 << 18,
-    is_mapped: bool = False,
+    has_normal_map: bool = False,
 ) -> HeightField:
     """Make a height field of a map of heights (r, c) in metres, any size from 1 × 1 on.
 
@@ -131,27 +131,27 @@ def make_height_field(
         size: the length along x and z in metres, or both lengths; `heights[0, 0]` is at the corner with the smallest
             x and z.
         limit: the largest number of triangles, rounded down to a power of two.
-        is_mapped: whether a normal map of its material holds the normals. Vertices then point straight up.
+        has_normal_map: whether a normal map of its material holds the normals. Vertices then point straight up.
 
     Raises:
         ValidationError `scene-bad-heights`: heights that aren't finite, or too many; a size that isn't above 0.
     """
     call = "make_height_field"
-    found = np.asarray(heights, np.float64)
-    if found.ndim != 2 or not found.size or max(found.shape) > MOST_SAMPLES:
-        refuse(rules.BAD_HEIGHTS, call, f"shape {found.shape}", f"(r, c), each from 1 to {MOST_SAMPLES:,}")
-    if not np.isfinite(found).all() or np.abs(found).max() > 1e9:
+    samples = np.asarray(heights, np.float64)
+    if samples.ndim != 2 or not samples.size or max(samples.shape) > MAX_SAMPLES:
+        refuse(rules.BAD_HEIGHTS, call, f"shape {samples.shape}", f"(r, c), each from 1 to {MAX_SAMPLES:,}")
+    if not np.isfinite(samples).all() or np.abs(samples).max() > 1e9:
         refuse(rules.BAD_HEIGHTS, call, "a height that isn't finite or too large", "finite heights up to 10⁹ m")
     sides = (float(size), float(size)) if isinstance(size, int | float) else (float(size[0]), float(size[1]))
     if not all(0.0 < side < 1e9 for side in sides):
         refuse(rules.BAD_HEIGHTS, f"{call}(size=...)", size, "above 0, up to 10⁹ m")
     if limit < 2:
         refuse(rules.BAD_HEIGHTS, f"{call}(limit=...)", limit, "at least 2 triangles")
-    cells = 1 << max(max(found.shape) - 2, 0).bit_length()
+    cells = 1 << max(max(samples.shape) - 2, 0).bit_length()
     for _ in range(2):
-        found = _resample(found, cells + 1).T
-    grid = np.ascontiguousarray(found, np.float32)
-    return HeightField(grid, sides, 1 << (min(limit, 2 * cells * cells).bit_length() - 1), is_mapped)
+        samples = _resample(samples, cells + 1).T
+    grid = np.ascontiguousarray(samples, np.float32)
+    return HeightField(grid, sides, 1 << (min(limit, 2 * cells * cells).bit_length() - 1), has_normal_map)
 
 
 def _resample(rows: Floats, count: int) -> Floats:
@@ -176,7 +176,7 @@ def bisect(width: int, depth: int) -> NDArray[np.int64]:
     return triangles
 
 
-def _find_bounds(points: Floats) -> tuple[Floats, Floats]:
+def _compute_bounds(points: Floats) -> tuple[Floats, Floats]:
     """Return the length and the reach of each vertex, from the finest ones up."""
     width = len(points)
     length, reach = np.zeros((width, width)), np.zeros((width, width))

@@ -89,7 +89,7 @@ class AlphaMode(IntEnum):
     BLEND = 2
 
 
-PLAIN: Final = SamplerDescriptor()
+DEFAULT_SAMPLER: Final = SamplerDescriptor()
 """The sampler of textures that name none: linear, with mip levels, repeated."""
 
 
@@ -111,7 +111,7 @@ class TextureMap:
     offset: tuple[float, float] = (0.0, 0.0)
     rotation: float = 0.0
     scale: tuple[float, float] = (1.0, 1.0)
-    sampler: SamplerDescriptor = PLAIN
+    sampler: SamplerDescriptor = DEFAULT_SAMPLER
 
     def __post_init__(self) -> None:
         if self.uv_set not in (0, 1):
@@ -189,16 +189,16 @@ def make_material(
         emission: emitted light, as a multiple of the base colour.
         emissive: emitted light of a colour of its own, of any strength; multiplied with its texture.
     """
-    given = dict(locals())
+    arguments = dict(locals())
     is_metallic = metallic is not None or roughness is not None or metallic_roughness_texture != -1
-    mixed = [name for name in _SPECULAR if given[name] is not None]
+    mixed = [name for name in _SPECULAR if arguments[name] is not None]
     if is_metallic and mixed:
         refused = f"{mixed[0]} of the specular model beside the metallic-roughness model"
         refuse(rules.BAD_MATERIAL, "make_material", refused, "parameters of one model")
-    given["base_color"] = (*base_color, 1.0) if len(base_color) == 3 else tuple(base_color)
+    arguments["base_color"] = (*base_color, 1.0) if len(base_color) == 3 else tuple(base_color)
     material = np.zeros((), MATERIAL)
     for name, (low, high) in RANGES.items():
-        value = given[name]
+        value = arguments[name]
         if value is None:
             value = float(is_metallic) if name == "metallic" else _SPECULAR.get(name, 1.0)
         array = np.asarray(value, np.float64)
@@ -206,7 +206,7 @@ def make_material(
             refuse(rules.BAD_MATERIAL, f"make_material({name}=...)", value, f"{low:g} to {high:g}")
         material[name] = array
     for name in TEXTURES:
-        row = given[name]
+        row = arguments[name]
         if row < -1:
             refuse(rules.BAD_MATERIAL, f"make_material({name}=...)", row, "-1 or a texture's row")
         material[name] = row
@@ -218,7 +218,7 @@ def make_material(
     return material
 
 
-class TextureRows:
+class TextureTable:
     """Collects the textures of a scene: each way to read an image is one row.
 
     Attributes:
@@ -237,16 +237,16 @@ class TextureRows:
 
     def make(self) -> NDArray[Any]:
         """Create the array (t,) of `TEXTURE`."""
-        made = np.zeros(len(self._rows), TEXTURE)
-        for (texture, is_color), row in self._rows.items():
-            made[row] = (
+        textures = np.zeros(len(self._rows), TEXTURE)
+        for (texture, is_color), texture_index in self._rows.items():
+            textures[texture_index] = (
                 texture.image,
                 self.samplers.index(texture.sampler),
                 is_color,
                 texture.uv_set,
                 texture.transform,
             )
-        return made
+        return textures
 
 
 def check_image(image: NDArray[Any]) -> ImagePixels:

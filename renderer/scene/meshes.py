@@ -34,14 +34,14 @@ _ABSENT: Final[dict[str, tuple[float, ...]]] = {
 """The values of vertices that lack an attribute which others of their scene have."""
 
 RANGE: Final = np.dtype([("first_index", "<u4"), ("index_count", "<u4"), ("base_vertex", "<i4")])
-"""The part of the shared arrays that a mesh uses; the fields are those of an indexed draw."""
+"""The part of the shared arrays that a mesh uses, in the fields of an indexed draw."""
 
 MeshBounds = tuple[Floats, Floats]
 """The lower and the upper corner (3,) of a mesh's bounding box."""
 
 
 def vertex_format(attributes: Collection[str] = ()) -> np.dtype[Any]:
-    """Return the format of vertices with these attributes besides those of `VERTEX`.
+    """Return the format of vertices with the attributes of `VERTEX` and these.
 
     They are `uv2`, a second set of texture coordinates; `tangent`, a unit vector along which u grows, and the sign of
     the bitangent `sign * cross(normal, tangent)`, which leads up in the image, where v decreases; and `color`, linear
@@ -59,7 +59,7 @@ def _make_format(attributes: frozenset[str]) -> np.dtype[Any]:
 
 
 def list_attributes(format: np.dtype[Any]) -> frozenset[str]:
-    """Return the names of a vertex format's attributes besides those of `VERTEX`."""
+    """Return the names of a vertex format's attributes that `VERTEX` hasn't got."""
     return frozenset(format.names or ()) & frozenset(_OPTIONAL)
 
 
@@ -76,8 +76,8 @@ class MeshGeometry:
         if self.vertices.dtype != vertex_format(list_attributes(self.vertices.dtype)):
             refuse(rules.BAD_MESH, call, f"vertices of {self.vertices.dtype}", "meshes.VERTEX, or a vertex_format")
         if self.indices.dtype != np.uint32 or self.indices.ndim != 1 or len(self.indices) % 3:
-            given = f"indices of {self.indices.dtype}, shape {self.indices.shape}"
-            refuse(rules.BAD_MESH, call, given, "uint32, shape (3 * triangles,)")
+            problem = f"indices of {self.indices.dtype}, shape {self.indices.shape}"
+            refuse(rules.BAD_MESH, call, problem, "uint32, shape (3 * triangles,)")
         if not len(self.indices):
             refuse(rules.BAD_MESH, call, "no triangle", "at least one")
         if int(self.indices.max()) >= len(self.vertices):
@@ -100,7 +100,7 @@ class MeshGeometry:
 
     @property
     def attributes(self) -> frozenset[str]:
-        """The names of the vertices' attributes besides those of `VERTEX`."""
+        """The names of the vertices' attributes that `VERTEX` hasn't got."""
         return list_attributes(self.vertices.dtype)
 
     def with_attributes(self, attributes: Collection[str]) -> MeshGeometry:
@@ -110,8 +110,8 @@ class MeshGeometry:
             return self
         vertices = np.zeros(len(self.vertices), vertex_format(attributes))
         for name in vertices.dtype.names or ():
-            known = name in (self.vertices.dtype.names or ())
-            vertices[name] = self.vertices[name] if known else _ABSENT[name]
+            is_present = name in (self.vertices.dtype.names or ())
+            vertices[name] = self.vertices[name] if is_present else _ABSENT[name]
         return MeshGeometry(vertices, self.indices)
 
     def transformed(self, matrix: ArrayLike) -> MeshGeometry:
@@ -162,8 +162,8 @@ def make_geometry(
     Missing normals are computed, weighted by area; missing texture coordinates are 0. Vertices have `uv2` (v, 2),
     `tangent` (v, 4) and `color` (v, 4) only if these are given; see `vertex_format`.
     """
-    given: Mapping[str, ArrayLike | None] = {"uv2": uv2, "tangent": tangent, "color": color}
-    more = {name: values for name, values in given.items() if values is not None}
+    attributes: Mapping[str, ArrayLike | None] = {"uv2": uv2, "tangent": tangent, "color": color}
+    more = {name: values for name, values in attributes.items() if values is not None}
     points = np.asarray(positions, np.float64)
     corners = np.asarray(indices).reshape(-1)
     if corners.size and (int(corners.min()) < 0 or int(corners.max()) >= len(points)):

@@ -42,33 +42,33 @@ class Nodes:
     def __init__(
         self, parents: ArrayLike, local: ArrayLike, dynamic: ArrayLike = False, names: Sequence[str] = ()
     ) -> None:
-        given = np.asarray(parents, np.int64).reshape(-1)
-        count = len(given)
+        parent_indices = np.asarray(parents, np.int64).reshape(-1)
+        count = len(parent_indices)
         matrices = np.asarray(local, np.float64)
         if matrices.shape != (count, 4, 4) or not is_affine(matrices):
             refuse(rules.BAD_TRANSFORM, "Nodes(local=...)", f"shape {matrices.shape}", f"({count}, 4, 4)")
-        if ((given < -1) | (given >= np.arange(count))).any():
+        if ((parent_indices < -1) | (parent_indices >= np.arange(count))).any():
             refuse(rules.BAD_INDEX, "Nodes(parents=...)", "a parent at or after its child", "-1 or an earlier id")
         moves = np.broadcast_to(np.asarray(dynamic, bool), count).copy()
 
-        depth = _depths(given)
+        depth = _depths(parent_indices)
         order = np.argsort(depth, kind="stable")
-        self.rows: NDArray[np.int64] = np.empty(count, np.int64)
-        self.rows[order] = np.arange(count)
-        self._hang(np.where(given < 0, -1, self.rows[given])[order])
+        self.index_of_id: NDArray[np.int64] = np.empty(count, np.int64)
+        self.index_of_id[order] = np.arange(count)
+        self._set_parents(np.where(parent_indices < 0, -1, self.index_of_id[parent_indices])[order])
         self.dynamic: NDArray[np.bool_] = moves[order]
         self.names: tuple[str, ...] = tuple(names[i] for i in order) if names else ("",) * count
         self._local: Floats = matrices[order].copy()
         self._world: Floats = self._local.copy()
         self._dirty: NDArray[np.bool_] = np.ones(count, bool)
-        self.bound: NDArray[np.bool_] = np.zeros(count, bool)
-        self.hides: NDArray[np.bool_] = np.zeros(count, bool)
+        self.keeps_parent: NDArray[np.bool_] = np.zeros(count, bool)
+        self.hidden_itself: NDArray[np.bool_] = np.zeros(count, bool)
         self._hidden: NDArray[np.bool_] = np.zeros(count, bool)
         self._has_hidden = False  # or shown, since the last update
-        self.writer: object = None
+        self.last_writer: object = None
         for level in self._levels()[1:]:
             self.dynamic[level] |= self.dynamic[self.parents[level]]
-        for array in (self.dynamic, self.rows):
+        for array in (self.dynamic, self.index_of_id):
             array.flags.writeable = False
         self.update()
 
@@ -96,34 +96,34 @@ class Nodes:
             rules.refuse_name(rules.UNKNOWN_NODE, "find", name, [n for n in self.names if n][:20])
         return self.names.index(name)
 
-    def set_local(self, rows: ArrayLike, local: ArrayLike) -> None:
-        """Set the local transforms (k, 4, 4) or (4, 4) of the dynamic `rows` (k,); `update` applies them."""
-        chosen = read_ids("set_local(rows=...)", rows, len(self))
+    def set_local(self, indices: ArrayLike, local: ArrayLike) -> None:
+        """Set the local transforms (k, 4, 4) or (4, 4) of the dynamic `indices` (k,); `update` applies them."""
+        node_indices = read_ids("set_local(indices=...)", indices, len(self))
         matrices = np.asarray(local, np.float64)
-        if matrices.shape not in ((4, 4), (len(chosen), 4, 4)) or not is_affine(matrices):
+        if matrices.shape not in ((4, 4), (len(node_indices), 4, 4)) or not is_affine(matrices):
             refuse(rules.BAD_TRANSFORM, "set_local(local=...)", f"shape {matrices.shape}", "(k, 4, 4)")
-        self._check_dynamic("set_local", chosen)
-        self._local[chosen] = matrices
-        self._dirty[chosen] = True
-        self.writer = None
+        self._check_dynamic("set_local", node_indices)
+        self._local[node_indices] = matrices
+        self._dirty[node_indices] = True
+        self.last_writer = None
 
-    def set_parent(self, row: int, parent: int) -> None:
+    def set_parent(self, index: int, parent: int) -> None:
         """Hang a dynamic node, with all that is below it, on another one, -1 for none. It keeps its local transform."""
-        self._check_dynamic("set_parent", read_ids("set_parent(row=...)", row, len(self)))
-        if self.bound[row]:
-            refuse(rules.BOUND_NODE, "set_parent(row=...)", row)
+        self._check_dynamic("set_parent", read_ids("set_parent(index=...)", index, len(self)))
+        if self.keeps_parent[index]:
+            refuse(rules.FIXED_PARENT, "set_parent(index=...)", index)
         above = parent
-        while 0 <= above < len(self) and above != row:
+        while 0 <= above < len(self) and above != index:
             above = int(self.parents[above])
         if above != -1:
-            refuse(rules.BAD_INDEX, "set_parent(parent=...)", parent, f"-1, or a row that isn't below row {row}")
+            refuse(rules.BAD_INDEX, "set_parent(parent=...)", parent, f"-1, or a row that isn't below row {index}")
         parents = self.parents.astype(np.int64)
-        parents[row] = parent
-        self._hang(parents)
-        self._dirty[row] = self._has_hidden = True
-        self.writer = None
+        parents[index] = parent
+        self._set_parents(parents)
+        self._dirty[index] = self._has_hidden = True
+        self.last_writer = None
 
-    def _hang(self, parents: NDArray[np.int64]) -> None:
+    def _set_parents(self, parents: NDArray[np.int64]) -> None:
         """Set the parents of all rows, and sort these by their depth."""
         depth = _depths(parents)
         self.order: NDArray[np.int64] = np.argsort(depth, kind="stable")
@@ -132,25 +132,25 @@ class Nodes:
         self.parents: NDArray[np.int32] = parents.astype(np.int32)
         self.parents.flags.writeable = False
 
-    def _check_dynamic(self, call: str, chosen: NDArray[np.int64]) -> None:
-        static = chosen[~self.dynamic[chosen]]
+    def _check_dynamic(self, call: str, indices: NDArray[np.int64]) -> None:
+        static = indices[~self.dynamic[indices]]
         if static.size:
-            refuse(rules.STATIC_NODE, f"{call}(rows=...)", f"row {static[0]} {self.names[static[0]]!r}")
+            refuse(rules.STATIC_NODE, f"{call}(indices=...)", f"row {static[0]} {self.names[static[0]]!r}")
 
-    def hide(self, rows: ArrayLike) -> None:
-        """Hide what is at the nodes `rows` (k,), static or not, and below them; `update` applies it."""
-        self.hides[read_ids("hide(rows=...)", rows, len(self))] = self._has_hidden = True
+    def hide(self, indices: ArrayLike) -> None:
+        """Hide what is at the nodes `indices` (k,), static or not, and below them; `update` applies it."""
+        self.hidden_itself[read_ids("hide(indices=...)", indices, len(self))] = self._has_hidden = True
 
-    def show(self, rows: ArrayLike) -> None:
-        """Show what `hide` has hidden at the nodes `rows` (k,). What is below a hidden node stays hidden."""
-        self.hides[read_ids("show(rows=...)", rows, len(self))] = False
+    def show(self, indices: ArrayLike) -> None:
+        """Show what `hide` has hidden at the nodes `indices` (k,). What is below a hidden node stays hidden."""
+        self.hidden_itself[read_ids("show(indices=...)", indices, len(self))] = False
         self._has_hidden = True
 
     def update_hidden(self) -> bool:
         """Update which nodes are hidden, and return whether others may be than before."""
         has_changed, self._has_hidden = self._has_hidden, False
         if has_changed:
-            self._hidden = self.hides.copy()
+            self._hidden = self.hidden_itself.copy()
             for level in self._levels()[1:]:
                 self._hidden[level] |= self._hidden[self.parents[level]]
         return has_changed

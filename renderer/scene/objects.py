@@ -12,21 +12,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Indices
 from renderer.scene.meshes import Meshes
 from renderer.scene.nodes import Nodes
 from rhi.math import transform_bounds
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Boxes:
+class ObjectBoxes:
     """Boxes, one for each object: `lower` and `upper` (n, 3) in the space of `node` (n,), -1 for the world."""
 
-    node: Rows
+    node: Indices
     lower: Floats
     upper: Floats
 
-    def place(self, nodes: Nodes, rows: Rows) -> Floats:
+    def transforms(self, nodes: Nodes, rows: Indices) -> Floats:
         """Return the transforms (k, 4, 4) from the spaces of the boxes `rows` (k,) to the world."""
         node = self.node[rows]
         world = nodes.world[node]
@@ -42,14 +42,14 @@ class Objects:
         node, mesh, material: (n,) int32, rows of nodes, meshes and materials.
         lower, upper: (n, 3) float64, world bounds, kept up to date by `Scene.update`.
         dynamic: (n,) bool, whether the object's node can move.
-        shown: (n,) bool, whether the object's node isn't hidden, kept up to date by `Scene.update`.
+        is_shown: (n,) bool, whether the object's node isn't hidden, kept up to date by `Scene.update`.
         casts_shadow: (n,) bool, whether the object casts shadows.
         simulated: (n,) bool, whether the object is simulated where it is drawn, and only there. Its vertices and its
             transform may be those of an earlier time; its bounds hold at all times.
         boxes: what `lower` and `upper` are computed from.
-        static_rows, dynamic_rows, simulated_rows: int64, the rows of such objects, ascending.
-        fixed_rows, following_rows: int64, the rows of the objects whose world bounds never change, and of those whose
-            bounds may follow a node, ascending. What is simulated in one place is dynamic and has fixed bounds.
+        static_indices, dynamic_indices, simulated_indices: int64, the rows of such objects, ascending.
+        fixed_indices, following_indices: int64, indices of the objects whose world bounds never change, and of those
+            whose bounds may follow a node, ascending. What is simulated in one place is dynamic and has fixed bounds.
     """
 
     node: NDArray[np.int32]
@@ -58,43 +58,43 @@ class Objects:
     lower: Floats
     upper: Floats
     dynamic: NDArray[np.bool_]
-    shown: NDArray[np.bool_]
+    is_shown: NDArray[np.bool_]
     casts_shadow: NDArray[np.bool_]
     simulated: NDArray[np.bool_]
-    boxes: Boxes
-    static_rows: Rows
-    dynamic_rows: Rows
-    simulated_rows: Rows
-    fixed_rows: Rows
-    following_rows: Rows
+    boxes: ObjectBoxes
+    static_indices: Indices
+    dynamic_indices: Indices
+    simulated_indices: Indices
+    fixed_indices: Indices
+    following_indices: Indices
 
     def __len__(self) -> int:
         return len(self.node)
 
-    def find_shown(self, rows: Rows) -> Rows:
-        """Return those of the objects `rows` (k,) that are shown; the same array if all objects of the scene are."""
-        return rows if self.shown.all() else rows[self.shown[rows]]
+    def select_shown(self, indices: Indices) -> Indices:
+        """Return the shown objects among `indices` (k,); the same array if all objects of the scene are shown."""
+        return indices if self.is_shown.all() else indices[self.is_shown[indices]]
 
-    def refresh_bounds(self, nodes: Nodes, rows: Rows) -> None:
-        """Compute the world bounds of `rows` (k,) again."""
+    def refresh_bounds(self, nodes: Nodes, indices: Indices) -> None:
+        """Compute the world bounds of `indices` (k,) again."""
         boxes = self.boxes
-        found = transform_bounds(boxes.place(nodes, rows), boxes.lower[rows], boxes.upper[rows])
-        self.lower[rows], self.upper[rows] = found
+        bounds = transform_bounds(boxes.transforms(nodes, indices), boxes.lower[indices], boxes.upper[indices])
+        self.lower[indices], self.upper[indices] = bounds
 
 
 def make_objects(
     nodes: Nodes,
     meshes: Meshes,
-    columns: tuple[Rows, Rows, Rows, Rows],
-    deformed: Rows,
-    animated: Rows,
+    columns: tuple[Indices, Indices, Indices, Indices],
+    deformed: Indices,
+    animated: Indices,
     bounds: tuple[Floats, Floats],
 ) -> Objects:
     """Make the objects of a scene, with bounds as of now.
 
     Args:
         columns: for each object the rows (n,) of its node, its mesh and its material, and whether it casts shadows.
-        deformed: the rows of the objects whose vertices are simulated.
+        deformed: the indices of the objects whose vertices are simulated.
         animated: the rows (k,) of the animated nodes.
         bounds: the lower and upper corners (k, 3) of their boxes; NaN where there is none.
     """
@@ -107,19 +107,19 @@ def make_objects(
     rows, at = np.arange(len(node)), anchor.copy()
     while len(rows):  # one level upwards
         hit = number[at] >= 0
-        here, found = rows[hit], number[at[hit]]
-        nearest[here] = np.where(nearest[here] < 0, found, nearest[here])
+        here, ancestor = rows[hit], number[at[hit]]
+        nearest[here] = np.where(nearest[here] < 0, ancestor, nearest[here])
         anchor[here] = nodes.parents[at[hit]]
-        is_bounded[here] &= ~np.isnan(lower[found, 0])
+        is_bounded[here] &= ~np.isnan(lower[ancestor, 0])
         above = nodes.parents[at].astype(np.int64)
         rows, at = rows[above >= 0], above[above >= 0]
     declared = np.flatnonzero((nearest >= 0) & is_bounded)
-    boxes = Boxes(node.astype(np.int64), meshes.lower[mesh], meshes.upper[mesh])
+    boxes = ObjectBoxes(node.astype(np.int64), meshes.lower[mesh], meshes.upper[mesh])
     boxes.node[declared] = anchor[declared]
     boxes.lower[declared], boxes.upper[declared] = lower[nearest[declared]], upper[nearest[declared]]
     at, end = node[declared], anchor[declared]
     while len(at):  # one level upwards, to what is in the space of the anchor
-        nodes.bound[at] = True
+        nodes.keeps_parent[at] = True
         above = nodes.parents[at].astype(np.int64)
         at, end = above[above != end], end[above != end]
 
@@ -133,15 +133,15 @@ def make_objects(
         lower=np.zeros((len(node), 3)),
         upper=np.zeros((len(node), 3)),
         dynamic=dynamic,
-        shown=np.ones(len(node), bool),
+        is_shown=np.ones(len(node), bool),
         casts_shadow=casts_shadow != 0,
         simulated=simulated,
         boxes=boxes,
-        static_rows=np.flatnonzero(~dynamic),
-        dynamic_rows=np.flatnonzero(dynamic),
-        simulated_rows=np.flatnonzero(simulated),
-        fixed_rows=np.flatnonzero(~follows),
-        following_rows=np.flatnonzero(follows),
+        static_indices=np.flatnonzero(~dynamic),
+        dynamic_indices=np.flatnonzero(dynamic),
+        simulated_indices=np.flatnonzero(simulated),
+        fixed_indices=np.flatnonzero(~follows),
+        following_indices=np.flatnonzero(follows),
     )
     objects.refresh_bounds(nodes, np.arange(len(node)))
     return objects

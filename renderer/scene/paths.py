@@ -29,11 +29,11 @@ FRAME_COUNT: Final = 30 * FRAMES_PER_SECOND
 _SAMPLES: Final = 8192  # of a route, before it is divided into frames: every 22 cm of a 1.8 km route
 
 
-_LENSES: Final = {"perspective": Perspective, "orthographic": Orthographic}
+_PROJECTIONS: Final = {"perspective": Perspective, "orthographic": Orthographic}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Shot:
+class PathFrame:
     """A frame to draw: its number, which is its time, and its camera."""
 
     number: int
@@ -51,7 +51,7 @@ class CameraPath:
 
     Attributes:
         positions, targets: (frames, 3) float64, where the cameras are and points that they look at.
-        projection: the lens of all cameras.
+        projection: the projection of all cameras.
         ups: (frames, 3) or (3,), the cameras' up directions.
     """
 
@@ -70,18 +70,18 @@ class CameraPath:
         up = np.broadcast_to(self.ups, self.positions.shape)[frame]
         return Camera.look_at(self.positions[frame], self.targets[frame], up, self.projection)
 
-    def shot(self, frame: int) -> Shot:
+    def path_frame(self, frame: int) -> PathFrame:
         """Return one frame of the path, 0 to len - 1."""
-        return Shot(frame, self.camera(frame))
+        return PathFrame(frame, self.camera(frame))
 
     @classmethod
     def record(cls, cameras: Sequence[Camera]) -> Self:
-        """Create a path of one or more cameras, one for each frame, with the lens of the first.
+        """Create a path of one or more cameras, one for each frame, with the projection of the first.
 
         Directions are reproduced to within the float64 rounding of a point a metre ahead.
         """
         if not cameras:
-            refuse(rules.BAD_WALK, "CameraPath.record", "no camera", "one or more")
+            refuse(rules.BAD_CAMERA_PATH, "CameraPath.record", "no camera", "one or more")
         for row, camera in enumerate(cameras):
             check_finite(f"CameraPath.record(cameras[{row}])", position=camera.position, rotation=camera.rotation)
         return cls(
@@ -92,34 +92,34 @@ class CameraPath:
         )
 
     def save(self, path: Path) -> None:
-        """Write the path as JSON: the lens, and for each frame position, target and up, nine numbers."""
-        lens = self.projection
-        kind = next(name for name, made in _LENSES.items() if isinstance(lens, made))
-        numbers = {entry.name: getattr(lens, entry.name) for entry in fields(_LENSES[kind])}
-        numbers["depth"] = lens.depth.value
+        """Write the path as JSON: the projection, and for each frame position, target and up, nine numbers."""
+        projection = self.projection
+        kind = next(name for name, projection_type in _PROJECTIONS.items() if isinstance(projection, projection_type))
+        numbers = {entry.name: getattr(projection, entry.name) for entry in fields(_PROJECTIONS[kind])}
+        numbers["depth"] = projection.depth.value
         rows = np.concatenate([self.positions, self.targets, np.broadcast_to(self.ups, self.positions.shape)], axis=1)
-        path.write_text(json.dumps({"lens": {"kind": kind, **numbers}, "frames": rows.tolist()}) + "\n")
+        path.write_text(json.dumps({"projection": {"kind": kind, **numbers}, "frames": rows.tolist()}) + "\n")
 
     @classmethod
     def load(cls, path: Path) -> Self:
         """Read a file that `save` has written.
 
         Raises:
-            ValidationError: `camera-bad-walk` if the file is not a walk-through, `camera-bad-value` for a bad lens.
+            ValidationError: `camera-bad-path` if the file is no walk-through, `camera-bad-value` for a bad projection.
             OSError: the file can't be read.
         """
         call = f"CameraPath.load({str(path)!r})"
         try:
-            held = read_json(path)
-            lens = dict(held["lens"])
-            projection = _LENSES[lens.pop("kind")](**lens | {"depth": Depth(lens["depth"])})
-            rows = np.array(held["frames"], np.float64)
-        except RhiError:  # the lens refuses a value
+            document = read_json(path)
+            fields = dict(document["projection"])
+            projection = _PROJECTIONS[fields.pop("kind")](**fields | {"depth": Depth(fields["depth"])})
+            rows = np.array(document["frames"], np.float64)
+        except RhiError:  # the projection refuses a value
             raise
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            refuse(rules.BAD_WALK, call, f"{type(error).__name__}: {error}")
+            refuse(rules.BAD_CAMERA_PATH, call, f"{type(error).__name__}: {error}")
         if rows.ndim != 2 or rows.shape[1] != 9 or not len(rows) or not np.isfinite(rows).all():
-            refuse(rules.BAD_WALK, call, f"frames of shape {rows.shape}", "(frames, 9) finite numbers")
+            refuse(rules.BAD_CAMERA_PATH, call, f"frames of shape {rows.shape}", "(frames, 9) finite numbers")
         return cls(rows[:, :3], rows[:, 3:6], projection, rows[:, 6:])
 
 

@@ -17,27 +17,29 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
-from renderer.scene.air import Fog, Glow
-from renderer.scene.arrays import Floats, Rows, read_ids
+from renderer.light_kinds.arrays import check_lights
+from renderer.light_kinds.table import LIGHT_KINDS
+from renderer.scene.arrays import Floats, Indices, read_ids
 from renderer.scene.clips import Clip, Clips, make_clips
 from renderer.scene.features import MaterialFeatures
 from renderer.scene.finite import FiniteArrays, check_finite
+from renderer.scene.fog_and_bloom import Bloom, Fog
 from renderer.scene.height_fields import HeightField
-from renderer.scene.instances import (
+from renderer.scene.lights import Lights
+from renderer.scene.material_instances import (
+    CustomShader,
     MaterialTable,
-    OwnShader,
-    find_tangent_readers,
     list_textures,
-    read_own_shader,
+    needs_tangents,
+    read_custom_shader,
 )
-from renderer.scene.lights import Lights, check_lights
 from renderer.scene.materials import (
     TEXTURE,
     TEXTURES,
     AlphaMode,
     ImagePixels,
     TextureMap,
-    TextureRows,
+    TextureTable,
     check_image,
 )
 from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
@@ -48,7 +50,7 @@ from renderer.scene.paths import CameraPath
 from renderer.scene.simulation import (
     FunctionOfTime,
     ObjectSimulation,
-    Simulated,
+    SceneSimulation,
     Simulator,
     check_simulation,
 )
@@ -61,7 +63,7 @@ from rhi.math import Camera, is_affine, relative_to
 class ObjectHandle(NamedTuple):
     """A handle of an object that `Scene.add_object` has added: its row, and how often that was used before."""
 
-    row: int
+    object_index: int
     generation: int
 
 
@@ -77,7 +79,7 @@ class Scene:
         images, samplers: what textures refer to by index.
         background: linear colour of pixels that show nothing.
         haze: density of the air per metre: after a metre, e^-haze of the light is left; the rest is the background.
-        fog, glow: what is in the air and in the eye, None for nothing; they may be exchanged between frames.
+        fog, bloom: effects of the air and of the camera, None for none; they may be exchanged between frames.
         simulated: the simulations in their initial state, and what they change; a renderer's `Simulator` runs copies.
         seconds: the time of the last update or frame.
         clips: the animations of models by name, which can be played, sought and blended.
@@ -100,15 +102,15 @@ class Scene:
         paths: Mapping[str, CameraPath],
         background: tuple[float, float, float] = (0.02, 0.02, 0.03),
         haze: float = 0.0,
-        simulated: tuple[Simulated, ...] = (),
+        simulated: tuple[SceneSimulation, ...] = (),
         clips: Mapping[str, Clip] = MappingProxyType({}),
         textures: NDArray[Any] | None = None,
         samplers: tuple[SamplerDescriptor, ...] = (),
         omissions: tuple[Omission, ...] = (),
         height_fields: Mapping[int, HeightField] | None = None,
         fog: Fog | None = None,
-        glow: Glow | None = None,
-        reserved: Rows | None = None,
+        bloom: Bloom | None = None,
+        reserved: Indices | None = None,
         table: MaterialTable | None = None,
         parameters: tuple[NDArray[Any], ...] = (),
     ) -> None:
@@ -117,7 +119,7 @@ class Scene:
         self.clips = clips
         self.background = background
         self.haze = haze
-        self.fog, self.glow = fog, glow
+        self.fog, self.bloom = fog, bloom
         self.nodes = nodes
         self.objects = objects
         self.meshes = meshes
@@ -133,9 +135,9 @@ class Scene:
         self.height_fields: dict[int, HeightField] = dict(height_fields or {})
         self._finite = FiniteArrays()
         self._table = MaterialTable() if table is None else table
-        self.shaders: tuple[OwnShader, ...] = tuple(self._table.shaders)
+        self.shaders: tuple[CustomShader, ...] = tuple(self._table.shaders)
         self.parameters = parameters
-        self._known_parameters = [one.tobytes() for one in parameters]  # copies of arrays have other padding
+        self._last_parameters = [array.tobytes() for array in parameters]  # copies of arrays have other padding
         self._features = MaterialFeatures(materials, self.textures, samplers, self.shaders)
         self._last_material = int(objects.material.max(initial=-1))
         self._edits = 0  # how often other objects were shown, or objects got other meshes or materials
@@ -145,17 +147,17 @@ class Scene:
             self._spare.push(row)
         self._generations = dict.fromkeys(spare, 0)  # how often each of these was removed
         self._has_colors = "color" in (meshes.vertices.dtype.names or ())
-        self._transparent: tuple[int, Rows] = (-1, np.zeros(0, np.int64))  # as of a version of the materials
-        self._glowing: tuple[int, Rows] = (-1, np.zeros(0, np.int64))  # the same
+        self._transparent: tuple[int, Indices] = (-1, np.zeros(0, np.int64))  # as of a version of the materials
+        self._emitters: tuple[int, Indices] = (-1, np.zeros(0, np.int64))  # the same
         self._simulator = self.make_simulator()
         self.update()
         if not self.views:
-            self.views["overview"] = self._fitting_camera()
+            self.views["overview"] = self._make_overview_camera()
 
-    def update(self, seconds: float = 0.0) -> Rows:
+    def update(self, seconds: float = 0.0) -> Indices:
         """Apply all animations for the time `seconds`, drawn or not, then update transforms and bounds.
 
-        Return the rows of the objects whose transform was computed again. A renderer applies only the animations of
+        Return the indices of the objects whose transform was computed again. A renderer applies only the animations of
         what it draws.
         """
         check_finite("Scene.update", seconds=seconds)
@@ -164,25 +166,25 @@ class Scene:
         self._simulator.pose_all()
         return self.refresh()
 
-    def refresh(self) -> Rows:
+    def refresh(self) -> Indices:
         """Update transforms and bounds to nodes that have moved, and find materials and lights that have changed;
-        return the rows of the objects whose transform was computed again.
+        return the indices of the objects whose transform was computed again.
 
         Raises:
             ValidationError `scene-bad-index`: `materials` was replaced by fewer than objects have.
         """
         if len(self.materials) <= self._last_material:
-            given, allowed = f"{len(self.materials)} materials", f"at least {self._last_material + 1}"
-            refuse(rules.BAD_INDEX, "Scene.refresh", given, allowed)
+            count, allowed = f"{len(self.materials)} materials", f"at least {self._last_material + 1}"
+            refuse(rules.BAD_INDEX, "Scene.refresh", count, allowed)
         self._features.refresh(self.materials)
         self.lights.refresh()
-        known = [values.tobytes() for values in self.parameters]
-        if known != self._known_parameters:
-            self._known_parameters = known
+        values_now = [values.tobytes() for values in self.parameters]
+        if values_now != self._last_parameters:
+            self._last_parameters = values_now
             self._edits += 1
         moved = self.nodes.update()
         if self.nodes.update_hidden():
-            self.objects.shown[:] = ~self.nodes.hidden[self.objects.node]
+            self.objects.is_shown[:] = ~self.nodes.hidden[self.objects.node]
             self._edits += 1
         if not moved.any():
             return np.zeros(0, np.int64)
@@ -195,35 +197,40 @@ class Scene:
         `refresh`."""
         return {**self._features.counts, "vertex colors": len(self.meshes) if self._has_colors else 0}
 
-    def replace(self, rows: ArrayLike, *, mesh: ArrayLike | None = None, material: ArrayLike | None = None) -> None:
-        """Give the objects `rows` (k,) other meshes or materials, (k,) or one for all, by their ids.
+    def replace(self, indices: ArrayLike, *, mesh: ArrayLike | None = None, material: ArrayLike | None = None) -> None:
+        """Give the objects `indices` (k,) other meshes or materials, (k,) or one for all, by their ids.
 
         Raises:
             ValidationError: `scene-bad-index`; `scene-fixed-mesh` where bounds don't follow a node; `scene-no-tangents`
                 for a normal map on a mesh that was built without one.
         """
         objects = self.objects
-        chosen = read_ids("replace(rows=...)", rows, len(objects))
-        meshes, materials = (column[chosen].astype(np.int64) for column in (objects.mesh, objects.material))
+        object_indices = read_ids("replace(indices=...)", indices, len(objects))
+        meshes, materials = (column[object_indices].astype(np.int64) for column in (objects.mesh, objects.material))
         if material is not None:
-            materials = np.broadcast_to(read_ids("replace(material=...)", material, len(self.materials)), chosen.shape)
+            materials = np.broadcast_to(
+                read_ids("replace(material=...)", material, len(self.materials)), object_indices.shape
+            )
         if mesh is not None:
-            meshes = np.broadcast_to(read_ids("replace(mesh=...)", mesh, len(self.meshes)), chosen.shape)
-            changing = [*self.height_fields, *(int(row) for one in self.simulated for row in one.objects)]
+            meshes = np.broadcast_to(read_ids("replace(mesh=...)", mesh, len(self.meshes)), object_indices.shape)
+            changing = [*self.height_fields, *(int(row) for simulated in self.simulated for row in simulated.objects)]
             own = objects.mesh[np.array(changing, np.int64)]
-            anchor = objects.boxes.node[chosen]
-            is_fixed = np.isin(objects.mesh[chosen], own) | (anchor < 0) | ~self.nodes.dynamic[anchor]
+            anchor = objects.boxes.node[object_indices]
+            is_fixed = np.isin(objects.mesh[object_indices], own) | (anchor < 0) | ~self.nodes.dynamic[anchor]
             if (is_fixed | np.isin(meshes, own)).any():
-                refuse(rules.FIXED_MESH, "replace(mesh=...)", f"objects {rows!r}, meshes {mesh!r}")
-        mapped = set(meshes[find_tangent_readers(self.materials, self.shaders)[materials]].tolist())
+                refuse(rules.FIXED_MESH, "replace(mesh=...)", f"objects {indices!r}, meshes {mesh!r}")
+        mapped = set(meshes[needs_tangents(self.materials, self.shaders)[materials]].tolist())
         if not mapped <= self.meshes.with_tangents:
             refuse(rules.NO_TANGENTS, "replace", f"meshes {sorted(mapped - self.meshes.with_tangents)}")
-        objects.mesh[chosen], objects.material[chosen] = meshes, materials
+        objects.mesh[object_indices], objects.material[object_indices] = meshes, materials
         self._last_material = int(objects.material.max())
         if mesh is not None:
-            boxes, given = objects.boxes, self.meshes
-            boxes.lower[chosen], boxes.upper[chosen] = given.lower[meshes], given.upper[meshes]
-            objects.refresh_bounds(self.nodes, chosen)
+            boxes, mesh_bounds = objects.boxes, self.meshes
+            boxes.lower[object_indices], boxes.upper[object_indices] = (
+                mesh_bounds.lower[meshes],
+                mesh_bounds.upper[meshes],
+            )
+            objects.refresh_bounds(self.nodes, object_indices)
         self._edits += 1
 
     def add_object(self, mesh: int, material: int, local: ArrayLike | None = None) -> ObjectHandle:
@@ -249,20 +256,20 @@ class Scene:
 
     def remove_object(self, handle: ObjectHandle) -> None:
         """Remove an object that `add_object` has added. Its handle names nothing from then on."""
-        row = self.find_row(handle)
+        row = self.get_object_index(handle)
         self.nodes.hide(self.objects.node[row])
         self._generations[row] += 1
         self._spare.push(row)
 
-    def find_row(self, handle: ObjectHandle) -> int:
-        """Return the row of an object that `add_object` has added; `objects.node` has its node, which may be moved.
+    def get_object_index(self, handle: ObjectHandle) -> int:
+        """Return the index of an object that `add_object` has added; `objects.node` has its node, which may be moved.
 
         Raises:
             ValidationError: `scene-removed-object`.
         """
-        if self._generations.get(handle.row) != handle.generation:
-            refuse(rules.REMOVED_OBJECT, "find_row", handle)
-        return handle.row
+        if self._generations.get(handle.object_index) != handle.generation:
+            refuse(rules.REMOVED_OBJECT, "get_object_index", handle)
+        return handle.object_index
 
     def set_material(self, material: int, **values: Any) -> None:
         """Give a material other values of its own, which its instances inherit unless they have their own: arguments of
@@ -271,37 +278,37 @@ class Scene:
         Raises:
             ValidationError: `scene-bad-index`; `scene-bad-material`; `scene-no-tangents`. Nothing is changed then.
         """
-        own = self.find_material(material) | values
-        for name, is_color in list_textures(self._table.find_shader(material)).items():
+        own = self.get_material_values(material) | values
+        for name, is_color in list_textures(self._table.get_shader(material)).items():
             row = values.get(name, -1)
             if row != -1 and not (row in range(len(self.textures)) and self.textures["is_color"][row] == is_color):
                 kind = "colors" if is_color else "data"
                 refuse(rules.BAD_INDEX, f"set_material({name}=...)", row, f"the row of a texture of {kind}")
         if values.get("normal_texture", -1) != -1:
-            instances = self._table.find_instances(material)
+            instances = self._table.list_instances(material)
             meshes = set(self.objects.mesh[np.isin(self.objects.material, instances)].tolist())
             if not meshes <= self.meshes.with_tangents:
                 refuse(rules.NO_TANGENTS, "set_material", f"meshes {sorted(meshes - self.meshes.with_tangents)}")
         self._table.change(material, own, self.materials, self.parameters, "set_material")
 
     def unset_material(self, material: int, *names: str) -> None:
-        """Let a material have its parent's values of these names, or the defaults if it has no parent.
+        """Remove a material's own values of these names; it inherits them, or has the defaults if it has no parent.
 
         Raises:
             ValidationError: `scene-bad-index`; `scene-bad-material` for a name that the material doesn't set itself.
                 Nothing is changed then.
         """
-        own = self.find_material(material)
+        own = self.get_material_values(material)
         for name in names:
             if name not in own:
                 rules.refuse_name(rules.BAD_MATERIAL, "unset_material", name, own)
-        kept = {name: value for name, value in own.items() if name not in names}
-        self._table.change(material, kept, self.materials, self.parameters, "unset_material")
+        remaining = {name: value for name, value in own.items() if name not in names}
+        self._table.change(material, remaining, self.materials, self.parameters, "unset_material")
 
-    def find_material(self, material: int) -> dict[str, Any]:
+    def get_material_values(self, material: int) -> dict[str, Any]:
         """Return the values that a material sets itself."""
-        (row,) = read_ids("find_material", [material], len(self._table)).tolist()
-        return self._table.find_own(row)
+        (row,) = read_ids("get_material_values", [material], len(self._table)).tolist()
+        return self._table.get_own_values(row)
 
     @property
     def material_version(self) -> int:
@@ -310,7 +317,7 @@ class Scene:
         return self._features.version + self._edits
 
     @property
-    def material_kinds(self) -> Rows:
+    def material_kinds(self) -> Indices:
         """A number (k,) for each material: those with the same one have the same features, as of the last `refresh`."""
         return self._features.kinds
 
@@ -319,7 +326,7 @@ class Scene:
         they may be written to at any time."""
         lights = self.lights
         air = np.array([*lights.sky, *lights.ground, *self.background, self.haze], np.float64)
-        checked = {"directional": lights.directional, "point": lights.point, "spot": lights.spot}
+        checked = {kind.name: lights.of_kind(kind) for kind in LIGHT_KINDS}
         others = {"materials": self.materials, "sky, ground, background, haze": air}
         self._finite.check(call, checked | others, dict.fromkeys(checked, check_lights))
 
@@ -340,8 +347,8 @@ class Scene:
     @property
     def bounds(self) -> tuple[Floats, Floats]:
         """The lower and the upper corner (3,) of the bounds of all objects that are shown, of all if none is."""
-        shown = self.objects.shown if self.objects.shown.any() else slice(None)
-        return self.objects.lower[shown].min(0), self.objects.upper[shown].max(0)
+        selected = self.objects.is_shown if self.objects.is_shown.any() else slice(None)
+        return self.objects.lower[selected].min(0), self.objects.upper[selected].max(0)
 
     @property
     def triangle_count(self) -> int:
@@ -349,36 +356,38 @@ class Scene:
         return self.count_triangles(np.arange(len(self.objects)))
 
     def count_triangles(self, objects: NDArray[np.int64]) -> int:
-        """Return the number of triangles of the objects with these rows."""
+        """Return the number of triangles of the objects with these indices."""
         return int(self.meshes.triangle_counts[self.objects.mesh[objects]].sum())
 
-    def find_transparent(self) -> Rows:
-        """Return the rows of the objects that are shown and whose materials are blended with what is behind them, as of
-        the last `refresh`."""
+    def list_transparent(self) -> Indices:
+        """Return the indices of shown objects with blended materials, as of the last `refresh`."""
         if self._transparent[0] != self.material_version:
             blended = self.materials["alpha_mode"] == AlphaMode.BLEND
             rows = np.flatnonzero(blended[self.objects.material]) if blended.any() else np.zeros(0, np.int64)
-            self._transparent = self.material_version, self.objects.find_shown(rows)
+            self._transparent = self.material_version, self.objects.select_shown(rows)
         return self._transparent[1]
 
-    def find_featured(self) -> dict[str, Rows]:
-        """Return the rows of the objects that have each feature of `count_features` by their materials, and as `glow`
-        those of `find_glowing`."""
-        flags, material = self._features.find_flags(), self.objects.material
+    def list_by_feature(self) -> dict[str, Indices]:
+        """Return the indices of the shown objects whose materials have each feature of `count_features`, and as `bloom`
+        those of `list_emitters`."""
+        flags, material = self._features.compute_flags(), self.objects.material
         featured = {
-            name: self.objects.find_shown(np.flatnonzero(has[material])) for name, has in flags.items() if has.any()
+            name: self.objects.select_shown(np.flatnonzero(has[material])) for name, has in flags.items() if has.any()
         }
-        return featured | {"glow": self.find_glowing()}
+        return featured | {"bloom": self.list_emitters()}
 
-    def find_glowing(self) -> Rows:
-        """Return the rows of the objects whose materials may emit more light than a white surface reflects of light of
-        strength 1, as of the last `refresh`."""
-        if self._glowing[0] != self.material_version:
+    def list_emitters(self) -> Indices:
+        """Return the indices of objects that may emit more than a white surface reflects of light of strength 1, as of
+        the last `refresh`."""
+        if self._emitters[0] != self.material_version:
             materials = self.materials
             emitted = materials["base_color"][:, :3] * materials["emission"][:, None] + materials["emissive"]
-            glows = (emitted > 1.0).any(axis=1)
-            self._glowing = self.material_version, self.objects.find_shown(np.flatnonzero(glows[self.objects.material]))
-        return self._glowing[1]
+            emits = (emitted > 1.0).any(axis=1)
+            self._emitters = (
+                self.material_version,
+                self.objects.select_shown(np.flatnonzero(emits[self.objects.material])),
+            )
+        return self._emitters[1]
 
     def relative_transforms(self, eye: ArrayLike, objects: NDArray[np.int64] | None = None) -> NDArray[np.float32]:
         """Return the transforms (k, 4, 4) float32 of `objects`, or of all, from mesh space to the eye's axes.
@@ -389,7 +398,7 @@ class Scene:
         nodes = self.objects.node if objects is None else self.objects.node[objects]
         return relative_to(self.nodes.world[nodes], eye)
 
-    def _fitting_camera(self) -> Camera:
+    def _make_overview_camera(self) -> Camera:
         lower, upper = self.bounds
         centre, size = 0.5 * (lower + upper), max(float(np.linalg.norm(upper - lower)), 1e-6)
         return Camera.look_at(centre + size * np.array([0.5, 0.4, 0.8]), centre)
@@ -404,7 +413,7 @@ class SceneBuilder:
         self.background = (0.02, 0.02, 0.03)
         self.haze = 0.0
         self.fog: Fog | None = None
-        self.glow: Glow | None = None
+        self.bloom: Bloom | None = None
         self.views: dict[str, Camera] = {}
         self.paths: dict[str, CameraPath] = {}
         self.omissions = Omissions()
@@ -417,8 +426,8 @@ class SceneBuilder:
         self._mesh_ids: dict[int, int] = {}
         self._images: list[ImagePixels] = []
         self._image_ids: dict[int, int] = {}
-        self._kept: list[object] = []
-        self._textures = TextureRows()
+        self._keep_alive: list[object] = []
+        self._textures = TextureTable()
         self._parents: list[NDArray[np.int64]] = []
         self._locals: list[Floats] = []
         self._dynamic: list[NDArray[np.bool_]] = []
@@ -428,7 +437,7 @@ class SceneBuilder:
         self._reserved: list[NDArray[np.int64]] = []
         self._hidden: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
         self.clips = Clips()
-        self._simulated: list[Simulated] = []
+        self._simulated: list[SceneSimulation] = []
         self._animated: list[tuple[NDArray[np.int64], ObjectSimulation, tuple[Floats, Floats] | None]] = []
 
     def add_mesh(self, geometry: MeshGeometry, name: str = "", bounds: MeshBounds | None = None) -> int:
@@ -436,14 +445,14 @@ class SceneBuilder:
 
         The vertices of a simulated mesh must never leave its `bounds`.
         """
-        if bounds is None and (known := self._mesh_ids.get(id(geometry))) is not None:
-            return known
+        if bounds is None and (mesh_id := self._mesh_ids.get(id(geometry))) is not None:
+            return mesh_id
         if bounds is not None:
             lower, upper = geometry.bounds
             check_finite("add_mesh(bounds=...)", lower=bounds[0], upper=bounds[1])
             if not ((bounds[0] <= lower) & (upper <= bounds[1])).all():
-                given = f"{bounds[0]} to {bounds[1]}"
-                refuse(rules.BAD_MESH, "add_mesh(bounds=...)", given, f"at least {lower} to {upper}")
+                declared = f"{bounds[0]} to {bounds[1]}"
+                refuse(rules.BAD_MESH, "add_mesh(bounds=...)", declared, f"at least {lower} to {upper}")
         elif id(geometry) not in self._mesh_ids:
             self._mesh_ids[id(geometry)] = len(self._geometries)
         self._bounds.append(bounds)
@@ -469,7 +478,7 @@ class SceneBuilder:
         return self._mesh_names[mesh]
 
     def mesh_bounds(self, mesh: int) -> MeshBounds:
-        """Return the bounds that a mesh was added with, or those of its vertices."""
+        """Return the bounds that a mesh was added with, or else the bounds of its vertices."""
         return self._bounds[mesh] or self._geometries[mesh].bounds
 
     def add_image(self, image: NDArray[Any]) -> int:
@@ -477,7 +486,7 @@ class SceneBuilder:
         if id(image) not in self._image_ids:
             self._images.append(check_image(image))
             self._image_ids[id(image)] = len(self._images) - 1
-            self._kept.append(image)  # as long as the builder lives, so that its id isn't given to another
+            self._keep_alive.append(image)  # as long as the builder lives, so that its id isn't given to another
         return self._image_ids[id(image)]
 
     def add_material(self, *, parent: int = -1, shader: type[Any] | None = None, **values: Any) -> int:
@@ -493,20 +502,24 @@ class SceneBuilder:
         """
         if parent != -1:
             read_ids("add_material(parent=...)", [parent], len(self._table))
-        own = None if shader is None else read_own_shader(shader, "add_material")
-        known = own or (self._table.find_shader(parent) if parent >= 0 else None)
+        own = None if shader is None else read_custom_shader(shader, "add_material")
+        custom = own or (self._table.get_shader(parent) if parent >= 0 else None)
         maps: dict[str, tuple[TextureMap, bool]] = {}
-        for name, is_color in list_textures(known).items():
-            given = values.get(name, -1)
-            if given == -1:
+        for name, is_color in list_textures(custom).items():
+            value = values.get(name, -1)
+            if value == -1:
                 continue
-            texture = given if isinstance(given, TextureMap) else TextureMap(given)
+            texture = value if isinstance(value, TextureMap) else TextureMap(value)
             maps[name] = texture, is_color
             if not -1 <= texture.image < len(self._images):
                 refuse(rules.BAD_INDEX, f"add_material({name}=...)", texture.image, "an image's id")
-            if known is not None and texture != TextureMap(texture.image, sampler=texture.sampler):
-                call, given = f"add_material({name}=...)", "a transform or a second set of coordinates"
-                refuse(rules.BAD_MATERIAL, call, given, "textures as they are, in a material with a shader of its own")
+            if custom is not None and texture != TextureMap(texture.image, sampler=texture.sampler):
+                refuse(
+                    rules.BAD_MATERIAL,
+                    f"add_material({name}=...)",
+                    "a transform or a second set of coordinates",
+                    "textures as they are, in a material with a shader of its own",
+                )
         number, shaders = self._table.check({**values, **dict.fromkeys(maps, 0)}, parent, own)
         for name, (texture, is_color) in maps.items():
             values[name] = self._textures.add(texture, is_color=is_color)
@@ -537,7 +550,7 @@ class SceneBuilder:
     def add_objects(
         self, nodes: ArrayLike, meshes: ArrayLike, materials: ArrayLike, casts_shadow: bool = True
     ) -> NDArray[np.int64]:
-        """Add objects, given ids of nodes, meshes and materials, (k,) or one for all; return their rows (k,).
+        """Add objects, given ids of nodes, meshes and materials, (k,) or one for all; return their indices (k,).
 
         They cast shadows of the lights that do, unless `casts_shadow` is False: a ground, below which nothing is seen,
         costs shadow maps time.
@@ -586,38 +599,38 @@ class SceneBuilder:
         self._animated.append((rows, checked, None if bounds is None else _check_boxes(bounds, len(rows))))
 
     def simulate(self, objects: ArrayLike, simulation: ObjectSimulation) -> None:
-        """Let `simulation` compute the vertices of `objects` (k,), which are its members in this order.
+        """Simulate the vertices of `objects` (k,), the members of `simulation` in this order.
 
         Each object has a mesh of its own, added with bounds that hold at all times. The simulation begins at the
         scene's time 0, with the vertices of the meshes.
         """
         rows = read_ids("simulate(objects=...)", objects, self._object_count)
         check_simulation("simulate(simulation=...)", simulation, "vertices")
-        self._simulated.append(Simulated(simulation, rows))
+        self._simulated.append(SceneSimulation(simulation, rows))
 
     def _check_simulated(self, mesh: NDArray[np.int64]) -> None:
         """Refuse objects that share a mesh or have two simulations; `mesh` (n,) is the mesh of each object."""
-        rows = np.concatenate([np.zeros(0, np.int64), *(one.objects for one in self._simulated)])
+        rows = np.concatenate([np.zeros(0, np.int64), *(simulated.objects for simulated in self._simulated)])
         meshes, uses = np.unique(mesh, return_counts=True)
         shared = uses[np.searchsorted(meshes, mesh[rows])] > 1
         if len(np.unique(rows)) < len(rows) or shared.any():
-            given = "an object twice" if len(np.unique(rows)) < len(rows) else f"object {rows[shared][0]}"
-            refuse(rules.SHARED_MESH, "simulate(objects=...)", given)
+            problem = "an object twice" if len(np.unique(rows)) < len(rows) else f"object {rows[shared][0]}"
+            refuse(rules.SHARED_MESH, "simulate(objects=...)", problem)
         for row in rows.tolist():
             if self._bounds[mesh[row]] is None:
-                refuse(rules.UNBOUND_MESH, "simulate(objects=...)", f"object {row}")
+                refuse(rules.UNBOUNDED_MESH, "simulate(objects=...)", f"object {row}")
 
-    def _find_height_fields(self, mesh: NDArray[np.int64]) -> dict[int, HeightField]:
+    def _match_height_fields(self, mesh: NDArray[np.int64]) -> dict[int, HeightField]:
         """Return the height fields by the rows of their objects, and refuse one that several objects have; `mesh` (n,)
         is the mesh of each object."""
-        found: dict[int, HeightField] = {}
+        fields: dict[int, HeightField] = {}
         for number, field in self._height_fields.items():
             rows = np.flatnonzero(mesh == number).tolist()
             if len(rows) > 1:
-                given = f"objects {rows[0]} and {rows[1]} with mesh {number}"
-                refuse(rules.SHARED_HEIGHTS, "add_objects(meshes=...)", given)
-            found.update((row, field) for row in rows)
-        return found
+                problem = f"objects {rows[0]} and {rows[1]} with mesh {number}"
+                refuse(rules.SHARED_HEIGHTS, "add_objects(meshes=...)", problem)
+            fields.update((row, field) for row in rows)
+        return fields
 
     def build(self) -> Scene:
         """Create the scene. It must have at least one object."""
@@ -629,14 +642,14 @@ class SceneBuilder:
             np.concatenate(self._dynamic),
             self._node_names,
         )
-        nodes.hide(nodes.rows[np.concatenate(self._hidden)])
-        clips = make_clips(self.clips, nodes.rows)
+        nodes.hide(nodes.index_of_id[np.concatenate(self._hidden)])
+        clips = make_clips(self.clips, nodes.index_of_id)
         table = np.concatenate(self._objects)
         self._check_simulated(table[:, 1])
-        (materials, parameters), textures = self._table.make_rows(), self._textures.make()
+        (materials, parameters), textures = self._table.make_arrays(), self._textures.make()
         geometries = self._complete_vertices(table, materials, textures)
         meshes = Meshes(geometries, self._mesh_names, self._bounds)
-        animated = nodes.rows[np.concatenate([np.zeros(0, np.int64), *(ids for ids, _, _ in self._animated)])]
+        animated = nodes.index_of_id[np.concatenate([np.zeros(0, np.int64), *(ids for ids, _, _ in self._animated)])]
         if len(np.unique(animated)) < len(animated):
             refuse(rules.SHARED_NODE, "animate(nodes=...)", "a node twice")
         boxes = [
@@ -646,14 +659,14 @@ class SceneBuilder:
         objects = make_objects(
             nodes,
             meshes,
-            (nodes.rows[table[:, 0]], table[:, 1], table[:, 2], table[:, 3]),
-            np.concatenate([np.zeros(0, np.int64), *(one.objects for one in self._simulated)]),
+            (nodes.index_of_id[table[:, 0]], table[:, 1], table[:, 2], table[:, 3]),
+            np.concatenate([np.zeros(0, np.int64), *(each.objects for each in self._simulated)]),
             animated,
             (lower, upper),
         )
         simulated = (
             *(
-                Simulated(simulation, nodes=nodes.rows[ids], is_bounded=box is not None)
+                SceneSimulation(simulation, nodes=nodes.index_of_id[ids], is_bounded=box is not None)
                 for ids, simulation, box in self._animated
             ),
             *self._simulated,
@@ -675,9 +688,9 @@ class SceneBuilder:
             textures,
             tuple(self._textures.samplers),
             omissions=tuple(self.omissions),
-            height_fields=self._find_height_fields(table[:, 1]),
+            height_fields=self._match_height_fields(table[:, 1]),
             fog=self.fog,
-            glow=self.glow,
+            bloom=self.bloom,
             reserved=np.concatenate([np.zeros(0, np.int64), *self._reserved]),
             table=self._table,
             parameters=parameters,
@@ -689,29 +702,29 @@ class SceneBuilder:
         """Return the meshes with the attributes that the scene's materials read, and no others; `table` (n, 4) begins
         with the node, mesh and material of each object."""
         read = np.unique(np.concatenate([materials[name] for name in TEXTURES]))
-        kept = {"color"}
+        attributes = {"color"}
         if textures["uv_set"][read[read >= 0]].any():
-            kept.add("uv2")
+            attributes.add("uv2")
         normals = materials["normal_texture"]
-        mapped = table[find_tangent_readers(materials, self._table.shaders)[table[:, 2]]]
+        mapped = table[needs_tangents(materials, self._table.shaders)[table[:, 2]]]
         if len(mapped):
-            kept.add("tangent")
+            attributes.add("tangent")
         geometries = list(self._geometries)
-        simulated = {int(table[row, 1]) for one in self._simulated for row in one.objects}
+        simulated = {int(table[row, 1]) for geometry in self._simulated for row in geometry.objects}
         meshes, first = np.unique(mapped[:, 1], return_index=True)
         for mesh, material in zip(meshes.tolist(), mapped[first, 2].tolist(), strict=True):
             if "tangent" not in geometries[mesh].attributes:
                 row = normals[material]
                 uv = "uv2" if row >= 0 and textures["uv_set"][row] else "uv"
                 geometries[mesh] = add_tangents(geometries[mesh], uv, splits=mesh not in simulated)
-        return [one.with_attributes(one.attributes & kept) for one in geometries]
+        return [geometry.with_attributes(geometry.attributes & attributes) for geometry in geometries]
 
 
 def _check_boxes(bounds: tuple[ArrayLike, ArrayLike], count: int) -> tuple[Floats, Floats]:
     corners = [np.asarray(corner, np.float64) for corner in bounds]
     if len(corners) != 2 or any(corner.shape not in ((3,), (count, 3)) for corner in corners):
-        given = ", ".join(str(corner.shape) for corner in corners)
-        refuse(rules.BAD_BOUNDS, "animate(bounds=...)", f"shapes {given}", f"two of (3,) or ({count}, 3)")
+        shapes = ", ".join(str(corner.shape) for corner in corners)
+        refuse(rules.BAD_BOUNDS, "animate(bounds=...)", f"shapes {shapes}", f"two of (3,) or ({count}, 3)")
     lower, upper = (np.broadcast_to(corner, (count, 3)) for corner in corners)
     if not (np.isfinite(lower) & np.isfinite(upper) & (lower <= upper)).all():
         refuse(rules.BAD_BOUNDS, "animate(bounds=...)", f"{lower} to {upper}")

@@ -2,18 +2,18 @@
 
 A simulation has members: objects with a mesh of their own, whose vertices it computes (particles, cloth, skinning),
 or nodes, whose transforms it computes (animations, rigid bodies). A member that isn't drawn is left alone. When it is
-drawn again it is brought to the frame's time, by the simulation's policy of catching up (`catching_up`).
+drawn again it is brought to the frame's time, by the simulation's catch-up policy (`renderer.scene.catch_up`).
 
 Whether an object is visible depends on its bounds, and those of an object that is left alone can't follow it. So bounds
-are declared that hold at all times (`SceneBuilder.add_mesh(bounds=...)`, `SceneBuilder.animate(bounds=...)`). What has
-none is run in every frame, and its bounds follow.
+are declared that hold at all times (`SceneBuilder.add_mesh(bounds=...)`, `SceneBuilder.animate(bounds=...)`). A
+simulation without bounds runs in every frame, and the bounds of its objects follow.
 
-What was drawn in one frame is expected to be drawn in the next: it is brought to the frame's time at the beginning, all
-at once. What shows unexpectedly follows right before its draw. So everything is drawn as of its frame, and something
-that is no longer drawn is run once too often, at most.
+Members that were drawn in one frame are expected to be drawn in the next: they are brought to the frame's time at its
+beginning, all at once. Members that show unexpectedly follow right before their draw. So everything is drawn as of its
+frame, and a member that is no longer drawn runs in one frame more, at most.
 
-What is small on the screen moves on less often (`Simulator.slow_down`), and what is no larger than the lag that is
-allowed rests. Its times follow from its size, so they don't depend on what was drawn before.
+Members that are small on the screen are updated less often (`Simulator.slow_down`), and those no larger than the lag
+that is allowed are paused. Their times follow from their sizes, so they don't depend on what was drawn before.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
-from renderer.scene.arrays import Floats, Rows, list_ranges
-from renderer.scene.catching_up import CatchUp, Leap, Recompute
+from renderer.scene.arrays import Floats, Indices, list_ranges
+from renderer.scene.catch_up import CatchUp, Leap, Recompute
 from renderer.scene.meshes import Meshes
 from renderer.scene.nodes import Nodes
 from renderer.scene.objects import Objects
@@ -37,20 +37,21 @@ from rhi import Device, StorageBuffer
 from rhi.errors import refuse
 from rhi.math import Camera, is_parallel
 
-_NONE: Final[Rows] = np.zeros(0, np.int64)
+_NONE: Final[Indices] = np.zeros(0, np.int64)
 _ROUNDING: Final = 2.0**-20  # of the largest coordinate: vertices are float32
 _STATES: Final = count(1)
 
-SPEED: Final = 4.0
+MAX_EXPECTED_SPEED: Final = 4.0
 """How many diameters of its bounds something is expected to move in a second, at most."""
 _SHORTEST: Final = 1.0 / 32.0  # a shorter period is about a frame
-_PHASES: Final = 4  # so many parts of a period have an equal share of what moves at that period
+_PHASES: Final = 4  # members of one period are updated in this many groups, one after another
 
 
 class ObjectSimulation(Protocol):
     """A simulation of k members. A `deepcopy` is independent of the original.
 
-    It has the methods of its policy, `Timed`, `Stepped` or `Leaping`, and one of `Deforming` or `Moving`.
+    It has the methods of its policy, `TimedSimulation`, `StepSimulation` or `LeapSimulation`, and one of
+    `VertexSimulation` or `NodeSimulation`.
 
     Attributes:
         catch_up: how members that weren't drawn are brought to the frame's time, and what that may cost.
@@ -62,24 +63,26 @@ class ObjectSimulation(Protocol):
         ...
 
 
-class Deforming(Protocol):
+class VertexSimulation(Protocol):
     """A simulation whose members are objects, and which computes their vertices."""
 
-    def vertices(self, members: Rows) -> NDArray[Any]:
+    def vertices(self, members: Indices) -> NDArray[Any]:
         """Return the present vertices of `members` (j,), one after another, of `VERTEX`; each one's number never
         changes."""
         ...
 
 
 @runtime_checkable
-class DeformingOnDevice(Deforming, Protocol):
+class DeviceVertexSimulation(VertexSimulation, Protocol):
     """A simulation that can compute the vertices of its members on a device, where they are drawn.
 
-    What it was asked for by `step`, `leap` or `set_time` it may leave until then. `vertices` is for those without a
-    device, and for what the CPU wants to know.
+    It may defer the work of `step`, `leap` or `set_time` until then. `vertices` serves devices without compute shaders,
+    and readers on the CPU.
     """
 
-    def deform(self, device: Device, members: Rows, vertices: StorageBuffer[float], begins: Rows, stride: int) -> None:
+    def deform(
+        self, device: Device, members: Indices, vertices: StorageBuffer[float], first_vertices: Indices, stride: int
+    ) -> None:
         """Write the present positions and normals of `members` (j,), by dispatches only.
 
         Args:
@@ -93,20 +96,20 @@ class DeformingOnDevice(Deforming, Protocol):
         ...
 
 
-class Moving(Protocol):
+class NodeSimulation(Protocol):
     """A simulation whose members are nodes, and which computes their transforms."""
 
-    def transforms(self, members: Rows) -> Floats:
+    def transforms(self, members: Indices) -> Floats:
         """Return the present transforms (j, 4, 4) of `members` (j,), from node to parent."""
         ...
 
 
 @runtime_checkable
-class Steered(Protocol):
-    """A `Timed` simulation whose function of the time changes.
+class VersionedSimulation(Protocol):
+    """A `TimedSimulation` whose function of the time may change.
 
     Attributes:
-        version: another number than before when it has changed; its members are then computed again.
+        version: a number that differs once the function has changed; its members are then computed again.
     """
 
     @property
@@ -124,18 +127,18 @@ class FunctionOfTime:
         self._motion = motion
         self._transforms: Floats = np.zeros((0, 4, 4))
 
-    def set_time(self, members: Rows, seconds: float) -> None:
+    def set_time(self, members: Indices, seconds: float) -> None:
         """Compute the transforms of all members."""
         self._transforms = np.asarray(self._motion(seconds))
 
-    def transforms(self, members: Rows) -> Floats:
+    def transforms(self, members: Indices) -> Floats:
         """Return the transforms of `members` (j,)."""
-        found = self._transforms
-        return found if found.ndim != 3 or len(found) == len(members) else found[members]
+        matrices = self._transforms
+        return matrices if matrices.ndim != 3 or len(matrices) == len(members) else matrices[members]
 
 
 def check_simulation(call: str, simulation: object, output: str) -> ObjectSimulation:
-    """Return `simulation`; refuse what isn't a simulation that computes `output`."""
+    """Return `simulation`; refuse an object that isn't a simulation with the method `output`."""
     policy = getattr(simulation, "catch_up", None)
     if not isinstance(policy, CatchUp):
         refuse(rules.BAD_SIMULATION, call, f"catch_up = {policy!r}", "Recompute, Stepwise or Leap")
@@ -144,25 +147,25 @@ def check_simulation(call: str, simulation: object, output: str) -> ObjectSimula
         refuse(rules.BAD_SIMULATION, call, f"no {', '.join(missing)}", f"methods {', '.join(needed)}")
     interval = getattr(simulation, "interval", 1.0)
     if "step" in needed and not (hasattr(simulation, "interval") and 0.0 < interval < np.inf):
-        given = getattr(simulation, "interval", None)
-        refuse(rules.BAD_SIMULATION, call, f"interval = {given!r}", "seconds, above 0, finite")
+        step_length = getattr(simulation, "interval", None)
+        refuse(rules.BAD_SIMULATION, call, f"interval = {step_length!r}", "seconds, above 0, finite")
     return cast("ObjectSimulation", simulation)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Simulated:
+class SceneSimulation:
     """A simulation in its initial state, and what it changes.
 
     Attributes:
         simulation: the simulation; it must not be changed.
-        objects: the rows of its members (k,) if they are objects, which it deforms.
-        nodes: the rows of its members (k,) if they are nodes, which it moves.
-        is_bounded: whether it has bounds that hold at all times.
+        objects: the indices of its members (k,) if they are objects, which it deforms.
+        nodes: the indices of its members (k,) if they are nodes, which it moves.
+        is_bounded: whether its members have bounds that hold at all times.
     """
 
     simulation: ObjectSimulation
-    objects: Rows = field(default_factory=lambda: _NONE)
-    nodes: Rows = field(default_factory=lambda: _NONE)
+    objects: Indices = field(default_factory=lambda: _NONE)
+    nodes: Indices = field(default_factory=lambda: _NONE)
     is_bounded: bool = True
 
     def __len__(self) -> int:
@@ -170,25 +173,25 @@ class Simulated:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Deformed:
-    """The states of the objects `rows` (j,), the `members` (j,) of `simulation`.
+class DeformedObjects:
+    """The states of the objects `object_indices` (j,), the `members` (j,) of `simulation`.
 
     `states` (j,) identify them: equal numbers are equal vertices. That of an exact simulation is its step or its time.
     """
 
-    simulation: Deforming
-    rows: Rows
-    members: Rows
+    simulation: VertexSimulation
+    object_indices: Indices
+    members: Indices
     states: Floats
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Advanced:
+class AdvanceResult:
     """The objects that `Simulator.advance` has brought to the frame's time: objects whose transforms may have changed,
     and those whose vertices may have."""
 
-    moved: Rows = field(default_factory=lambda: _NONE)
-    deformed: tuple[Deformed, ...] = ()
+    moved: Indices = field(default_factory=lambda: _NONE)
+    deformed: tuple[DeformedObjects, ...] = ()
 
 
 class Simulator:
@@ -199,85 +202,86 @@ class Simulator:
 
     Attributes:
         simulations: copies of the scene's simulations, in the order of `Scene.simulated`.
-        objects: rows of the objects that are simulated only where they are drawn, ascending.
-        deformed: those of them whose vertices are simulated, and nothing that they stand on.
-        diverging: those of them that an absence leaves in another state than if they had always been drawn.
+        objects: indices of the objects that are simulated only where they are drawn, ascending.
+        deformed: the part of `objects` whose vertices are simulated, but no node that carries them.
+        diverging: the part of `objects` whose state would differ after an absence from that of objects always drawn.
         seconds: the time of the frame.
         steps: number of steps that members took since `begin_frame`.
         late: number of members that were brought towards the frame's time, and haven't reached it.
         validation: whether `advance` also checks the bounds of one of its objects, another one in each call.
     """
 
-    def __init__(self, simulated: Sequence[Simulated], nodes: Nodes, objects: Objects, meshes: Meshes) -> None:
+    def __init__(self, simulated: Sequence[SceneSimulation], nodes: Nodes, objects: Objects, meshes: Meshes) -> None:
         self._begin = tuple(simulated)
-        self._nodes, self._objects, self._meshes = nodes, objects, meshes
+        self._nodes = nodes
+        self._objects = objects
+        self._meshes = meshes
         self._first: list[int] = np.cumsum([0, *map(len, self._begin)]).tolist()
         sizes = list(map(len, self._begin))
-        self._which: Rows = np.repeat(np.arange(len(sizes)), sizes)
+        self._which: Indices = np.repeat(np.arange(len(sizes)), sizes)
         self._slot_of = np.full(len(objects), -1, np.int64)  # the slots of members that are objects
         by_node = np.full(len(nodes), -1, np.int64)
-        for one, first in zip(self._begin, self._first, strict=False):
-            self._slot_of[one.objects] = first + np.arange(len(one.objects))
-            by_node[one.nodes] = first + np.arange(len(one.nodes))
+        for each, first in zip(self._begin, self._first, strict=False):
+            self._slot_of[each.objects] = first + np.arange(len(each.objects))
+            by_node[each.nodes] = first + np.arange(len(each.nodes))
         self._starts, self._slots = _list_slots(nodes, objects, by_node, self._slot_of)
         self._has_nodes = np.zeros(len(objects), bool)
         owner = np.repeat(np.arange(len(objects)), np.diff(self._starts))
         self._has_nodes[owner[self._slots != self._slot_of[owner]]] = True
-        self.objects: Rows = objects.simulated_rows
-        self.deformed: Rows = self.objects[(self._slot_of >= 0)[self.objects] & ~self._has_nodes[self.objects]]
-        diverges = np.array([not one.simulation.catch_up.returns_exactly(len(one)) for one in self._begin], bool)
-        self.diverging: Rows = np.intersect1d(owner[diverges[self._which[self._slots]]], self.objects)
+        self.objects: Indices = objects.simulated_indices
+        self.deformed: Indices = self.objects[(self._slot_of >= 0)[self.objects] & ~self._has_nodes[self.objects]]
+        diverges = np.array([not each.simulation.catch_up.returns_exactly(len(each)) for each in self._begin], bool)
+        self.diverging: Indices = np.intersect1d(owner[diverges[self._which[self._slots]]], self.objects)
         always = np.zeros(len(self._which), bool)
-        for which, one in enumerate(self._begin):
-            always[self._first[which] : self._first[which + 1]] = not one.is_bounded
+        for which, each in enumerate(self._begin):
+            always[self._first[which] : self._first[which + 1]] = not each.is_bounded
         follows = objects.boxes.node == objects.node  # the bounds follow the node, which must be where it is
         always[self._slots[follows[owner] & (self._slots != self._slot_of[owner])]] = True
-        self._always: Rows = np.flatnonzero(always)
+        self._always: Indices = np.flatnonzero(always)
         self._owner = owner
         turns = [np.arange(size) * _PHASES // size for size in sizes]  # neighbours move together, as they are uploaded
         self._shares = np.concatenate([np.zeros(0), *turns]) / _PHASES  # of a period
         self._times: Floats = np.zeros(len(self._which))  # by slot: what it is brought to in this frame
         self._waiting = np.zeros(len(objects), bool)
-        self._seen = np.zeros(len(objects), bool)
+        self._drawn = np.zeros(len(objects), bool)
         self.validation = False
-        self._turn = 0
+        self._check_count = 0
         self.seconds = 0.0
         self._restart()
-        self._begin_counts()
+        self._reset_counts()
 
     def __len__(self) -> int:
         return len(self.objects)
 
     @property
-    def seen(self) -> int:
+    def drawn_count(self) -> int:
         """The number of `objects` drawn since `begin_frame`."""
-        return int(self._seen[self.objects].sum())
+        return int(self._drawn[self.objects].sum())
 
     @property
-    def drawn(self) -> Rows:
-        """Those of `objects` that were drawn since `begin_frame`: when read before it, those of the last frame."""
-        return self.objects[self._seen[self.objects]]
+    def drawn_objects(self) -> Indices:
+        """The part of `objects` drawn since `begin_frame`; before `begin_frame`, the part drawn in the last frame."""
+        return self.objects[self._drawn[self.objects]]
 
-    def list_drawn(self) -> list[tuple[ObjectSimulation, Rows, Rows]]:
-        """Return for each simulation of vertices the rows (j,) of its objects that were drawn since `begin_frame`, and
-        which members (j,) they are."""
-        rows = self.drawn
+    def list_drawn_members(self) -> list[tuple[ObjectSimulation, Indices, Indices]]:
+        """Return each vertex simulation with its objects (j,) drawn since `begin_frame`, and their members (j,)."""
+        rows = self.drawn_objects
         slots = self._slot_of[rows]
         rows, slots = rows[slots >= 0], slots[slots >= 0]
         parts = [(number, self._which[slots] == number) for number in np.unique(self._which[slots]).tolist()]
         return [(self.simulations[number], rows[part], slots[part] - self._first[number]) for number, part in parts]
 
     def begin_frame(self, seconds: float) -> None:
-        """Begin a frame at the time `seconds`, and run what has no bounds. If that is before the last frame's time, all
-        simulations start again."""
+        """Begin a frame at the time `seconds`, and run simulations without bounds. If `seconds` is before the last
+        frame's time, all simulations start again."""
         if seconds < self.seconds:
             self._restart()
         self.seconds = seconds
         self._times[:] = seconds
-        self._begin_counts()
-        if self._nodes.writer is not self:
+        self._reset_counts()
+        if self._nodes.last_writer is not self:
             self._posed[:] = self._brought[:] = np.nan
-        for number, simulation in self._steered.items():
+        for number, simulation in self._versioned.items():
             if simulation.version != self._versions[number]:
                 self._versions[number] = simulation.version
                 members = slice(self._first[number], self._first[number + 1])
@@ -286,12 +290,12 @@ class Simulator:
             self._run(self._always)
 
     def slow_down(self, camera: Camera, height: int, lag: float) -> None:
-        """Let what is small in a view of `height` pixels move on less often in this frame. Call it after `begin_frame`,
-        when the scene is up to date.
+        """Update members that are small in a view of `height` pixels less often. Call it after `begin_frame`, when the
+        scene is up to date.
 
         Args:
-            lag: pixels by which something may be late that moves by `SPEED` of its diameters in a second. What is no
-                larger than that rests. Sizes are those in the middle of the picture.
+            lag: pixels by which an object may be late that moves by `MAX_EXPECTED_SPEED` of its diameters in a second.
+                Objects no larger than that are paused. Sizes are measured in the middle of the image.
         """
         if not len(self.objects) or lag <= 0.0:
             return
@@ -300,61 +304,63 @@ class Simulator:
         if not is_parallel(camera.projection):
             away = np.maximum(np.maximum(lower - camera.position, camera.position - upper), 0.0)
             scale /= np.maximum(np.linalg.norm(away, axis=1), 1e-30)
-        if not (scale < lag / (SPEED * _SHORTEST)).any():
+        if not (scale < lag / (MAX_EXPECTED_SPEED * _SHORTEST)).any():
             return
-        longest = np.exp2(np.floor(np.log2(lag / (SPEED * np.maximum(scale, lag)))))
-        found = np.zeros(len(self._objects))
-        found[self.objects] = np.where(scale <= lag, np.inf, np.where(longest < _SHORTEST, 0.0, longest))
+        longest = np.exp2(np.floor(np.log2(lag / (MAX_EXPECTED_SPEED * np.maximum(scale, lag)))))
+        period_of_object = np.zeros(len(self._objects))
+        period_of_object[self.objects] = np.where(scale <= lag, np.inf, np.where(longest < _SHORTEST, 0.0, longest))
         periods = np.full(len(self._which), np.inf)
-        np.minimum.at(periods, self._slots, found[self._owner])  # as often as the largest of what a member changes
-        slow, rests = (periods > 0.0) & (periods < np.inf), periods == np.inf
+        # A node is updated as often as the largest object that it carries.
+        np.minimum.at(periods, self._slots, period_of_object[self._owner])
+        slow = (periods > 0.0) & (periods < np.inf)
+        paused = periods == np.inf
         turns = np.floor(self.seconds / periods[slow] + self._shares[slow]) - self._shares[slow]
         self._times[slow] = np.maximum(turns * periods[slow], 0.0)
-        self._times[rests] = 0.0
+        self._times[paused] = 0.0
 
-    def is_due(self, rows: Rows) -> bool:
-        """Return whether `advance` has anything to do for any of the objects `rows` in this frame."""
+    def is_due(self, rows: Indices) -> bool:
+        """Whether any of the objects `rows` isn't at the frame's time yet."""
         return bool(self._waiting[rows].any())
 
-    def advance(self, rows: Rows, *, is_drawn: bool = True) -> Advanced:
-        """Bring the simulated ones of the objects `rows` to the frame's time; return those that weren't there yet.
+    def advance(self, rows: Indices, *, is_drawn: bool = True) -> AdvanceResult:
+        """Bring the simulated objects among `rows` to the frame's time; return the objects that may have changed.
 
         The scene must be up to date. `is_drawn` is False for objects that are only expected to be drawn.
         """
         if not len(self.objects):
-            return Advanced()
+            return AdvanceResult()
         if is_drawn:
-            self._seen[rows] = True
+            self._drawn[rows] = True
         rows = rows[self._waiting[rows]]
         if not len(rows):
-            return Advanced()
+            return AdvanceResult()
         self._waiting[rows] = False
         if self._run(self._list_slots(rows)):
             self._nodes.update()
         if self.validation:
-            self._turn += 1
-            self.check_bounds(rows[self._turn % len(rows)])
+            self._check_count += 1
+            self.check_bounds(rows[self._check_count % len(rows)])
         moved = rows[self._has_nodes[rows]]
         slots = self._slot_of[rows]
         rows, slots = rows[slots >= 0], slots[slots >= 0]
         which = self._which[slots]
         deformed = []
         for number in np.unique(which).tolist():
-            chosen = which == number
-            mine = slots[chosen]
+            is_mine = which == number
+            mine = slots[is_mine]
             simulation: Any = self.simulations[number]
-            deformed.append(Deformed(simulation, rows[chosen], mine - self._first[number], self._states[mine]))
-        return Advanced(moved, tuple(deformed))
+            deformed.append(DeformedObjects(simulation, rows[is_mine], mine - self._first[number], self._states[mine]))
+        return AdvanceResult(moved, tuple(deformed))
 
     def pose_all(self) -> None:
         """Bring all nodes that are members to the frame's time, drawn or not; `Nodes.update` applies it."""
-        self._run(np.flatnonzero(np.array([len(one.nodes) > 0 for one in self._begin], bool)[self._which]))
+        self._run(np.flatnonzero(np.array([len(simulated.nodes) > 0 for simulated in self._begin], bool)[self._which]))
 
     def check_bounds(self, row: int) -> None:
         """Refuse the simulation of an object that has left its bounds. It must be as of the frame's time."""
         objects, meshes = self._objects, self._meshes
         part = meshes.ranges[objects.mesh[row]]
-        vertices = self.find_vertices(row)
+        vertices = self.read_vertices(row)
         if vertices is None:
             used = meshes.indices[part["first_index"] :][: part["index_count"]] + part["base_vertex"]
             vertices = meshes.vertices[used]
@@ -364,64 +370,74 @@ class Simulator:
         lower, upper = objects.lower[row], objects.upper[row]
         slack = _ROUNDING * max(np.abs(lower).max(), np.abs(upper).max())
         if not ((points >= lower - slack) & (points <= upper + slack)).all():
-            given = f"object {row} from {_show(points.min(0))} to {_show(points.max(0))} at {self.seconds:g} s"
-            refuse(rules.LEFT_BOUNDS, "Simulator.check_bounds", given, f"{_show(lower)} to {_show(upper)}")
+            reached = f"from {_format_point(points.min(0))} to {_format_point(points.max(0))}"
+            problem = f"object {row} {reached} at {self.seconds:g} s"
+            refuse(
+                rules.LEFT_BOUNDS,
+                "Simulator.check_bounds",
+                problem,
+                f"{_format_point(lower)} to {_format_point(upper)}",
+            )
 
-    def find_vertices(self, row: int) -> NDArray[Any] | None:
-        """Return the vertices of an object as of its last step; None if they are always those of its mesh."""
+    def read_vertices(self, row: int) -> NDArray[Any] | None:
+        """Return the vertices of an object as of its last step, or None if they aren't simulated."""
         slot = int(self._slot_of[row])
         if slot < 0:
             return None
         which = int(self._which[slot])
         simulation: Any = self.simulations[which]
-        found: NDArray[Any] = simulation.vertices(np.array([slot - self._first[which]]))
-        return found
+        vertices: NDArray[Any] = simulation.vertices(np.array([slot - self._first[which]]))
+        return vertices
 
-    def _begin_counts(self) -> None:
+    def _reset_counts(self) -> None:
         self.steps = 0
         self.late = 0
-        self._left = [one.simulation.catch_up.steps_per_frame for one in self._begin]
-        self._seen[self.objects] = False
+        self._left = [simulated.simulation.catch_up.steps_per_frame for simulated in self._begin]
+        self._drawn[self.objects] = False
         self._waiting[self.objects] = True
         self._is_done: NDArray[np.bool_] = np.zeros(len(self._which), bool)
 
     def _restart(self) -> None:
-        self.simulations: list[ObjectSimulation] = [deepcopy(one.simulation) for one in self._begin]
-        begins = [one.simulation.catch_up.begin() for one in self._begin]
+        self.simulations: list[ObjectSimulation] = [deepcopy(simulated.simulation) for simulated in self._begin]
+        begins = [simulated.simulation.catch_up.begin() for simulated in self._begin]
         self._reached: Floats = np.array(begins, np.float64)[self._which]  # by slot: its step or its time
         self._states: Floats = self._reached.copy()
         self._posed: Floats = np.full(len(self._which), np.nan)  # the states that the nodes have
         self._brought: Floats = np.full(len(self._which), np.nan)  # the times that slots have been brought to
-        self._steered = {number: one for number, one in enumerate(self.simulations) if isinstance(one, Steered)}
-        self._versions = dict.fromkeys(self._steered, 0)
+        self._versioned = {
+            number: simulated
+            for number, simulated in enumerate(self.simulations)
+            if isinstance(simulated, VersionedSimulation)
+        }
+        self._versions = dict.fromkeys(self._versioned, 0)
 
-    def _list_slots(self, rows: Rows) -> Rows:
+    def _list_slots(self, rows: Indices) -> Indices:
         """Return all slots of the objects `rows`; one may be listed several times."""
         first = self._starts[rows]
-        listed: Rows = self._slots[list_ranges(first, self._starts[rows + 1] - first)]
+        listed: Indices = self._slots[list_ranges(first, self._starts[rows + 1] - first)]
         return listed
 
-    def _run(self, slots: Rows) -> bool:
-        """Bring the members in `slots` to the frame's time, those that aren't there yet in this frame. Return whether
+    def _run(self, slots: Indices) -> bool:
+        """Bring the members in `slots` to the frame's time, but for those already there. Return whether
         nodes were moved."""
-        wanted = np.zeros(len(self._which), bool)
-        wanted[slots] = True
-        wanted &= ~self._is_done
-        self._is_done |= wanted
-        slots = np.flatnonzero(wanted & (self._brought != self._times))
+        is_due = np.zeros(len(self._which), bool)
+        is_due[slots] = True
+        is_due &= ~self._is_done
+        self._is_done |= is_due
+        slots = np.flatnonzero(is_due & (self._brought != self._times))
         moved = False
         which = self._which[slots]
         for number in np.unique(which).tolist():
             mine = slots[which == number]
             times = self._times[mine]
             for seconds in np.unique(times).tolist():
-                chosen = mine[times == seconds]
-                self._bring(number, chosen, seconds)
-                moved |= self._pose(number, chosen)
+                members = mine[times == seconds]
+                self._advance_members(number, members, seconds)
+                moved |= self._write_transforms(number, members)
         return moved
 
-    def _pose(self, number: int, slots: Rows) -> bool:
-        """Write the transforms of members to their nodes, if they have any that are others; return whether."""
+    def _write_transforms(self, number: int, slots: Indices) -> bool:
+        """Write changed transforms of members to their nodes; return whether any have changed."""
         nodes = self._begin[number].nodes
         stale = slots[self._states[slots] != self._posed[slots]] if len(nodes) else _NONE
         if not len(stale):
@@ -429,11 +445,11 @@ class Simulator:
         members = stale - self._first[number]
         simulation: Any = self.simulations[number]
         self._nodes.set_local(nodes[members], simulation.transforms(members))
-        self._nodes.writer = self
+        self._nodes.last_writer = self
         self._posed[stale] = self._states[stale]
         return True
 
-    def _bring(self, number: int, slots: Rows, seconds: float) -> None:
+    def _advance_members(self, number: int, slots: Indices, seconds: float) -> None:
         """Bring the members in `slots` of one simulation to a time, as far as its policy allows."""
         simulation: Any = self.simulations[number]
         policy = simulation.catch_up
@@ -459,7 +475,7 @@ class Simulator:
         self._states[behind[changed]] = reached[changed] if is_known else -next(_STATES)
 
 
-def _list_slots(nodes: Nodes, objects: Objects, by_node: Rows, by_object: Rows) -> tuple[Rows, Rows]:
+def _list_slots(nodes: Nodes, objects: Objects, by_node: Indices, by_object: Indices) -> tuple[Indices, Indices]:
     """List for each object the slots that change it: its own, and those of its node and of the nodes above.
 
     Return `starts` (n + 1,) and `slots`; the list of object i is `slots[starts[i]:starts[i + 1]]`.
@@ -479,5 +495,5 @@ def _list_slots(nodes: Nodes, objects: Objects, by_node: Rows, by_object: Rows) 
     return starts, np.concatenate(slots)[order]
 
 
-def _show(point: Floats) -> str:
+def _format_point(point: Floats) -> str:
     return "(" + ", ".join(f"{value:.4g}" for value in point.tolist()) + ")"

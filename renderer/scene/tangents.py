@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Indices
 from renderer.scene.meshes import MeshGeometry
 
 
@@ -34,35 +34,35 @@ def add_tangents(geometry: MeshGeometry, uv: str = "uv", *, splits: bool = True)
     corners = geometry.indices.astype(np.int64)
     vertices = geometry.vertices
     points = vertices["position"].astype(np.float64)[corners].reshape(-1, 3, 3)
-    places = (vertices[uv] if uv in (vertices.dtype.names or ()) else np.zeros((len(vertices), 2)))[corners]
-    along, sign = _triangle_tangents(points, places.astype(np.float64).reshape(-1, 3, 2))
+    coordinates = (vertices[uv] if uv in (vertices.dtype.names or ()) else np.zeros((len(vertices), 2)))[corners]
+    along, sign = _triangle_tangents(points, coordinates.astype(np.float64).reshape(-1, 3, 2))
     vertex = _weld(geometry, uv)[corners]
-    links = _find_links(vertex)
+    links = _link_corners(vertex)
     sign = _orient_flat(links, sign)
-    group = _find_groups(links, sign) if splits else corners
+    group = _group_corners(links, sign) if splits else corners
     normals = vertices["normal"].astype(np.float64)[corners]
     tangents = _sum_tangents(points, along, normals, group)
     tangents = _fill_missing(tangents, normals, vertex if splits else corners)
 
     signed = np.concatenate([tangents, np.repeat(sign, 3)[:, None]], axis=1)
-    made = geometry.with_attributes(geometry.attributes | {"tangent"}).vertices
+    split = geometry.with_attributes(geometry.attributes | {"tangent"}).vertices
     if not splits:
-        made = made.copy()
-        made["tangent"][corners] = signed
-        return MeshGeometry(made, geometry.indices)
+        split = split.copy()
+        split["tangent"][corners] = signed
+        return MeshGeometry(split, geometry.indices)
     _, first, index = np.unique(corners * len(group) + group, return_index=True, return_inverse=True)
-    made = made[corners[first]]
-    made["tangent"] = signed[first]
-    return MeshGeometry(made, index.reshape(-1).astype(np.uint32))
+    split = split[corners[first]]
+    split["tangent"] = signed[first]
+    return MeshGeometry(split, index.reshape(-1).astype(np.uint32))
 
 
-def _triangle_tangents(points: Floats, places: Floats) -> tuple[Floats, NDArray[np.int64]]:
+def _triangle_tangents(points: Floats, uv: Floats) -> tuple[Floats, NDArray[np.int64]]:
     """Return the unit tangents (t, 3) of triangles, or 0, and the signs (t,) of their bitangents: 0 without a tangent.
 
     An image's rows count down, so a triangle whose texture isn't mirrored has a negative area in (u, v).
     """
     a, b = (points[:, 1:] - points[:, :1]).transpose(1, 0, 2)
-    u, v = (places[:, 1:] - places[:, :1]).transpose(2, 0, 1)
+    u, v = (uv[:, 1:] - uv[:, :1]).transpose(2, 0, 1)
     area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
     along = (a * v[:, 1, None] - b * v[:, 0, None]) * np.sign(area)[:, None]
     across = (b * u[:, 0, None] - a * u[:, 1, None]) * np.sign(area)[:, None]
@@ -72,60 +72,60 @@ def _triangle_tangents(points: Floats, places: Floats) -> tuple[Floats, NDArray[
     return np.where(is_flat[:, None], 0.0, unit), np.where(is_flat, 0, -np.sign(area)).astype(np.int64)
 
 
-def _weld(geometry: MeshGeometry, uv: str) -> Rows:
+def _weld(geometry: MeshGeometry, uv: str) -> Indices:
     """Return the same number (v,) for vertices of equal position, normal and texture coordinates."""
     names = ["position", "normal", *([uv] if uv in (geometry.vertices.dtype.names or ()) else [])]
     rows = np.concatenate([geometry.vertices[name] for name in names], axis=1) + 0.0  # -0 is 0
     as_bytes = np.ascontiguousarray(rows).view(np.dtype((np.void, rows.shape[1] * 4))).reshape(-1)
-    welded: Rows = np.unique(as_bytes, return_inverse=True)[1].reshape(-1)
+    welded: Indices = np.unique(as_bytes, return_inverse=True)[1].reshape(-1)
     return welded
 
 
-def _find_links(vertex: Rows) -> tuple[Rows, Rows]:
+def _link_corners(vertex: Indices) -> tuple[Indices, Indices]:
     """Return pairs of corners (l,), (l,) that begin an edge in one triangle and end it in another."""
     corner = np.arange(len(vertex))
     following = corner - corner % 3 + (corner + 1) % 3
     begin, end = vertex[corner], vertex[following]
     low, high = np.minimum(begin, end), np.maximum(begin, end)
     order = np.lexsort((begin, high, low))
-    one, other = order[:-1], order[1:]
-    same = (low[one] == low[other]) & (high[one] == high[other]) & (low[one] != high[one])
-    one, other = one[same], other[same]
-    turned = begin[one] != begin[other]  # the edge runs the other way
-    one, other = one[turned], other[turned]
-    return np.concatenate([one, following[one]]), np.concatenate([following[other], other])
+    first, second = order[:-1], order[1:]
+    same = (low[first] == low[second]) & (high[first] == high[second]) & (low[first] != high[first])
+    first, second = first[same], second[same]
+    turned = begin[first] != begin[second]  # the edge runs the other way
+    first, second = first[turned], second[turned]
+    return np.concatenate([first, following[first]]), np.concatenate([following[second], second])
 
 
-def _orient_flat(links: tuple[Rows, Rows], sign: NDArray[np.int64]) -> NDArray[np.int64]:
+def _orient_flat(links: tuple[Indices, Indices], sign: NDArray[np.int64]) -> NDArray[np.int64]:
     """Give triangles without a tangent the sign of a neighbour, or 1."""
-    one, other = (side // 3 for side in links)
+    first, second = (side // 3 for side in links)
     sign = sign.copy()
     while True:
         before = sign.copy()
-        for here, there in ((one, other), (other, one)):
+        for here, there in ((first, second), (second, first)):
             learns = (sign[here] == 0) & (before[there] != 0)
             sign[here[learns]] = before[there[learns]]
         if np.array_equal(sign, before):
             return np.where(sign == 0, 1, sign)
 
 
-def _find_groups(links: tuple[Rows, Rows], sign: NDArray[np.int64]) -> Rows:
-    """Return the group of each corner: the lowest corner that edges between triangles of its orientation lead to."""
-    one, other = links
-    alike = sign[one // 3] == sign[other // 3]
-    one, other = one[alike], other[alike]
+def _group_corners(links: tuple[Indices, Indices], sign: NDArray[np.int64]) -> Indices:
+    """Return the group of each corner: its lowest corner. Corners joined by edges of equal orientation are a group."""
+    first, second = links
+    alike = sign[first // 3] == sign[second // 3]
+    first, second = first[alike], second[alike]
     group = np.arange(3 * len(sign))
     while True:
-        lowest = np.minimum(group[one], group[other])
+        lowest = np.minimum(group[first], group[second])
         before = group.copy()
-        for side in (one, other):
+        for side in (first, second):
             np.minimum.at(group, before[side], lowest)  # the lowest corner so far learns of a lower one
         group = group[group]
         if np.array_equal(group, before):
             return group
 
 
-def _sum_tangents(points: Floats, along: Floats, normals: Floats, group: Rows) -> Floats:
+def _sum_tangents(points: Floats, along: Floats, normals: Floats, group: Indices) -> Floats:
     """Return the unit tangent (c, 3) of each corner's group, perpendicular to the normal; 0 where there is none."""
     triangle = np.arange(len(group)) // 3
     before, after = (points[:, order].reshape(-1, 3) for order in ([2, 0, 1], [1, 2, 0]))
@@ -137,16 +137,16 @@ def _sum_tangents(points: Floats, along: Floats, normals: Floats, group: Rows) -
     return _normalize(total)[group]
 
 
-def _fill_missing(tangents: Floats, normals: Floats, vertex: Rows) -> Floats:
+def _fill_missing(tangents: Floats, normals: Floats, vertex: Indices) -> Floats:
     """Give corners without a tangent that of another corner of their vertex, or one perpendicular to the normal."""
     has = np.flatnonzero(tangents.any(1))
     source = np.full(int(vertex.max()) + 1, -1)
     source[vertex[has][::-1]] = has[::-1]
     missing = ~tangents.any(1)
-    known = missing & (source[vertex] >= 0)
+    shared = missing & (source[vertex] >= 0)
     tangents = tangents.copy()
-    tangents[known] = tangents[source[vertex[known]]]
-    lost = missing & ~known
+    tangents[shared] = tangents[source[vertex[shared]]]
+    lost = missing & ~shared
     axis = np.eye(3)[np.abs(normals[lost]).argmin(1)]
     tangents[lost] = _normalize(_project(axis, normals[lost]))
     return tangents

@@ -6,7 +6,7 @@ from renderer.shaders.structs import Object, ObjectPosition, ViewConstants, rela
 from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, vec3, vec4
 
 
-class PlacedVertex(Struct):
+class PositionVertex(Struct):
     """The part of a vertex that depth depends on."""
 
     position: vec3
@@ -17,9 +17,9 @@ class DepthOnly(Shader):
 
     view: Uniform[ViewConstants]
     objects: Storage[Object]
-    places: Storage[ObjectPosition]
+    object_positions: Storage[ObjectPosition]
 
-    def vertex(self, v: PlacedVertex) -> vec4:
+    def vertex(self, v: PositionVertex) -> vec4:
         row = instance_index()
-        position = self.objects[row].linear @ v.position + relative_position(self.places[row], self.view)
+        position = self.objects[row].linear @ v.position + relative_position(self.object_positions[row], self.view)
         return self.view.relative_view_projection @ vec4(position, 1.0)

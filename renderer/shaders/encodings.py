@@ -1,4 +1,4 @@
-"""Encodings in which a geometry buffer stores what shading needs, in few bits. Each is a pair of functions, and can
+"""Encodings of surface attributes, in few bits, for a geometry buffer. Each is a pair of functions, and can
 be tested and replaced alone.
 
 | what | bits | how |
@@ -21,65 +21,64 @@ import rhi.shading as sl
 
 _FINEST: Final = 32767.0
 _FRAME_STEPS: Final = 1023.0
-_TURN: Final = 512
-_CHANGE_TURN: Final = 2048
+_DIRECTION_CODES: Final = 512
+_GRADIENT_DIRECTION_CODES: Final = 2048
 _SMALLEST: Final = 107 << 8
 """The bits of 2^-20, with 8 bits of mantissa: the code 0 of lengths."""
 
 
 @sl.function
-def away_from_zero(x: float) -> float:
+def sign_or_one(x: float) -> float:
     """Return -1 for negative numbers, otherwise 1."""
     return -1.0 if x < 0.0 else 1.0
 
 
 @sl.function
-def unfold_octahedron(normal: sl.vec3) -> sl.vec2:
-    """Return the place of a direction on an octahedron that is unfolded to a square from -1 to 1: the lower half is
-    folded over the corners."""
-    place = normal.xy / sl.max(sl.abs(normal.x) + sl.abs(normal.y) + sl.abs(normal.z), 1e-30)
+def octahedral_encode_point(normal: sl.vec3) -> sl.vec2:
+    """Return the octahedral coordinates of a direction, from -1 to 1: the lower half is folded over the corners."""
+    point = normal.xy / sl.max(sl.abs(normal.x) + sl.abs(normal.y) + sl.abs(normal.z), 1e-30)
     if normal.z < 0.0:
-        x = (1.0 - sl.abs(place.y)) * away_from_zero(place.x)
-        y = (1.0 - sl.abs(place.x)) * away_from_zero(place.y)
-        place = sl.vec2(x, y)
-    return place
+        x = (1.0 - sl.abs(point.y)) * sign_or_one(point.x)
+        y = (1.0 - sl.abs(point.x)) * sign_or_one(point.y)
+        point = sl.vec2(x, y)
+    return point
 
 
 @sl.function
-def fold_octahedron(place: sl.vec2, steps: float) -> sl.vec3:
-    """Return the point of an octahedron of radius `steps` whose place on the unfolded square is given in steps. With
-    whole steps the point is exact."""
-    z = steps - sl.abs(place.x) - sl.abs(place.y)
+def octahedral_decode_point(point: sl.vec2, steps: float) -> sl.vec3:
+    """Return the point of an octahedron of radius `steps` from its octahedral coordinates in steps. With whole steps
+    the point is exact."""
+    z = steps - sl.abs(point.x) - sl.abs(point.y)
     fold = sl.max(-z, 0.0)
-    return sl.vec3(place.x - away_from_zero(place.x) * fold, place.y - away_from_zero(place.y) * fold, z)
+    return sl.vec3(point.x - sign_or_one(point.x) * fold, point.y - sign_or_one(point.y) * fold, z)
 
 
 @sl.function
 def encode_octahedral(normal: sl.vec3, steps: float) -> sl.ivec2:
     """Return a unit vector as two whole numbers from -`steps` to `steps`; b bits each have 2^(b-1) - 1 steps."""
-    return sl.ivec2(sl.round(unfold_octahedron(normal) * steps))
+    return sl.ivec2(sl.round(octahedral_encode_point(normal) * steps))
 
 
 @sl.function
-def encode_octahedral_best(normal: sl.vec3, steps: float) -> sl.ivec2:
-    """Return a unit vector like `encode_octahedral`, but of the four pairs of numbers around its place choose the one
+def encode_octahedral_nearest(normal: sl.vec3, steps: float) -> sl.ivec2:
+    """Return a unit vector like `encode_octahedral`, but choose, of the four pairs of numbers around it, the one
     that is decoded nearest to it. The largest error is two thirds of that of rounding."""
-    corner = sl.clamp(sl.floor(unfold_octahedron(normal) * steps), sl.vec2(-steps), sl.vec2(steps - 1.0))
+    corner = sl.clamp(sl.floor(octahedral_encode_point(normal) * steps), sl.vec2(-steps), sl.vec2(steps - 1.0))
     best = corner
     least = 9.0
     for i in range(4):
-        place = corner + sl.vec2(float(i & 1), float(i >> 1))
-        off = sl.normalize(fold_octahedron(place, steps)) - normal
+        candidate = corner + sl.vec2(float(i & 1), float(i >> 1))
+        off = sl.normalize(octahedral_decode_point(candidate, steps)) - normal
         if sl.dot(off, off) < least:
             least = sl.dot(off, off)
-            best = place
+            best = candidate
     return sl.ivec2(best)
 
 
 @sl.function
 def decode_octahedral(code: sl.ivec2, steps: float) -> sl.vec3:
-    """Return the unit vector that `encode_octahedral` or `encode_octahedral_best` has stored with as many steps."""
-    return sl.normalize(fold_octahedron(sl.vec2(code), steps))
+    """Return the unit vector that `encode_octahedral` or `encode_octahedral_nearest` has stored with as many steps."""
+    return sl.normalize(octahedral_decode_point(sl.vec2(code), steps))
 
 
 @sl.function
@@ -91,15 +90,15 @@ def encode_normal(normal: sl.vec3) -> sl.uint:
 
 @sl.function
 def decode_normal(bits: sl.uint) -> sl.vec3:
-    """Return the unit vector that `encode_normal` has stored, at most 0.0037° beside it."""
+    """Return the unit vector that `encode_normal` has stored, with an error of at most 0.0037°."""
     return decode_octahedral(sl.ivec2(int(bits & 65535), int(bits >> 16)) - 32767, _FINEST)
 
 
 @sl.function
 def encode_direction(direction: sl.vec2, codes: int) -> int:
-    """Return the direction of a vector as a number below `codes`, a power of 2 of at least 4: the way to it around a
-    square that stands on its corner. Multiples of 90° are exact. The largest error is 115° / `codes` near them and
-    twice as much half-way between. (Equal angles have 180° / `codes` everywhere, and need sines.)"""
+    """Return the direction of a vector as a number below `codes`, a power of 2 of at least 4: the distance to it along
+    the edge of a square that stands on its corner. Multiples of 90° are exact. The largest error is 115° / `codes`
+    near them and twice as much half-way between. (Equal angles have 180° / `codes` everywhere, and need sines.)"""
     x = direction.x / sl.max(sl.abs(direction.x) + sl.abs(direction.y), 1e-30)
     way = 3.0 + x if direction.y < 0.0 else 1.0 - x
     return int(sl.round(way * float(codes // 4))) & (codes - 1)
@@ -124,17 +123,17 @@ class TangentFrame(sl.Struct):
 
 
 @sl.function
-def find_bitangent(frame: TangentFrame) -> sl.vec3:
-    """Return the third vector of a frame."""
+def compute_bitangent(frame: TangentFrame) -> sl.vec3:
+    """Return the bitangent of a frame."""
     return sl.cross(frame.normal, frame.tangent) * frame.side
 
 
 @sl.function
-def turn_from_octahedron(point: sl.vec3, normal: sl.vec3) -> sl.vec3:
-    """Return a unit vector at a right angle to `normal`, that of a point of an octahedron. It depends on nothing else,
-    so a tangent is a direction from it (Duff et al. 2017). It jumps at z = 0, where the point is exact: so all programs
-    that decode the same bits see the same vector."""
-    half = away_from_zero(point.z)
+def octahedral_tangent(point: sl.vec3, normal: sl.vec3) -> sl.vec3:
+    """Return a unit vector at a right angle to `normal`, which is the direction of a `point` of an octahedron. It
+    depends on these alone, so a tangent is stored as its angle from it (Duff et al. 2017). It jumps at z = 0, where
+    the point is exact: so all programs that decode the same bits see the same vector."""
+    half = sign_or_one(point.z)
     share = -normal.x / (half + normal.z)
     return sl.vec3(1.0 + half * normal.x * share, half * normal.y * share, -half * normal.x)
 
@@ -143,24 +142,25 @@ def turn_from_octahedron(point: sl.vec3, normal: sl.vec3) -> sl.vec3:
 def encode_frame(frame: TangentFrame) -> sl.uint:
     """Return a frame in 32 bits. The tangent is measured around the normal as it will be decoded, so there is no
     direction in which an error of the normal adds to it."""
-    code = encode_octahedral_best(frame.normal, _FRAME_STEPS)
-    point = fold_octahedron(sl.vec2(code), _FRAME_STEPS)
+    code = encode_octahedral_nearest(frame.normal, _FRAME_STEPS)
+    point = octahedral_decode_point(sl.vec2(code), _FRAME_STEPS)
     normal = sl.normalize(point)
-    first = turn_from_octahedron(point, normal)
+    first = octahedral_tangent(point, normal)
     around = sl.vec2(sl.dot(frame.tangent, first), sl.dot(frame.tangent, sl.cross(normal, first)))
-    turn = encode_direction(around, _TURN)
+    turn = encode_direction(around, _DIRECTION_CODES)
     side = sl.uint(1) if frame.side < 0.0 else sl.uint(0)
     return sl.uint(code.x + 1023) | sl.uint(code.y + 1023) << 11 | sl.uint(turn) << 22 | side << 31
 
 
 @sl.function
 def decode_frame(bits: sl.uint) -> TangentFrame:
-    """Return the frame that `encode_frame` has stored: the normal at most 0.08° beside it, the tangent 0.46°."""
+    """Return the frame that `encode_frame` has stored. The error is at most 0.08° of the normal and 0.46° of the
+    tangent."""
     code = sl.ivec2(int(bits & 2047), int(bits >> 11 & 2047)) - 1023
-    point = fold_octahedron(sl.vec2(code), _FRAME_STEPS)
+    point = octahedral_decode_point(sl.vec2(code), _FRAME_STEPS)
     normal = sl.normalize(point)
-    first = turn_from_octahedron(point, normal)
-    around = decode_direction(int(bits >> 22 & 511), _TURN)
+    first = octahedral_tangent(point, normal)
+    around = decode_direction(int(bits >> 22 & 511), _DIRECTION_CODES)
     return TangentFrame(
         normal=normal,
         tangent=sl.normalize(first * around.x + sl.cross(normal, first) * around.y),
@@ -183,24 +183,24 @@ def decode_uv(bits: sl.uint) -> sl.vec2:
 
 
 @sl.function
-def encode_change(change: sl.vec2) -> sl.uint:
+def encode_gradient(change: sl.vec2) -> sl.uint:
     """Return a vector in 24 bits: a direction in 11, and its length |x| + |y| in 13, a float from 2^-20 to 4088.
     Shorter vectors are 0, longer ones are as long as that."""
     change = sl.clamp(change, sl.vec2(-1e9), sl.vec2(1e9))
     bits = sl.float_bits_to_int(sl.abs(change.x) + sl.abs(change.y)) + 16384 >> 15
     length = sl.clamp(bits - _SMALLEST, 0, 8191)
-    return sl.uint(encode_direction(change, _CHANGE_TURN)) | sl.uint(length) << 11
+    return sl.uint(encode_direction(change, _GRADIENT_DIRECTION_CODES)) | sl.uint(length) << 11
 
 
 @sl.function
-def decode_change(bits: sl.uint) -> sl.vec2:
-    """Return the vector that `encode_change` has stored, at most 0.3 % of its length beside it."""
+def decode_gradient(bits: sl.uint) -> sl.vec2:
+    """Return the vector that `encode_gradient` has stored, with an error of at most 0.3 % of its length."""
     code = int(bits >> 11 & 8191)
     length = sl.int_bits_to_float(code + _SMALLEST << 15) if code > 0 else 0.0
-    return decode_direction(int(bits & 2047), _CHANGE_TURN) * length
+    return decode_direction(int(bits & 2047), _GRADIENT_DIRECTION_CODES) * length
 
 
 @sl.function
-def material_depth(row: int) -> float:
-    """Return the depth that stands for a material, for a depth buffer of 16 bits: rows from 0 to 65,535 are exact."""
-    return float(row) / 65535.0
+def material_depth(material_index: int) -> float:
+    """Return the depth, in a depth buffer of 16 bits, that identifies a material: rows from 0 to 65,535 are exact."""
+    return float(material_index) / 65535.0

@@ -1,11 +1,11 @@
-"""The shaders of materials: from a point of a surface to what it is made of.
+"""Material shaders: they compute the colours and properties of a surface at a point.
 
 `MaterialShader.describe` is the renderer's own: base colour, normals, and what other maps say. A material may have a
 shader of its own: a class derived from `MaterialShader` with another `describe`, which may call this one. A technique
 combines it with its own shaders, so it is compiled for each technique, and objects are drawn by it.
 
 Where a technique evaluates materials after geometry (Deferred+), a material's shader runs for pixels, not for
-fragments: it has no derivatives but `SurfaceInput.changes`, and writes nothing.
+fragments: it has no derivatives but `SurfaceInput.uv_gradients`, and writes nothing.
 
 What a scene may lack is a switch, a constant `has_…`: a stage keeps the branches that are taken, and a program binds
 what they read. So a feature that a scene lacks costs nothing.
@@ -81,16 +81,16 @@ class MaterialShader(sl.Shader):
     image_arrays = 1
     map_arrays = 1
     has_table = False
-    has_changes = False
-    """Whether textures are read by the changes of texture coordinates that the input has."""
-    footprint = 1.0
+    has_gradients = False
+    """Whether textures are sampled with the gradients of texture coordinates of the input (`uv_gradients`)."""
+    gradient_scale = 1.0
     """The side of what a pixel covers of a texture, in that of what it shows."""
-    is_placed = False
-    """Whether texture coordinates are as textures are read, a transform applied."""
+    has_transformed_uvs = False
+    """Whether the texture coordinates of the input have been transformed already."""
     is_own = False
-    """Whether this is a shader of a material's own."""
+    """Whether this is a material's own shader rather than the renderer's."""
     has_color = True
-    """Whether anybody asks for the colour."""
+    """Whether the derived shader needs the colour."""
     has_images = False
     has_second_uvs = False
     has_vertex_colors = False
@@ -101,37 +101,37 @@ class MaterialShader(sl.Shader):
     has_emissive_maps = False
 
     def describe(self, at: SurfaceInput) -> SurfaceParameters:
-        """Return what the surface is at a point, as the renderer's own materials have it."""
-        metal = self.find_metal(at)
+        """Return the surface's properties at a point, by the renderer's own materials."""
+        metal = self.sample_metallic_roughness(at)
         return SurfaceParameters(
-            color=self.find_color(at),
-            normal=self.bend(at),
+            color=self.sample_base_color(at),
+            normal=self.mapped_normal(at),
             metallic=metal.x,
             roughness=metal.y,
-            occlusion=self.find_occlusion(at),
-            emissive=self.find_emissive(at),
+            occlusion=self.sample_occlusion(at),
+            emissive=self.sample_emissive(at),
         )
 
-    def see(self, at: SurfaceInput) -> SurfaceParameters:
-        """Return what the surface is at a point. Nothing is drawn where the alpha of a mask is below its cut."""
+    def evaluate(self, at: SurfaceInput) -> SurfaceParameters:
+        """Return the surface's properties at a point. Nothing is drawn where the alpha of a mask is below its cut."""
         described = self.describe(at)
-        self.cut_off(described.color.a, at)
+        self.discard_below_cutoff(described.color.a, at)
         return described
 
-    def cut(self, at: SurfaceInput) -> None:
-        """Draw nothing where the alpha of a mask is below its cut."""
+    def discard_masked(self, at: SurfaceInput) -> None:
+        """Discard the fragment where the alpha of a mask is below its cut."""
         if self.has_masks:
-            self.cut_off(self.describe(at).color.a if self.is_own else self.find_color(at).a, at)
+            self.discard_below_cutoff(self.describe(at).color.a if self.is_own else self.sample_base_color(at).a, at)
 
-    def cut_off(self, alpha: float, at: SurfaceInput) -> None:
-        """Draw nothing where this alpha of a material is below its cut."""
+    def discard_below_cutoff(self, alpha: float, at: SurfaceInput) -> None:
+        """Discard the fragment where this alpha of a material is below its cut."""
         if self.has_masks:
             material = self.materials[at.material]
             if material.alpha_mode == _MASK and material.base_color.a * alpha < material.alpha_cutoff - _ROUNDING:
                 sl.discard()
 
-    def find_color(self, at: SurfaceInput) -> sl.vec4:
-        """Return what multiplies the base colour of the material."""
+    def sample_base_color(self, at: SurfaceInput) -> sl.vec4:
+        """Return the factor of the material's base colour, from vertex colours and textures."""
         texel = sl.vec4(1.0)
         if not self.has_color and not self.has_masks:
             return texel
@@ -143,7 +143,7 @@ class MaterialShader(sl.Shader):
             texel = texel * at.color
         return texel
 
-    def bend(self, at: SurfaceInput) -> sl.vec3:
+    def mapped_normal(self, at: SurfaceInput) -> sl.vec3:
         """Return the unit normal as maps bend it. Where a texture has no direction, it is as it was."""
         if not self.has_normal_maps:
             return at.normal
@@ -158,16 +158,16 @@ class MaterialShader(sl.Shader):
             return at.normal
         return safe_normalize(bent)
 
-    def find_metal(self, at: SurfaceInput) -> sl.vec2:
-        """Return how metallic and how rough the surface is."""
+    def sample_metallic_roughness(self, at: SurfaceInput) -> sl.vec2:
+        """Return the surface's metalness and roughness."""
         material = self.materials[at.material]
         metal = sl.vec2(material.metallic, material.roughness)
         if self.has_roughness_maps and material.metallic_roughness_texture >= 0:
             metal = metal * self.read_data(material.metallic_roughness_texture, at).zy
         return metal
 
-    def find_occlusion(self, at: SurfaceInput) -> float:
-        """Return how much of the ambient light reaches the surface."""
+    def sample_occlusion(self, at: SurfaceInput) -> float:
+        """Return the share of the ambient light that reaches the surface, from 0 to 1."""
         if not self.has_occlusion_maps:
             return 1.0
         material = self.materials[at.material]
@@ -175,8 +175,8 @@ class MaterialShader(sl.Shader):
             return 1.0
         return sl.mix(1.0, self.read_data(material.occlusion_texture, at).x, material.occlusion_strength)
 
-    def find_emissive(self, at: SurfaceInput) -> sl.vec3:
-        """Return what multiplies the emissive colour of the material."""
+    def sample_emissive(self, at: SurfaceInput) -> sl.vec3:
+        """Return the factor of the material's emissive colour, from its texture."""
         if not self.has_emissive_maps:
             return sl.vec3(1.0)
         texture = self.materials[at.material].emissive_texture
@@ -184,7 +184,7 @@ class MaterialShader(sl.Shader):
             return sl.vec3(1.0)
         return self.read_color(texture, at).rgb
 
-    def find_world(self, at: SurfaceInput) -> sl.vec3:
+    def world_position(self, at: SurfaceInput) -> sl.vec3:
         """Return the position of the point in the world: to 1e-7 of its distance from the world's origin."""
         return at.position + self.view.eye_low + self.view.eye_high
 
@@ -192,31 +192,31 @@ class MaterialShader(sl.Shader):
         """Return the texel of the texture of colours of this row."""
         if self.has_table:
             use = self.textures[texture]
-            return self.read_images(use.array, self.place(use, at), self.find_changes(use, at))
-        if self.footprint != 1.0:
-            return self.read_images(0, sl.vec3(at.uv, float(texture)), at.changes)
-        if self.has_changes:
-            return self.images.sample_grad(sl.vec3(at.uv, float(texture)), at.changes.xy, at.changes.zw)
+            return self.read_images(use.array, self.texture_coordinates(use, at), self.texture_gradients(use, at))
+        if self.gradient_scale != 1.0:
+            return self.read_images(0, sl.vec3(at.uv, float(texture)), at.uv_gradients)
+        if self.has_gradients:
+            return self.images.sample_grad(sl.vec3(at.uv, float(texture)), at.uv_gradients.xy, at.uv_gradients.zw)
         return self.images.sample(sl.vec3(at.uv, float(texture)))
 
     def read_data(self, texture: int, at: SurfaceInput) -> sl.vec4:
         """Return the texel of the texture of data of this row."""
         if self.has_table:
             use = self.textures[texture]
-            return self.read_maps(use.array, self.place(use, at), self.find_changes(use, at))
-        if self.footprint != 1.0:
-            return self.read_maps(0, sl.vec3(at.uv, float(texture)), at.changes)
-        if self.has_changes:
-            return self.maps.sample_grad(sl.vec3(at.uv, float(texture)), at.changes.xy, at.changes.zw)
+            return self.read_maps(use.array, self.texture_coordinates(use, at), self.texture_gradients(use, at))
+        if self.gradient_scale != 1.0:
+            return self.read_maps(0, sl.vec3(at.uv, float(texture)), at.uv_gradients)
+        if self.has_gradients:
+            return self.maps.sample_grad(sl.vec3(at.uv, float(texture)), at.uv_gradients.xy, at.uv_gradients.zw)
         return self.maps.sample(sl.vec3(at.uv, float(texture)))
 
     # Texture coordinates by the table are numbers of a buffer, from which a fragment that failed a test may have read
     # zeros (llvmpipe), so its neighbours would derive nonsense. Derivatives are those of the varying, transformed
     # alike.
 
-    def place(self, use: TextureUse, at: SurfaceInput) -> sl.vec3:
+    def texture_coordinates(self, use: TextureUse, at: SurfaceInput) -> sl.vec3:
         """Return the texture coordinates and the layer at which a texture is read."""
-        if self.is_placed:
+        if self.has_transformed_uvs:
             return sl.vec3(at.uv, use.layer)
         uv = at.uv
         if self.has_second_uvs:
@@ -224,53 +224,53 @@ class MaterialShader(sl.Shader):
         homogeneous = sl.vec3(uv, 1.0)
         return sl.vec3(sl.dot(use.u, homogeneous), sl.dot(use.v, homogeneous), use.layer)
 
-    def find_changes(self, use: TextureUse, at: SurfaceInput) -> sl.vec4:
+    def texture_gradients(self, use: TextureUse, at: SurfaceInput) -> sl.vec4:
         """Return the changes of a texture's coordinates to the next pixel on the right, and to that below."""
-        changes = at.changes
-        if self.is_placed:
-            return changes
+        uv_gradients = at.uv_gradients
+        if self.has_transformed_uvs:
+            return uv_gradients
         if self.has_second_uvs:
-            changes = at.changes if use.uv_set == 0 else at.changes2
-        right = sl.vec3(changes.xy, 0.0)
-        below = sl.vec3(changes.zw, 0.0)
+            uv_gradients = at.uv_gradients if use.uv_set == 0 else at.uv2_gradients
+        right = sl.vec3(uv_gradients.xy, 0.0)
+        below = sl.vec3(uv_gradients.zw, 0.0)
         return sl.vec4(sl.dot(use.u, right), sl.dot(use.v, right), sl.dot(use.u, below), sl.dot(use.v, below))
 
-    def read_images(self, array: int, place: sl.vec3, changes: sl.vec4) -> sl.vec4:
+    def read_images(self, array: int, texture_coordinates: sl.vec3, uv_gradients: sl.vec4) -> sl.vec4:
         """Return a texel of an array of colours, given the changes of texture coordinates."""
-        if self.footprint != 1.0:
-            changes = changes * self.footprint
+        if self.gradient_scale != 1.0:
+            uv_gradients = uv_gradients * self.gradient_scale
         if self.image_arrays > 1 and array == 1:
-            return self.images_1.sample_grad(place, changes.xy, changes.zw)
+            return self.images_1.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
         if self.image_arrays > 2 and array == 2:
-            return self.images_2.sample_grad(place, changes.xy, changes.zw)
+            return self.images_2.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
         if self.image_arrays > 3 and array == 3:
-            return self.images_3.sample_grad(place, changes.xy, changes.zw)
+            return self.images_3.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
         if self.image_arrays > 4 and array == 4:
-            return self.images_4.sample_grad(place, changes.xy, changes.zw)
+            return self.images_4.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
         if self.image_arrays > 5 and array == 5:
-            return self.images_5.sample_grad(place, changes.xy, changes.zw)
+            return self.images_5.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
         if self.image_arrays > 6 and array == 6:
-            return self.images_6.sample_grad(place, changes.xy, changes.zw)
+            return self.images_6.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
         if self.image_arrays > 7 and array == 7:
-            return self.images_7.sample_grad(place, changes.xy, changes.zw)
-        return self.images.sample_grad(place, changes.xy, changes.zw)
+            return self.images_7.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
+        return self.images.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
 
-    def read_maps(self, array: int, place: sl.vec3, changes: sl.vec4) -> sl.vec4:
+    def read_maps(self, array: int, texture_coordinates: sl.vec3, uv_gradients: sl.vec4) -> sl.vec4:
         """Return a texel of an array of data, given the changes of texture coordinates."""
-        if self.footprint != 1.0:
-            changes = changes * self.footprint
+        if self.gradient_scale != 1.0:
+            uv_gradients = uv_gradients * self.gradient_scale
         if self.map_arrays > 1 and array == 1:
-            return self.maps_1.sample_grad(place, changes.xy, changes.zw)
+            return self.maps_1.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
         if self.map_arrays > 2 and array == 2:
-            return self.maps_2.sample_grad(place, changes.xy, changes.zw)
+            return self.maps_2.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
         if self.map_arrays > 3 and array == 3:
-            return self.maps_3.sample_grad(place, changes.xy, changes.zw)
+            return self.maps_3.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
         if self.map_arrays > 4 and array == 4:
-            return self.maps_4.sample_grad(place, changes.xy, changes.zw)
+            return self.maps_4.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
         if self.map_arrays > 5 and array == 5:
-            return self.maps_5.sample_grad(place, changes.xy, changes.zw)
+            return self.maps_5.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
         if self.map_arrays > 6 and array == 6:
-            return self.maps_6.sample_grad(place, changes.xy, changes.zw)
+            return self.maps_6.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
         if self.map_arrays > 7 and array == 7:
-            return self.maps_7.sample_grad(place, changes.xy, changes.zw)
-        return self.maps.sample_grad(place, changes.xy, changes.zw)
+            return self.maps_7.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)
+        return self.maps.sample_grad(texture_coordinates, uv_gradients.xy, uv_gradients.zw)

@@ -16,7 +16,7 @@ don't depend on colours, two of them times a colour of the material. So a light 
 
 `(n·h)² (α² - 1) + 1` loses all digits of a sharp highlight in float32; it is the same as `|n×h|² + α² (n·h)²`, which
 loses none. Where a mapped normal looks away from the eye and n·h is negative, D isn't cut to 0, which would show as
-an edge. A roughness below `SMOOTHEST` counts as that: the highlight of a light without size is white there anyway,
+an edge. A roughness below `MIN_ROUGHNESS` counts as that: the highlight of a light without size is white there anyway,
 and normals that are stored in 2 × 16 bits would no longer do.
 """
 
@@ -24,35 +24,36 @@ from __future__ import annotations
 
 from typing import Final
 
+from renderer.light_kinds.incidence import Incidence
 from renderer.shaders.lighting import hemisphere, safe_normalize
-from renderer.shaders.structs import Ambient, Incidence, SurfacePoint
+from renderer.shaders.structs import Ambient, SurfacePoint
 from rhi.shading import abs, cross, dot, exp2, function, max, min, mix, reflect, saturate, sqrt, vec3
 
-SMOOTHEST: Final = 0.1
+MIN_ROUGHNESS: Final = 0.1
 """The least roughness. Its highlight is about that of a shininess of 20,000."""
 
 
 @function
-def shininess_of_metal(roughness: float) -> float:
-    """Return what a `SurfacePoint` of this model has as its shininess."""
-    return -max(roughness, SMOOTHEST)
+def encode_roughness(roughness: float) -> float:
+    """Return the shininess that encodes a roughness in a `SurfacePoint` of this model."""
+    return -max(roughness, MIN_ROUGHNESS)
 
 
 @function
-def metal_surface(surface: SurfacePoint, metallic: float, roughness: float) -> SurfacePoint:
-    """Return a surface of this model, given one whose `base_color` is that of its material."""
+def metallic_surface(surface: SurfacePoint, metallic: float, roughness: float) -> SurfacePoint:
+    """Return a surface of this model from one whose `base_color` is the material's."""
     base = surface.base_color
     f0 = mix(vec3(0.04), base, metallic)
     surface.specular_color = f0
     surface.base_color = base * (1.0 - metallic) * (1.0 - f0)
-    surface.shininess = shininess_of_metal(roughness)
+    surface.shininess = encode_roughness(roughness)
     return surface
 
 
 @function
-def metal_terms(surface: SurfacePoint, to_light: vec3) -> vec3:
-    """Return what the surface does with light from the unit direction `to_light`, in front of it: the terms of its base
-    color, of its specular color, and of white."""
+def metallic_terms(surface: SurfacePoint, to_light: vec3) -> vec3:
+    """Return the factors by which the surface's base colour, its specular colour and white reflect light from the unit
+    direction `to_light`, in front of it."""
     halfway = safe_normalize(to_light + surface.to_eye)
     along = dot(surface.normal, halfway)
     beyond = 1.0 - saturate(dot(surface.to_eye, halfway))
@@ -70,18 +71,18 @@ def metal_terms(surface: SurfacePoint, to_light: vec3) -> vec3:
 
 
 @function
-def reflected_by_metal(surface: SurfacePoint, light: Incidence) -> vec3:
+def reflected_light_metallic(surface: SurfacePoint, light: Incidence) -> vec3:
     """Return the light that a surface of this model reflects to the eye."""
     facing = dot(surface.normal, light.direction)
     if facing <= 0.0:
         return vec3(0.0)
-    terms = metal_terms(surface, light.direction)
+    terms = metallic_terms(surface, light.direction)
     color = surface.base_color * terms.x + surface.specular_color * terms.y + terms.z
     return color * light.irradiance * facing
 
 
 @function
-def ambient_light_of_metal(surface: SurfacePoint, ambient: Ambient) -> vec3:
+def ambient_light_metallic(surface: SurfacePoint, ambient: Ambient) -> vec3:
     """Return the ambient light that a surface of this model sends to the eye, scattered and mirrored.
 
     glTF leaves this to the application. What is mirrored is weighted by Karis's fit of the model over all directions

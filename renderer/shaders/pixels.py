@@ -1,10 +1,10 @@
 """Shaders of whole targets, and the way from a pixel to the position of its surface.
 
 A position is a *distance*, along the view, times the *ray* of the pixel, relative to the eye and along the axes of the
-world. A geometry buffer stores the distance; elsewhere it follows from the depth (`distance_at`). The numbers of all
-rays are computed in float64 (`renderer.techniques.parts.full_screen`), and nothing is inverted in float32. So a
-position is as exact 3,000 km from the world's origin as near it, with every lens: perspective with or without a far
-plane, parallel, off-axis.
+world. A geometry buffer stores the distance; elsewhere it follows from the depth (`nearness_to_distance`). The
+numbers of all rays are computed in float64 (`renderer.techniques.parts.full_screen`), and nothing is inverted in
+float32. So a position is as exact 3,000 km from the world's origin as near it, with every projection: perspective
+with or without a far plane, parallel, off-axis.
 
 *Nearness* is how far a depth is from the farthest one: 0 is farthest, in both directions of depth. For standard depth
 it is exact in floats where depth is coarse (1 - d for d above 1/2), so that nothing is lost on the way back from it.
@@ -18,8 +18,8 @@ import rhi.shading as sl
 class PixelRays(sl.Struct):
     """The rays of a view's pixels: what is d along the view in the pixel at (x, y) is at
     `across @ (x, y, 1) * w + along * d + start`, relative to the eye. The width w of the view is d with a perspective
-    lens and 1 with a parallel one: `lens.y - lens.w * d`. A nearness n is a distance of
-    `(lens.x - lens.y * n) / (lens.z - lens.w * n)`.
+    projection and 1 with a parallel one: `projection.y - projection.w * d`. A nearness n is a distance of
+    `(projection.x - projection.y * n) / (projection.z - projection.w * n)`.
 
     `size` is that of the image in pixels, `forward` the direction of the view, `far` the distance of its far plane, and
     `farthest` its depth.
@@ -32,44 +32,46 @@ class PixelRays(sl.Struct):
     forward: sl.vec3
     far: float
     farthest: float
-    lens: sl.vec4
+    projection: sl.vec4
 
 
 @sl.function
-def nearness_of(rays: PixelRays, depth: float) -> float:
-    """Return the distance of a depth from the farthest one, which is that of pixels without a surface: 0."""
+def depth_to_nearness(rays: PixelRays, depth: float) -> float:
+    """Return the nearness of a depth: its difference from the farthest depth, so 0 for pixels without a surface."""
     return sl.abs(depth - rays.farthest)
 
 
 @sl.function
-def distance_at(rays: PixelRays, nearness: float) -> float:
-    """Return how far along the view something of this nearness is."""
-    return (rays.lens.x - rays.lens.y * nearness) / (rays.lens.z - rays.lens.w * nearness)
+def nearness_to_distance(rays: PixelRays, nearness: float) -> float:
+    """Return the distance along the view, in metres, of this nearness."""
+    return (rays.projection.x - rays.projection.y * nearness) / (rays.projection.z - rays.projection.w * nearness)
 
 
 @sl.function
-def place_pixel(rays: PixelRays, pixel: sl.vec2, distance: float) -> sl.vec3:
-    """Return the position relative to the eye, along the world's axes, of what is `distance` along the view at `pixel`:
-    a `fragment_coordinate()`, or a texel plus a half."""
-    width = rays.lens.y - rays.lens.w * distance
+def pixel_position(rays: PixelRays, pixel: sl.vec2, distance: float) -> sl.vec3:
+    """Return the position, relative to the eye and along the world's axes, at `distance` along the view in `pixel`: a
+    `fragment_coordinate()`, or a texel plus a half."""
+    width = rays.projection.y - rays.projection.w * distance
     return rays.across @ sl.vec3(pixel, 1.0) * width + (rays.along * distance + rays.start)
 
 
 class PixelShader(sl.Shader):
-    """The base of shaders that are run for a pixel: that of the fragment, unless a derived shader has another."""
+    """The base of shaders that run once for each pixel: the fragment's, unless a derived shader overrides
+    `get_pixel`."""
 
-    def find_pixel(self) -> sl.ivec2:
-        """Return the pixel."""
+    def get_pixel(self) -> sl.ivec2:
+        """Return the coordinates of the pixel."""
         return sl.ivec2(sl.fragment_coordinate().xy)
 
-    def light_sample(self, sample: int) -> sl.vec4:
-        """Return the colour of a sample of the pixel that has a surface; of the pixel if it has one."""
+    def shade_sample(self, sample: int) -> sl.vec4:
+        """Return the colour of one sample of the pixel, which has a surface there; without multisampling, of the
+        pixel."""
         return sl.vec4(0.0)
 
 
 class BackgroundScreen(sl.FullScreen):
-    """The base of shaders whose fragments are all pixels of a view, at the depth of its background. So a depth test
-    tells the pixels that have a surface."""
+    """The base of shaders drawn to all pixels of a view, at the depth of its background, so that a depth test selects
+    the pixels that have a surface."""
 
     rays: sl.Uniform[PixelRays]
 

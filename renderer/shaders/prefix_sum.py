@@ -1,4 +1,4 @@
-"""Prefix sums, by which a device finds the places of what it lists."""
+"""Prefix sums, from which a device knows where each of its lists begins."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _LANES: Final = 256
 
 
 class PrefixSum(Shader):
-    """Replaces counts by their exclusive prefix sums. There is one group, each lane of which has a run of counts."""
+    """Replaces counts by their exclusive prefix sums, in one work-group: each lane adds up a run of counts."""
 
     work_group = (_LANES,)
     counts: StorageRW[uint]
@@ -22,8 +22,8 @@ class PrefixSum(Shader):
         begin = min(lane * share, len(self.counts))
         end = min(begin + share, len(self.counts))
         total = uint(0)
-        for place in range(begin, end):
-            total += self.counts[place]
+        for index in range(begin, end):
+            total += self.counts[index]
         self.sums[lane] = total
         step = 1
         while step < _LANES:
@@ -32,8 +32,8 @@ class PrefixSum(Shader):
             barrier()
             self.sums[lane] += before
             step *= 2
-        place_sum = self.sums[lane] - total
-        for place in range(begin, end):
-            count = self.counts[place]
-            self.counts[place] = place_sum
-            place_sum += count
+        running_sum = self.sums[lane] - total
+        for index in range(begin, end):
+            count = self.counts[index]
+            self.counts[index] = running_sum
+            running_sum += count

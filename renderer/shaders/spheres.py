@@ -1,4 +1,5 @@
-"""Lamps that are spheres: point and spot lights whose light comes from a sphere of a radius around their position.
+"""Local lights that are spheres: point and spot lights whose light comes from a sphere of a radius around their
+position.
 
 The sphere shines as strongly as the point does from afar, I / d². Seen over an angle of sine σ = radius / d:
 
@@ -13,27 +14,30 @@ The sphere shines as strongly as the point does from afar, I / d². Seen over an
   turn by q / c to the sides, so q² is q² / c, and q in the second term the mean of both. Karis has 2 for k, and leaves
   c out: what his highlights have is up to 1.6 times as bright at 60°.
 
-A radius of 0 gives what a point gives, so lamps of both sorts are lit by one shader.
+A radius of 0 gives what a point gives, so one shader lights surfaces by points and spheres.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import rhi.shading as sl
-from renderer.shaders.lighting import safe_normalize
+from renderer.light_kinds.generation import define, for_each_kind
+from renderer.light_kinds.incidence import safe_normalize
+from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.shaders.structs import TABLE_WIDTH, SurfacePoint
 
 _PI: Final = 3.14159265
 GGX_TAIL: Final = 1.57079633
-"""k of the metallic-roughness model."""
+"""The weight k of the mixed term in `lobe_normalization`, for the metallic-roughness model."""
 PHONG_TAIL: Final = 1.77245385
-"""k of the specular model."""
+"""The same weight for the specular model."""
 
 
 @sl.function
 def sphere_cosine(cosine: float, size: float) -> float:
-    """Return what n·l is for a sphere with this square of the sine of its angle, given that of its centre."""
+    """Return the effective n·l of a sphere light. `cosine` is n·l of its centre, `size` the squared sine of its
+    angle."""
     above = size - cosine * cosine
     if above <= 0.0:
         return sl.saturate(cosine)
@@ -60,23 +64,46 @@ def nearest_direction(surface: SurfacePoint, to_center: sl.vec3, sine: float) ->
 
 
 @sl.function
-def lobe_share(widening: float, slant: float, tail: float) -> float:
-    """Return by what a lobe is weaker if it is flat over a sphere that is `widening` times as wide as itself, and by
-    the cosine `slant` wider in one direction."""
+def lobe_normalization(widening: float, slant: float, tail: float) -> float:
+    """Return the factor that keeps the energy of a specular lobe which is flat over a sphere `widening` times as
+    wide as itself; the cosine `slant` makes it wider in one direction."""
     return 1.0 / (1.0 + widening * (0.5 * tail * (1.0 + 1.0 / slant) + widening / slant))
 
 
-class SourceReader(sl.Shader):
-    """The base of shaders that light surfaces by lamps which may be spheres."""
+class SourceRadiusReader(sl.Shader):
+    """The base of shaders that read the radii of lights: a channel for each kind."""
 
     lean = True
-    has_point_spheres = False
-    has_spot_spheres = False
 
     source_radii: sl.Texture2D
 
-    def find_sizes(self, to_center: sl.vec3, row: int) -> sl.vec2:
-        """Return the squares of radius / distance, 0 for a point and above 1 in a sphere, that the point light and the
-        spot light of a row have where `to_center` leads to it."""
-        radii = self.source_radii.load(sl.ivec2(row % TABLE_WIDTH, row // TABLE_WIDTH)).xy
+
+_COUNT: Final = len(LOCAL_LIGHT_KINDS)
+
+if TYPE_CHECKING:
+
+    class SphereLightReader(SourceRadiusReader):
+        """The base of shaders that light surfaces by local lights. `has_…_spheres` says for each kind whether its
+        lights may be spheres."""
+
+        def squared_angular_sizes(self, to_center: sl.vec3, light_index: int) -> Any:
+            """Squares of radius / distance of the lights of each kind."""
+
+else:
+    SphereLightReader = define(
+        f'''
+class SphereLightReader(SourceRadiusReader):
+    lean = True
+{for_each_kind("    has_${kind}_spheres = False" + chr(10))}
+    def squared_angular_sizes(self, to_center: sl.vec3, light_index: int) -> sl.vec{_COUNT}:
+        """Return (radius / distance)² of the light at this index of each kind, 0 for a point and above 1 in a sphere.
+        `to_center` leads from the surface to the light."""
+        radii = self.source_radii.load(sl.ivec2(light_index % TABLE_WIDTH, light_index // TABLE_WIDTH)).{"xyz"[:_COUNT]}
         return radii * radii / sl.max(sl.dot(to_center, to_center), 1e-4)  # where attenuation is bounded
+''',
+        "SphereLightReader",
+        __name__,
+        SourceRadiusReader=SourceRadiusReader,
+        TABLE_WIDTH=TABLE_WIDTH,
+        sl=sl,
+    )

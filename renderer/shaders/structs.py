@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from rhi.shading import Struct, function, ivec3, mat3, mat4, uint, vec2, vec3, vec4
+from renderer.light_kinds.bounds import BOUND_FIELDS, LightBounds
+from rhi.shading import Struct, function, mat3, mat4, uint, vec2, vec3, vec4
 
 
 class ViewConstants(Struct):
@@ -37,20 +38,25 @@ class Haze(Struct):
     density: float
 
 
-class Object(Struct):
-    """An object's material, lights and transform, except its position.
+class ObjectSurface(Struct):
+    """An object's material and its transform, except its position.
 
-    `normal` is the cofactor matrix of `linear`, which keeps normals upright under nonuniform scale. The
-    object's lights are `light_rows[lights_begin:points_end]`, rows of the point lights, and
-    `light_rows[points_end:lights_end]`, rows of the spot lights.
+    `normal` is the cofactor matrix of `linear`, which keeps normals upright under nonuniform scale.
     """
 
     linear: mat3
     normal: mat3
     material: int
-    lights_begin: int
-    points_end: int
-    lights_end: int
+
+
+class Object(ObjectSurface):
+    """An object's material, lights and transform, except its position.
+
+    The object's lights are the indices in `light_list` from `lights_begin` to `lights_end`; the other bounds say where
+    the indices of each kind end (`BOUND_FIELDS`).
+    """
+
+    __annotations__ = dict.fromkeys(BOUND_FIELDS, int)
 
 
 DRAW_LISTS: Final = 4
@@ -58,7 +64,7 @@ DRAW_LISTS: Final = 4
 
 
 TABLE_WIDTH: Final = 64
-"""The width in texels of textures that have numbers of lamps."""
+"""The width in texels of textures that are indexed by local lights."""
 
 
 class ObjectPosition(Struct):
@@ -88,10 +94,10 @@ class MeshPart(Struct):
 
 
 @function
-def relative_position(place: ObjectPosition, view: ViewConstants) -> vec3:
+def relative_position(position: ObjectPosition, view: ViewConstants) -> vec3:
     """Return an object's position relative to the eye. Near the eye it is as exact as with doubles, even far from the
     world's origin."""
-    return (place.high - view.eye_high) + (place.low - view.eye_low)
+    return (position.high - view.eye_high) + (position.low - view.eye_low)
 
 
 class Material(Struct):
@@ -118,37 +124,6 @@ class Material(Struct):
     alpha_cutoff: float
     double_sided: int
     shader: int
-
-
-class DirectionalLight(Struct):
-    """A directional light, laid out as `renderer.scene.DIRECTIONAL`; it travels along the unit vector `direction`.
-    `casts_shadow` is 0 or 1."""
-
-    direction: vec3
-    intensity: float
-    color: vec3
-    casts_shadow: uint
-
-
-class PointLight(Struct):
-    """A point light, laid out as `renderer.scene.RELATIVE_POINT`."""
-
-    position: vec3
-    range: float
-    color: vec3
-    intensity: float
-
-
-class SpotLight(Struct):
-    """A spot light, laid out as `renderer.scene.RELATIVE_SPOT`."""
-
-    position: vec3
-    range: float
-    color: vec3
-    intensity: float
-    direction: vec3
-    cos_inner: float
-    cos_outer: float
 
 
 class Vertex(Struct):
@@ -201,7 +176,7 @@ class SurfaceVarying(Struct):
     tangent: vec4
     color: vec4
     material: int
-    lights: ivec3
+    lights: LightBounds
 
 
 class SurfaceInput(Struct):
@@ -221,19 +196,20 @@ class SurfaceInput(Struct):
     normal: vec3
     uv: vec2
     uv2: vec2
-    changes: vec4
-    changes2: vec4
+    uv_gradients: vec4
+    uv2_gradients: vec4
     tangent: vec4
     color: vec4
     material: int
 
 
 class SurfaceParameters(Struct):
-    """What a surface is made of at a point, as a material's shader says.
+    """The properties of a surface at a point, as a material's shader computes them.
 
     Attributes:
         color: multiplies the material's `base_color`: 0 to 1, linear. normal: of length 1, on the side that is seen.
-        metallic, roughness: 0 to 1, of the metallic-roughness model. occlusion: the share of ambient light that comes.
+        metallic, roughness: 0 to 1, of the metallic-roughness model. occlusion: the share of ambient light that
+            arrives.
         emissive: multiplies the material's `emissive` colour: 0 to 1, linear.
     """
 
@@ -246,29 +222,23 @@ class SurfaceParameters(Struct):
 
 
 class SurfacePoint(Struct):
-    """A point of a surface to be lit; `normal`, `plane` and `to_eye` are unit vectors. `plane` is the normal of the
-    surface itself, `normal` as maps bend it.
+    """A point of a surface to be lit; `normal`, `geometric_normal` and `to_eye` are unit vectors. `geometric_normal`
+    is the normal of the surface itself, `normal` as maps bend it.
 
     In the specular model, `base_color` is what scatters light and `specular_color` what mirrors it; `shininess` is an
     exponent. In the metallic-roughness model they are the colours of the same two parts of its equation
     (`renderer.shaders.metals`), and `shininess` is minus the roughness.
 
-    Of ambient light, `occlusion` reaches the surface; `emissive` multiplies the light that its material emits.
+    `occlusion` is the share of ambient light that reaches the surface; `emissive` multiplies the light that its
+    material emits.
     """
 
     position: vec3
     normal: vec3
-    plane: vec3
+    geometric_normal: vec3
     to_eye: vec3
     base_color: vec3
     specular_color: vec3
     shininess: float
     occlusion: float
     emissive: vec3
-
-
-class Incidence(Struct):
-    """Light that arrives at a point: the unit direction that it comes from, and its irradiance."""
-
-    direction: vec3
-    irradiance: vec3

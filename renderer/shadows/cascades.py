@@ -1,8 +1,8 @@
 """Cascades of a directional light: maps for slices of the view, one behind the other.
 
 - **Splits** are practical (Zhang, Sun, Xu and Lun 2006): a mix of equal ratios and equal distances.
-- A slice is enclosed by a **sphere**. Its radius depends on the lens alone, so that a turn of the eye changes neither
-  the size of a texel nor, but for whole texels, the place of a map.
+- A slice is enclosed by a **sphere**. Its radius depends on the projection alone, so that a turn of the eye changes
+  neither the size of a texel nor, but for whole texels, the position of a map.
 - The middle of a map is moved to **whole texels**, and its depth to whole steps, in float64 and in the world. So texels
   are at fixed places of the world, and edges of shadows don't crawl while the eye moves.
 - Several views of a frame, such as two eyes, share their cascades: spheres enclose the slices of all views.
@@ -17,10 +17,11 @@ import numpy as np
 
 from renderer.scene import Camera, Depth, Orthographic
 from renderer.scene.arrays import Floats
-from renderer.shadows.settings import ShadowSettings
+from renderer.shadows.shadow_settings import ShadowSettings
 
 _BORDER = 4
-"""Texels at each side of a map which no point is in: filters reach that far, and the middle was moved by up to one."""
+"""The border in texels at each side of a map, where no point is looked up: filters read it, and the middle is moved
+by up to one texel."""
 
 _STEPS = 64.0
 """A radius is rounded up to this part of a power of two, so that rounding doesn't change it from frame to frame."""
@@ -42,9 +43,9 @@ class Cascade:
     inner: float
 
 
-def find_splits(near: float, far: float, count: int, split: float) -> Floats:
-    """Return the distances (count + 1,) at which slices begin and end. With `near` at 0 or behind the eye, they are
-    equally deep: there are no ratios."""
+def split_distances(near: float, far: float, count: int, split: float) -> Floats:
+    """Return the distances (count + 1,) along the view between which the slices lie. With `near` at 0 or behind the
+    eye, they are equally deep: there are no ratios."""
     share = np.arange(count + 1) / count
     even = near + (far - near) * share
     if near <= 0.0:
@@ -53,10 +54,10 @@ def find_splits(near: float, far: float, count: int, split: float) -> Floats:
     return splits
 
 
-def find_range(camera: Camera) -> tuple[float, float]:
+def near_and_far(camera: Camera) -> tuple[float, float]:
     """Return the distances of the near and the far plane along the view; the latter may be infinite."""
-    lens = camera.projection.matrix
-    to_near, to_far = lens[3] - lens[2], lens[2]
+    matrix = camera.projection.matrix
+    to_near, to_far = matrix[3] - matrix[2], matrix[2]
     if camera.projection.depth is Depth.STANDARD:
         to_near, to_far = to_far, to_near
     near = to_near[3] / to_near[2]
@@ -64,15 +65,15 @@ def find_range(camera: Camera) -> tuple[float, float]:
     return float(near), float(far)
 
 
-def find_corners(camera: Camera, distances: Floats) -> Floats:
+def slice_corners(camera: Camera, distances: Floats) -> Floats:
     """Return the corners (d, 4, 3) of the view at distances (d,) along it, in view space."""
-    lens = camera.projection.matrix
-    w = lens[3, 3] - lens[3, 2] * distances
+    matrix = camera.projection.matrix
+    w = matrix[3, 3] - matrix[3, 2] * distances
     corners = np.empty((len(distances), 4, 3))
-    for place, (x, y) in enumerate(((-1, -1), (1, -1), (-1, 1), (1, 1))):
-        corners[:, place, 0] = (x * w + lens[0, 2] * distances - lens[0, 3]) / lens[0, 0]
-        corners[:, place, 1] = (y * w + lens[1, 2] * distances - lens[1, 3]) / lens[1, 1]
-        corners[:, place, 2] = -distances
+    for corner, (x, y) in enumerate(((-1, -1), (1, -1), (-1, 1), (1, 1))):
+        corners[:, corner, 0] = (x * w + matrix[0, 2] * distances - matrix[0, 3]) / matrix[0, 0]
+        corners[:, corner, 1] = (y * w + matrix[1, 2] * distances - matrix[1, 3]) / matrix[1, 1]
+        corners[:, corner, 2] = -distances
     return corners
 
 
@@ -82,7 +83,7 @@ def enclose_slices(camera: Camera, distances: Floats) -> tuple[Floats, Floats]:
     A centre is on the line between the middles of the slice's two ends, where the farthest corners of both are equally
     far, or else at one of the ends.
     """
-    corners = find_corners(camera, distances)
+    corners = slice_corners(camera, distances)
     middles = corners.mean(1)
     squares = ((corners - middles[:, None]) ** 2).sum(2).max(1)
     first, last = middles[:-1], middles[1:]
@@ -106,33 +107,34 @@ def fit_cascades(
     """
     spheres = []
     for camera in cameras:
-        near, far = find_range(camera)
+        near, far = near_and_far(camera)
         if isinstance(camera.projection, Orthographic):
             near, far = max(near, depth[0]), max(min(far, depth[1]), max(near, depth[0]) + 1.0)
         else:
             far = min(far, near + settings.distance)
-        distances = find_splits(near, far, settings.cascades, settings.split)
+        distances = split_distances(near, far, settings.cascades, settings.split)
         spheres.append(enclose_slices(camera, distances))
-    centres, radii = (np.stack(some) for some in zip(*spheres, strict=True))
+    centres, radii = (np.stack(arrays) for arrays in zip(*spheres, strict=True))
     middle = centres.mean(0)
     radius = (np.linalg.norm(centres - middle, axis=2) + radii).max(0)
     axes = Camera.look_at((0, 0, 0), direction).rotation
     return [
-        _place(centre, axes, float(one), settings.cascade_size, top) for centre, one in zip(middle, radius, strict=True)
+        _fit_cascade(centre, axes, float(slice_radius), settings.cascade_size, top)
+        for centre, slice_radius in zip(middle, radius, strict=True)
     ]
 
 
-def _place(centre: Floats, axes: Floats, radius: float, size: int, top: float) -> Cascade:
+def _fit_cascade(centre: Floats, axes: Floats, radius: float, size: int, top: float) -> Cascade:
     step = 2.0 ** np.floor(np.log2(radius)) / _STEPS
     radius = float(np.ceil(radius / step * (1.0 + 1e-9)) * step)
     border = min(_BORDER, (size - 1) // 4)
     texel = 2.0 * radius / (size - 2 * border)
-    place = axes @ centre
-    place[:2] = np.floor(place[:2] / texel) * texel
-    bottom = np.floor((place[2] - radius) / radius) * radius
+    position = axes @ centre
+    position[:2] = np.floor(position[:2] / texel) * texel
+    bottom = np.floor((position[2] - radius) / radius) * radius
     above = max(np.ceil(top / radius + 1e-6) * radius, bottom + radius)
-    place[2] = above
+    position[2] = above
     length = float(above - bottom)
-    lens = Orthographic(height=size * texel, aspect=1.0, near=0.0, far=length)
+    projection = Orthographic(height=size * texel, aspect=1.0, near=0.0, far=length)
     inner = 0.5 * size * texel - max(border - 1, 0) * texel
-    return Cascade(Camera(place @ axes, axes, lens), texel, length, inner)
+    return Cascade(Camera(position @ axes, axes, projection), texel, length, inner)

@@ -5,12 +5,12 @@ renderer.stereo = Stereo(StereoRig(eye_distance=0.063, convergence=3.0), "dubois
 
 from renderer.stereo.outputs import ANAGLYPHS as ANAGLYPHS
 from renderer.stereo.outputs import OUTPUTS as OUTPUTS
-from renderer.stereo.outputs import fit_picture as fit_picture
+from renderer.stereo.outputs import eye_image_size as eye_image_size
 from renderer.stereo.outputs import mix_anaglyph as mix_anaglyph
 from renderer.stereo.pair import EyePair as EyePair
 from renderer.stereo.pair import Stereo as Stereo
-from renderer.stereo.pair import find_rig as find_rig
-from renderer.stereo.reprojection import find_holes as find_holes
+from renderer.stereo.pair import compute_rig as compute_rig
+from renderer.stereo.reprojection import read_hole_mask as read_hole_mask
 from rhi.errors.exports import list_public as _list_public
 
 __all__ = _list_public(globals())

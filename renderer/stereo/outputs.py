@@ -1,8 +1,8 @@
-"""Ways to show two pictures in one image, and how the colours of both are mixed in an anaglyph, in float64.
+"""The outputs that show both eyes in one image, and the colours of an anaglyph, in float64.
 
-An anaglyph is seen through a red and a cyan glass: red is for the left eye, green and blue are for the right one. Each
-way to make one is two matrices, for the left and for the right picture, and the image is the sum of both products,
-in linear light. In each row both matrices together sum to 1, so what is grey in both pictures stays the same grey.
+An anaglyph is seen through a red and a cyan glass: red is for the left eye, green and blue are for the right one.
+Each way to make one is two matrices, for the left and for the right image, and the image is the sum of both products,
+in linear light. In each row both matrices together sum to 1, so what is grey in both images stays the same grey.
 
 `grey` has no colours and thus no rivalry of the eyes, `color` has all, and `half_color` has grey for the left eye
 only. `dubois` is the least-squares match to what an eye sees through each glass (Dubois, 2001); what is below 0 or
@@ -43,10 +43,10 @@ ANAGLYPHS: Final = {
         "dubois": _DUBOIS,
     }.items()
 }
-"""The matrices (2, 3, 3) of each anaglyph, for the left and the right picture."""
+"""The matrices (2, 3, 3) of each anaglyph, for the left and the right image."""
 
 OUTPUTS: Final = (*ANAGLYPHS, "interlaced", "side_by_side", "over_under")
-"""All ways to show two pictures. `interlaced` has the left picture in even rows, from the top, and the right one in odd
+"""All ways to show two images. `interlaced` has the left image in even rows, from the top, and the right one in odd
 rows. The last two show both at half their width or height, the left one first."""
 
 
@@ -56,9 +56,9 @@ def check_output(name: str, call: str) -> None:
         rules.refuse_name(rules.UNKNOWN_STEREO, call, name, OUTPUTS)
 
 
-def fit_picture(output: str, size: tuple[int, int]) -> tuple[int, int]:
-    """Return the (width, height) of each picture in an image of `size` pixels. If it is odd where it is halved, the
-    right picture lacks its last column or row."""
+def eye_image_size(output: str, size: tuple[int, int]) -> tuple[int, int]:
+    """Return the (width, height) of each image in an image of `size` pixels. If it is odd where it is halved, the
+    right image lacks its last column or row."""
     width, height = size
     if output == "side_by_side":
         return -(-width // 2), height
@@ -66,6 +66,6 @@ def fit_picture(output: str, size: tuple[int, int]) -> tuple[int, int]:
 
 
 def mix_anaglyph(name: str, left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the anaglyph (..., 3) of two pictures (..., 3) of linear light from 0 to 1."""
+    """Return the anaglyph (..., 3) of two images (..., 3) of linear light from 0 to 1."""
     of_left, of_right = ANAGLYPHS[name]
     return np.asarray(np.clip(left @ of_left.T + right @ of_right.T, 0.0, 1.0))

@@ -2,7 +2,7 @@
 
 A frame of two eyes is the frame of the left one, then that of the right one, each with its view and its targets, and
 all else shared: the simulation, the transforms, the light lists, the needs and the plan, and the objects found where
-only a frustum decides. Passes know nothing of this. So every technique works, and each eye's picture is that of its
+only a frustum decides. Passes know nothing of this. So every technique works, and each eye's image is that of its
 camera, bit for bit.
 """
 
@@ -15,17 +15,17 @@ from typing import Final
 from renderer import rules
 from renderer.frame import IMAGE_FORMAT, Frame, Plan, Targets, View, make_plan
 from renderer.scene import Camera, Scene, StereoRig
-from renderer.stereo.mixing import MIXED, Mixer
-from renderer.stereo.outputs import check_output, fit_picture
+from renderer.stereo.mixing import MIXED_OUTPUTS, Mixer
+from renderer.stereo.outputs import check_output, eye_image_size
 from renderer.stereo.reprojection import REPROJECTION
-from renderer.visibility.boxes.depth_range import find_depth_range
-from renderer.visibility.repeated import RepeatedCommands, copy
+from renderer.visibility.boxes.depth_range import compute_depth_range
+from renderer.visibility.command_cache import CommandCache, copy
 from rhi import Device, Encoder, Region, Texture, refuse
 
-_LEAST: Final = 1e-3  # of the farthest depth: a parallel lens may see what is behind the eye
+_MIN_NEAR_RATIO: Final = 1e-3  # of the farthest depth: an orthographic projection may see what is behind the eye
 
 
-def find_rig(
+def compute_rig(
     scene: Scene,
     camera: Camera,
     *,
@@ -33,12 +33,12 @@ def find_rig(
     convergence: float | None = None,
     is_toed_in: bool = False,
 ) -> StereoRig:
-    """Return the rig that is comfortable for what `camera` sees of `scene`, with what is given instead."""
-    depths = find_depth_range(scene, camera)
+    """Return the comfortable rig for what `camera` sees of `scene`; the arguments replace its values."""
+    depths = compute_depth_range(scene, camera)
     rig = StereoRig()
     if depths is not None and depths[1] > 0.0:
         nearest, farthest = depths
-        rig = StereoRig.comfortable(camera.projection, max(nearest, _LEAST * farthest), farthest)
+        rig = StereoRig.comfortable(camera.projection, max(nearest, _MIN_NEAR_RATIO * farthest), farthest)
     return StereoRig(
         rig.eye_distance if eye_distance is None else eye_distance,
         rig.convergence if convergence is None else convergence,
@@ -52,8 +52,8 @@ class Stereo:
 
     Attributes:
         rig: where the eyes are. output: one of `OUTPUTS`.
-        is_swapped: whether the left eye's picture is shown to the right eye and the other way round.
-        is_reprojected: whether the right eye's picture is made from the left one's instead of being drawn.
+        is_swapped: whether the left eye's image is shown to the right eye and the other way round.
+        is_reprojected: whether the right eye's image is made from the left one's instead of being drawn.
     """
 
     rig: StereoRig
@@ -67,9 +67,9 @@ class Stereo:
             refuse(rules.BAD_STEREO, "Stereo(is_reprojected=...)", True, "eyes that aren't toed in")
 
 
-PICTURE: Final = make_plan(REPROJECTION, ("image",))
-"""The plan of a right eye's frame whose picture is reprojected."""
-PICTURE_AND_DEPTH: Final = make_plan(REPROJECTION)
+IMAGE_PLAN: Final = make_plan(REPROJECTION, ("image",))
+"""The plan of a right eye's frame whose image is reprojected."""
+IMAGE_AND_DEPTH_PLAN: Final = make_plan(REPROJECTION)
 """The same with depth, for layers."""
 
 
@@ -77,49 +77,51 @@ class EyePair:
     """The right eye beside the view of the left one, and the image of both.
 
     Attributes:
-        stereo: how the eyes are shown; it may be exchanged for one whose pictures have the same size.
+        stereo: how the eyes are shown; it may be exchanged for one whose images have the same size.
         view, targets: those of the right eye. image: what is shown.
     """
 
     def __init__(self, device: Device, stereo: Stereo, size: tuple[int, int], left: View, scale: float = 1.0) -> None:
         self.stereo = stereo
-        with ExitStack() as made:
-            self.image: Texture = made.enter_context(device.texture(size, IMAGE_FORMAT, label="both eyes"))
-            self.targets = Targets(device, fit_picture(stereo.output, size), scale)
-            made.callback(self.targets.destroy)
+        with ExitStack() as created:
+            self.image: Texture = created.enter_context(device.texture(size, IMAGE_FORMAT, label="both eyes"))
+            self.targets = Targets(device, eye_image_size(stereo.output, size), scale)
+            created.callback(self.targets.destroy)
             self.view = View(device, "right eye", left.visibility, left.batch)
-            made.callback(self.view.destroy)
+            created.callback(self.view.destroy)
             self._mixer = Mixer(device)
-            made.callback(self._mixer.destroy)
-            self._commands = RepeatedCommands(device, "")
-            self._made = made.pop_all()
+            created.callback(self._mixer.destroy)
+            self._commands = CommandCache(device, "")
+            self._resources = created.pop_all()
 
     def plan(self, *, has_layers: bool) -> Plan[Frame] | None:
         """Return the plan of the right eye's frame, None if it is that of the left one."""
         if not self.stereo.is_reprojected:
             return None
-        return PICTURE_AND_DEPTH if has_layers else PICTURE
+        return IMAGE_AND_DEPTH_PLAN if has_layers else IMAGE_PLAN
 
     def show(self, left: Frame, right: Frame) -> Texture:
-        """Draw the pictures of both frames to `image`, and return it."""
+        """Draw the images of both frames to `image`, and return it."""
         output, image = self.stereo.output, self.image
         first, second = left.targets.image, right.targets.image
         if self.stereo.is_swapped:
             first, second = second, first
-        if output in MIXED:
+        if output in MIXED_OUTPUTS:
             self._mixer.mix(output, first, second, image)
         else:
-            self._commands.execute((first, second, image), lambda encoder: _place(encoder, first, second, image))
+            self._commands.execute(
+                (first, second, image), lambda encoder: _copy_side_by_side(encoder, first, second, image)
+            )
         return image
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
         self._commands.forget()
-        self._made.close()
+        self._resources.close()
 
 
-def _place(encoder: Encoder, first: Texture, second: Texture, image: Texture) -> None:
-    """Copy two pictures to the halves of an image, side by side or one over the other."""
+def _copy_side_by_side(encoder: Encoder, first: Texture, second: Texture, image: Texture) -> None:
+    """Copy two images to the halves of an image, side by side or one over the other."""
     (width, height), (x, y) = image.size, first.size
     x, y = (x, 0) if x < width else (0, y)
     copy(encoder, first, image)

@@ -1,13 +1,13 @@
-"""The right eye's picture made from the left one's: each pixel moves along its row by the parallax of its depth.
+"""Makes the right eye's image from the left eye's: each pixel moves along its row by the parallax of its depth.
 
-The parallax is a linear function of depth, with each lens: a perspective lens has depths that are linear in 1/z, and so
-is its parallax; with a parallel one both are linear in z. So a pixel's way takes one multiplication, of numbers that
-are computed in float64. Pixels are moved as they are, four bytes each: no colour is decoded.
+The parallax is a linear function of depth, with each projection: a perspective one has depths that are linear in 1/z,
+and so is its parallax; with a parallel one both are linear in z. So a pixel's way takes one multiplication, of
+numbers that are computed in float64. Pixels are moved as they are, four bytes each: no colour is decoded.
 
-An invocation has a row. `MovePixels` walks along it from left to right. Of several pixels that land on one the last
+An invocation has a row. `ShiftPixels` walks along it from left to right. Of several pixels that land on one the last
 wins, which is the nearest: it has moved farther to the left than those before it. Where nothing lands there is a
-*hole*: what the left eye doesn't see. `FillPixels` fills it with what is to its right, which is what was hidden, since
-near things move to the left.
+*hole*: what the left eye doesn't see. `FillPixels` fills it with what is to its right, which is what was hidden,
+since near things move to the left.
 
 What a surface reflects is what the left eye sees of it, highlights included.
 """
@@ -20,14 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading as sl
-from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Pass, Target, Targets
+from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, FramePass, Target, Targets
+from renderer.frame.drawing import FARTHEST
 from renderer.frame.mirrors import MirroredValue
-from renderer.frame.passes import FARTHEST
 from renderer.scene import Camera, Depth
 from renderer.shaders.pixels import BackgroundScreen
-from renderer.stereo.words import Words, find_pitch
+from renderer.stereo.pixel_buffer import PixelBuffer, row_pitch
 from renderer.techniques.parts.full_screen import bind_rays, make_triangle
-from renderer.visibility.repeated import RepeatedCommands, clear, copy
+from renderer.visibility.command_cache import CommandCache, clear, copy
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Encoder, StorageBuffer
 
 _ROWS: Final = 16  # of a work-group
@@ -35,24 +35,24 @@ _AHEAD: Final = np.array([(0.0, 0.0, -1.0, 1.0), (0.0, 0.0, -2.0, 1.0)])  # two 
 
 
 class Shift(sl.Struct):
-    """The distance by which pixels move to the right: `least` + `rate` times their nearness, in pixels. `size` is that
-    of the picture, whose rows are `pitch` pixels apart, `farthest` the depth of the background."""
+    """The distance by which pixels move to the right: `base` + `rate` times their nearness, in pixels. `size` is that
+    of the image, whose rows are `pitch` pixels apart, `farthest` the depth of the background."""
 
     size: sl.ivec2
     pitch: int
-    least: float
+    base: float
     rate: float
     farthest: float
 
 
-class MovePixels(sl.Shader):
+class ShiftPixels(sl.Shader):
     """Moves the pixels of each row."""
 
     work_group = (_ROWS,)
     shift: sl.Uniform[Shift]
     depth: sl.Storage[float]
-    picture: sl.Storage[sl.uint]
-    moved: sl.StorageRW[sl.uint]
+    pixels: sl.Storage[sl.uint]
+    shifted: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
         size = self.shift.size
@@ -61,9 +61,9 @@ class MovePixels(sl.Shader):
         row = sl.global_id().x * self.shift.pitch
         for x in range(size.x):
             nearness = sl.abs(self.depth[row + x] - self.shift.farthest)
-            to = int(sl.floor(float(x) + 0.5 + (self.shift.least + self.shift.rate * nearness)))
+            to = int(sl.floor(float(x) + 0.5 + (self.shift.base + self.shift.rate * nearness)))
             if to >= 0 and to < size.x:
-                self.moved[row + to] = self.picture[row + x]
+                self.shifted[row + to] = self.pixels[row + x]
 
 
 class FillPixels(sl.Shader):
@@ -71,8 +71,8 @@ class FillPixels(sl.Shader):
 
     work_group = (_ROWS,)
     shift: sl.Uniform[Shift]
-    moved: sl.Storage[sl.uint]
-    picture: sl.StorageRW[sl.uint]
+    shifted: sl.Storage[sl.uint]
+    pixels: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
         size = self.shift.size
@@ -81,94 +81,96 @@ class FillPixels(sl.Shader):
         end = sl.global_id().x * self.shift.pitch + size.x
         pixel = sl.uint(0)
         for i in range(1, size.x + 1):
-            pixel = self.moved[end - i]
+            pixel = self.shifted[end - i]
             if pixel != sl.uint(0):
                 break
         for i in range(1, size.x + 1):
-            here = self.moved[end - i]
+            here = self.shifted[end - i]
             if here != sl.uint(0):
                 pixel = here
-            self.picture[end - i] = pixel
+            self.pixels[end - i] = pixel
 
 
 class EncodeDepth(sl.Shader):
-    """Makes depths pixels that aren't 0, which stands for a hole."""
+    """Encodes depths as pixels that are never 0, because 0 marks a hole."""
 
     work_group = (64,)
     depth: sl.Storage[float]
-    picture: sl.StorageRW[sl.uint]
+    pixels: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
         i = sl.global_id().x
         if i < len(self.depth):
-            self.picture[i] = sl.float_bits_to_uint(self.depth[i]) + sl.uint(1)
+            self.pixels[i] = sl.float_bits_to_uint(self.depth[i]) + sl.uint(1)
 
 
-class MovedDepth(sl.Struct):
+class ShiftedDepth(sl.Struct):
     """The depth of a moved pixel."""
 
     depth: sl.FragmentDepth
 
 
-class TakeDepth(BackgroundScreen):
+class WriteShiftedDepth(BackgroundScreen):
     """Writes the moved depth: that of a surface is the same for both eyes."""
 
     shift: sl.Uniform[Shift]
-    picture: sl.Storage[sl.uint]
+    pixels: sl.Storage[sl.uint]
 
-    def fragment(self) -> MovedDepth:
-        place = sl.ivec2(sl.fragment_coordinate().xy)
-        return MovedDepth(depth=sl.uint_bits_to_float(self.picture[place.y * self.shift.pitch + place.x] - sl.uint(1)))
+    def fragment(self) -> ShiftedDepth:
+        position = sl.ivec2(sl.fragment_coordinate().xy)
+        return ShiftedDepth(
+            depth=sl.uint_bits_to_float(self.pixels[position.y * self.shift.pitch + position.x] - sl.uint(1))
+        )
 
 
 class Reprojector:
     """Moves the pixels of a view.
 
     Attributes:
-        depth, picture, moved: the left eye's depth, what is moved and then filled, and what has holes between.
-        depths: `picture` and `moved` of the depth, for layers.
+        depth, image, moved: the left eye's depth, what is moved and then filled, and what has holes between.
+        depths: `pixels` and `shifted` of the depth, for layers.
     """
 
     def __init__(self, device: Device) -> None:
-        self.shift = MirroredValue(device, Shift(size=(0, 0), pitch=0, least=0.0, rate=0.0, farthest=0.0))
-        self.depth = Words(device, float)
-        self.picture, self.moved = Words(device, sl.uint), Words(device, sl.uint)
-        self.depths = Words(device, sl.uint), Words(device, sl.uint)
-        self._commands = RepeatedCommands(device, "")
+        self.shift = MirroredValue(device, Shift(size=(0, 0), pitch=0, base=0.0, rate=0.0, farthest=0.0))
+        self.depth = PixelBuffer(device, float)
+        self.pixels, self.shifted = PixelBuffer(device, sl.uint), PixelBuffer(device, sl.uint)
+        self.depth_pixels = PixelBuffer(device, sl.uint), PixelBuffer(device, sl.uint)
+        self._commands = CommandCache(device, "")
         self._device = device
 
-    def move_picture(self, left: Targets, right: Targets) -> None:
-        """Draw the right eye's picture. The left eye's depth stays in `depth`."""
+    def reproject_image(self, left: Targets, right: Targets) -> None:
+        """Draw the right eye's image. The left eye's depth stays in `depth`."""
         size, sources, image = right.size, (left.depth, left["image"]), right["image"]
-        depth, picture, moved = (words.fit(size) for words in (self.depth, self.picture, self.moved))
+        depth, pixels, shifted = (words.fit(size) for words in (self.depth, self.pixels, self.shifted))
 
         def issue(encoder: Encoder) -> None:
-            for source, words in zip(sources, (depth, picture), strict=True):
+            for source, words in zip(sources, (depth, pixels), strict=True):
                 copy(encoder, source, words)
-            self.move(encoder, size, picture, moved)
-            copy(encoder, picture, image)
+            self.reproject_pixels(encoder, size, pixels, shifted)
+            copy(encoder, pixels, image)
 
-        self._commands.execute((*sources, depth, picture, moved, image), issue)
+        self._commands.execute((*sources, depth, pixels, shifted, image), issue)
 
-    def move(
-        self, encoder: Encoder, size: tuple[int, int], picture: StorageBuffer[Any], moved: StorageBuffer[Any]
+    def reproject_pixels(
+        self, encoder: Encoder, size: tuple[int, int], pixels: StorageBuffer[Any], shifted: StorageBuffer[Any]
     ) -> None:
-        """Move the pixels of `picture` to `moved`, and back to `picture` with all holes filled."""
+        """Move the pixels of `pixels` to `shifted`, and back to `pixels` with all holes filled."""
         device, groups = self._device, -(-size[1] // _ROWS)
-        clear(encoder, moved)
-        given: dict[str, Any] = {"shift": self.shift.buffer, "picture": picture, "moved": moved}
-        encoder.dispatch(device.program(MovePixels), groups, **given, depth=self.depth.buffer)
-        encoder.dispatch(device.program(FillPixels), groups, **given)
+        clear(encoder, shifted)
+        bindings: dict[str, Any] = {"shift": self.shift.buffer, "pixels": pixels, "shifted": shifted}
+        encoder.dispatch(device.program(ShiftPixels), groups, **bindings, depth=self.depth.buffer)
+        encoder.dispatch(device.program(FillPixels), groups, **bindings)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
         self._commands.forget()
-        for one in (self.shift, self.depth, self.picture, self.moved, *self.depths):
-            one.destroy()
+        for resource in (self.shift, self.depth, self.pixels, self.shifted, *self.depth_pixels):
+            resource.destroy()
 
 
-def find_shift(left: Camera, right: Camera, size: tuple[int, int], pitch: int) -> Shift:
-    """Return how the pixels of a picture of `size` move from one eye to the other, in rows that are `pitch` apart. The
+def compute_shift(left: Camera, right: Camera, size: tuple[int, int], pitch: int) -> Shift:
+    """Return how the pixels of an image of `size` move from one eye to the other, in rows that are `pitch` apart. The
     eyes look in one direction."""
     depth, matrix = left.projection.depth, left.projection.matrix
     near = matrix[2] if depth is Depth.REVERSED else matrix[3] - matrix[2]
@@ -179,39 +181,42 @@ def find_shift(left: Camera, right: Camera, size: tuple[int, int], pitch: int) -
     parallax = aside @ other[0] / (aside @ other[3]) - _AHEAD @ matrix[0] / (_AHEAD @ matrix[3])
     first, second = (0.5 * size[0] * parallax).tolist()
     rate = float((second - first) / (nearness[1] - nearness[0]))
-    least = first - rate * float(nearness[0])
-    return Shift(size=size, pitch=pitch, least=least, rate=rate, farthest=FARTHEST[depth])
+    base = first - rate * float(nearness[0])
+    return Shift(size=size, pitch=pitch, base=base, rate=rate, farthest=FARTHEST[depth])
 
 
-def find_holes(right: Frame) -> NDArray[np.bool_]:
-    """Return (height, width), which pixels of the right eye's picture are holes that were filled. Waits for the
+def read_hole_mask(right: Frame) -> NDArray[np.bool_]:
+    """Return (height, width), which pixels of the right eye's image are holes that were filled. Waits for the
     device."""
     width, height = right.targets.size
-    moved = right.view.workspace(Reprojector).moved.buffer.read().reshape(height, -1)
-    return np.asarray(moved[:, :width] == 0)
+    shifted = right.view.workspace(Reprojector).shifted.buffer.read().reshape(height, -1)
+    return np.asarray(shifted[:, :width] == 0)
 
 
-def _move_pixels(frame: Frame) -> None:
-    left, kept = _left_of(frame), frame.view.workspace(Reprojector)
+def _reproject_image(frame: Frame) -> None:
+    left, reprojector = _left_of(frame), frame.view.workspace(Reprojector)
     size = frame.targets.size
-    kept.shift.write(find_shift(left.camera, frame.camera, size, find_pitch(frame.device, size[0])))
-    kept.move_picture(left.targets, frame.targets)
+    reprojector.shift.write(compute_shift(left.camera, frame.camera, size, row_pitch(frame.device, size[0])))
+    reprojector.reproject_image(left.targets, frame.targets)
 
 
-def _move_depth(frame: Frame) -> None:
+def _reproject_depth(frame: Frame) -> None:
     device, size = frame.device, frame.targets.size
-    kept = frame.view.workspace(Reprojector)
-    picture, moved = (words.fit(size) for words in kept.depths)
+    reprojector = frame.view.workspace(Reprojector)
+    pixels, shifted = (words.fit(size) for words in reprojector.depth_pixels)
     device.dispatch(
-        device.program(EncodeDepth), -(-len(kept.depth.buffer) // 64), depth=kept.depth.buffer, picture=picture
+        device.program(EncodeDepth),
+        -(-len(reprojector.depth.buffer) // 64),
+        depth=reprojector.depth.buffer,
+        pixels=pixels,
     )
-    kept.move(device, size, picture, moved)
+    reprojector.reproject_pixels(device, size, pixels, shifted)
     states = (CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS)
-    program: Any = device.program(TakeDepth)
+    program: Any = device.program(WriteShiftedDepth)
     triangle = frame.view.workspace(make_triangle)
     with device.render_pass(None, frame.targets.depth), device.states(*states):
-        given = {"shift": kept.shift.buffer, "picture": picture}
-        device.draw(program, triangle, rays=bind_rays(frame), **given)
+        bindings = {"shift": reprojector.shift.buffer, "pixels": pixels}
+        device.draw(program, triangle, rays=bind_rays(frame), **bindings)
 
 
 def _left_of(frame: Frame) -> Frame:
@@ -220,15 +225,15 @@ def _left_of(frame: Frame) -> Frame:
 
 
 REPROJECTION: Final = (
-    Pass(
+    FramePass(
         "reprojection",
-        _move_pixels,
-        "the right eye's picture is made of the left one's",
+        _reproject_image,
+        "the right eye's image is made of the left one's",
         writes=(Target("image", IMAGE_FORMAT), "left depth"),
     ),
-    Pass(
+    FramePass(
         "reprojected depth",
-        _move_depth,
+        _reproject_depth,
         "layers are drawn over it",
         reads=("left depth",),
         writes=(Target("depth", DEPTH_FORMAT),),

@@ -14,27 +14,41 @@ from __future__ import annotations
 
 from typing import Final
 
-from renderer.frame import Frame, Needs, Pass
-from renderer.techniques.parts.deferred_lighting import volume_passes
-from renderer.techniques.parts.geometry_buffer import EXACT_NORMAL, NORMAL_BITS
-from renderer.techniques.parts.resolve import EXACT_BITS, SUM_FORMATS, check_bits
+from renderer.frame import Frame, FrameEffects, FramePass
+from renderer.techniques.parts.deferred_lighting import GeometryResolve, LightingShader, volume_passes
+from renderer.techniques.parts.finish import FINISH_SHADERS
+from renderer.techniques.parts.geometry_buffer import DEFAULT_NORMAL_BITS, GEOMETRY_SHADERS, NORMAL_BITS
+from renderer.techniques.parts.light_volumes import VolumeShader
+from renderer.techniques.parts.resolve import DEFAULT_LIGHT_BITS, SUM_FORMATS, check_bits
+from rhi.shading import Shader
 
 
 class Deferred:
-    """Draws the scene to a geometry buffer, lights that by volumes, and makes the image from both."""
+    """Draws the scene to a geometry buffer, lights the buffer by light volumes, and resolves both to the
+    image."""
 
     name: Final = "deferred"
+    shaders: Final[tuple[type[Shader], ...]] = (
+        *GEOMETRY_SHADERS,
+        LightingShader,
+        VolumeShader,
+        GeometryResolve,
+        *FINISH_SHADERS,
+    )
+    """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
-    def __init__(self, *, stencil: bool = False, light_bits: int = EXACT_BITS, normal_bits: int = EXACT_NORMAL) -> None:
-        """With `stencil`, each light is masked in a stencil buffer, which takes two draws for each. `light_bits` is 16
-        or 32: those of a channel of the light that is added up. `normal_bits` is 8 or 16: those of each of the two
-        numbers that are stored of a normal. With 8, a scene may have 65,536 materials (`technique-many-materials`)."""
+    def __init__(
+        self, *, stencil: bool = False, light_bits: int = DEFAULT_LIGHT_BITS, normal_bits: int = DEFAULT_NORMAL_BITS
+    ) -> None:
+        """`stencil` masks each light in the stencil buffer, with two draws per light. `light_bits` (16 or
+        32) are the bits per channel of the accumulated light. `normal_bits` (8 or 16) are the bits per
+        component of a stored normal; 8 leaves room for 65,536 materials (`technique-too-many-materials`)."""
         check_bits(light_bits, SUM_FORMATS, "Deferred(light_bits=...)")
         check_bits(normal_bits, NORMAL_BITS, "Deferred(normal_bits=...)")
         self.stencil = stencil
         self.light_bits, self.normal_bits = light_bits, normal_bits
 
-    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the passes `geometry`, `point lights` and `spot lights` if there are any in view, and `resolve`, and
-        those of transparent surfaces."""
-        return volume_passes(needs, stencil=self.stencil, light_bits=self.light_bits, normal_bits=self.normal_bits)
+    def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
+        """The passes `geometry`, one per kind of local lights in view, `resolve`, and those of transparent
+        surfaces."""
+        return volume_passes(effects, stencil=self.stencil, light_bits=self.light_bits, normal_bits=self.normal_bits)

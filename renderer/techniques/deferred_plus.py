@@ -28,55 +28,88 @@ from typing import Any, Final
 
 import rhi.shading as sl
 from renderer import rules
-from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, FrameEffects, FramePass, Target
 from renderer.shaders.encodings import material_depth
-from renderer.shaders.pixels import BackgroundScreen, place_pixel
-from renderer.techniques.parts.cell_lists import CLUSTERS, CellReader, bind_lists, by_cells, list_pass
-from renderer.techniques.parts.deferred_lighting import cluster_passes
+from renderer.shaders.pixels import BackgroundScreen, pixel_position
+from renderer.techniques.parts.deferred_lighting import GeometryResolve, LitByLists, cluster_passes
+from renderer.techniques.parts.depth import DEPTH_SHADERS
+from renderer.techniques.parts.finish import FINISH_SHADERS
 from renderer.techniques.parts.full_screen import Color
-from renderer.techniques.parts.material_bins import LANES, DispatchGroups, PixelBins, PixelRange, bins_pass
+from renderer.techniques.parts.geometry_buffer import GEOMETRY_SHADERS
+from renderer.techniques.parts.light_list_reader import (
+    CLUSTERS,
+    ForwardByCells,
+    LightListReader,
+    bind_light_lists,
+    light_list_pass,
+    lit_by_cells,
+)
+from renderer.techniques.parts.material_bins import BIN_SHADERS, LANES, DispatchGroups, PixelBins, PixelRange, bins_pass
 from renderer.techniques.parts.material_rectangles import (
+    RECTANGLE_SHADERS,
     RectangleShader,
     draw_rectangles,
     ids_pass,
     rectangles_pass,
 )
-from renderer.techniques.parts.packed_geometry import UNPACKED, PackedReader, can_pack, find_packed, packed_pass
+from renderer.techniques.parts.packed_geometry import (
+    PACKED_READER_SWITCHES,
+    PACKED_SHADERS,
+    PackedReader,
+    can_pack,
+    packed_formats,
+    packed_pass,
+)
 from renderer.techniques.parts.resolve import LIGHT_FORMAT, LitPixels, resolve_pass
-from renderer.techniques.parts.samples import PackedSamples, SampleMean, bind_samples, frame_samples, list_samples
+from renderer.techniques.parts.samples import (
+    GeometrySamples,
+    PackedSamples,
+    SampleMean,
+    bind_samples,
+    frame_samples,
+    list_samples,
+)
 from renderer.techniques.parts.scene_shader import ShadingShader
-from renderer.techniques.parts.variants import FORWARD, bind, draw_full_screen, find_variant, list_lamps, list_shaders
+from renderer.techniques.parts.variants import (
+    FORWARD,
+    bind,
+    draw_full_screen,
+    list_shaders,
+    local_light_effects,
+    shader_variant,
+)
 from rhi import DepthFunction, Program, refuse
 
 
-class PackedLight(PackedReader, CellReader, ShadingShader):
-    """Lights the surfaces of the packed geometry buffer, by the lights of clusters if there are any."""
+class PackedLight(PackedReader, LightListReader, ShadingShader):
+    """Lights the surfaces of the packed geometry buffer, by the light lists of clusters if there are local
+    lights."""
 
-    has_lamps = False
+    has_local_lights = False
 
-    def light_sample(self, sample: int) -> sl.vec4:
-        place = sl.vec2(self.find_pixel()) + 0.5
-        distance = self.find_distance(sample)
-        position = place_pixel(self.rays, place, distance)
+    def shade_sample(self, sample: int) -> sl.vec4:
+        pixel_center = sl.vec2(self.get_pixel()) + 0.5
+        distance = self.surface_distance(sample)
+        position = pixel_position(self.rays, pixel_center, distance)
         at = self.read_input(position, sample)
         material = self.materials[at.material]
         described = self.describe(at)
         surface = self.make_surface(position, at.normal, described, material)
         color = self.shade(surface, material)
-        if self.has_lamps:
-            color += self.celllight(surface, distance)
+        if self.has_local_lights:
+            color += self.shade_cell_lights(surface, distance)
         return self.finish(color, position)
 
 
 class PackedShading(BackgroundScreen, PackedLight):
-    """Shades pixels where they lie."""
+    """Shades each pixel of the screen."""
 
     def fragment(self) -> sl.vec4:
-        return self.light_sample(0)
+        return self.shade_sample(0)
 
 
 class PackedShaders(PackedShading):
-    """Shades the pixels whose materials have one shader: that of a number."""
+    """Shades the pixels whose materials have the shader of one number."""
 
     shader = 0
 
@@ -85,16 +118,17 @@ class PackedShaders(PackedShading):
 
 
 class PackedRectangles(RectangleShader, PackedLight):
-    """Shades the pixels of materials. The depth of the last material is also that of pixels without a surface."""
+    """Shades the rectangles of materials. The background has the depth of the last material, so its pixels
+    are discarded."""
 
     def fragment(self) -> sl.vec4:
-        if self.depth.load(self.find_pixel()).x == self.rays.farthest:
+        if self.depth.load(self.get_pixel()).x == self.rays.farthest:
             sl.discard()
-        return self.light_sample(0)
+        return self.shade_sample(0)
 
 
 class PackedBins(PackedLight):
-    """Shades the pixels that are listed for one shader of materials."""
+    """Shades the pixels in the list of one material shader."""
 
     work_group = (LANES,)
     shader = 0
@@ -103,77 +137,101 @@ class PackedBins(PackedLight):
     ranges: sl.Storage[PixelRange]
     lit: sl.Image2D = sl.image(LIGHT_FORMAT)
 
-    def find_pixel(self) -> sl.ivec2:
-        place = sl.min(self.ranges[self.shader].begin + sl.uint(sl.global_id().x), sl.uint(len(self.pixels) - 1))
-        pixel = self.pixels[int(place)]
+    def get_pixel(self) -> sl.ivec2:
+        entry = sl.min(self.ranges[self.shader].begin + sl.uint(sl.global_id().x), sl.uint(len(self.pixels) - 1))
+        pixel = self.pixels[int(entry)]
         return sl.ivec2(int(pixel & 0xFFFF), int(pixel >> 16))
 
     def compute(self) -> None:
         # Lanes of no pixel shade another one: what lanes do together must be done by all.
-        color = self.light_sample(0)
+        color = self.shade_sample(0)
         if self.ranges[self.shader].begin + sl.uint(sl.global_id().x) < self.ranges[self.shader].end:
-            self.lit.store(self.find_pixel(), color)
+            self.lit.store(self.get_pixel(), color)
 
 
 def check_passes(multi_pass: bool, binned: bool, samples: int, call: str) -> None:
-    """Refuse two ways at once to shade pixels by their materials, and either of them for several samples."""
+    """Refuse `multi_pass` together with `binned`, and either of them with several samples."""
     if multi_pass and binned:
         refuse(rules.BAD_TECHNIQUE, f"{call}(multi_pass=..., binned=...)", "True and True", "one of them")
     if samples > 1 and (multi_pass or binned):
-        given = f"{'multi_pass' if multi_pass else 'binned'} with samples={samples}"
-        refuse(rules.BAD_TECHNIQUE, f"{call}(samples=...)", given, "samples=1")
+        arguments = f"{'multi_pass' if multi_pass else 'binned'} with samples={samples}"
+        refuse(rules.BAD_TECHNIQUE, f"{call}(samples=...)", arguments, "samples=1")
 
 
 class DeferredPlus:
     """Draws geometry without materials, and evaluates the material of each pixel once."""
 
     name: Final = "deferred_plus"
+    shaders: Final[tuple[type[sl.Shader], ...]] = (
+        *PACKED_SHADERS,
+        PackedShading,
+        PackedShaders,
+        *RECTANGLE_SHADERS,
+        PackedRectangles,
+        *BIN_SHADERS,
+        PackedBins,
+        LitPixels,
+        SampleMean,
+        PackedSamples,
+        ForwardByCells,
+        *GEOMETRY_SHADERS,
+        GeometryResolve,
+        LitByLists,
+        GeometrySamples,
+        *DEPTH_SHADERS,
+        *FINISH_SHADERS,
+    )
+    """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
     def __init__(self, samples: int = 1, *, multi_pass: bool = False, binned: bool = False) -> None:
-        """Choose the number of samples per pixel, as for `Forward`. With `multi_pass`, the pixels of a material are
-        found by a depth test, and shaded in draws of their own. If they are `binned`, they are listed by material, and
-        shaded by compute shaders. Not both, and neither with several samples."""
+        """`samples` is the number of samples per pixel, as for `Forward`. `multi_pass` finds the pixels of
+        each material by a depth test and shades them in draws of their own; `binned` lists pixels by
+        material and shades them in compute. They exclude each other and several samples."""
         check_passes(multi_pass, binned, samples, "DeferredPlus")
-        self.samples, self.multi_pass, self.binned = samples, multi_pass, binned
+        self.samples = samples
+        self.multi_pass = multi_pass
+        self.binned = binned
 
-    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the passes `geometry`, `light lists` if there are lights to list, and `shading`; with `multi_pass`
-        also `material ids` and `rectangles`, if `binned` also `bins` and `resolve`; and those of transparent
-        surfaces. With several samples, `depth` comes before, and shaders of materials are evaluated as by
-        `ClusteredDeferred`: the samples of a pixel may have several."""
+    def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
+        """The passes `geometry`, `light lists` if there are local lights, `shading`, and those of
+        transparent surfaces. `multi_pass` adds `material ids` and `rectangles`; `binned` adds `bins` and
+        `resolve`. With several samples, `depth` comes first, and scenes whose materials have shaders of
+        their own are drawn as by `ClusteredDeferred`."""
         samples = self.samples
-        if not can_pack(needs) or (samples > 1 and Effect.MATERIAL_SHADERS in needs.effects):
-            return cluster_passes(needs, samples)
-        lists = (list_pass(needs, CLUSTERS),) if list_lamps(needs) else ()
-        found: dict[str, Pass[Frame]] = {}  # what finds the pixels of materials, by its contents
+        if not can_pack(effects) or (samples > 1 and Effect.MATERIAL_SHADERS in effects.enabled):
+            return cluster_passes(effects, samples)
+        lists = (light_list_pass(effects, CLUSTERS),) if local_light_effects(effects) else ()
+        material_passes: dict[
+            str, FramePass[Frame]
+        ] = {}  # the passes that find the pixels of materials, by their resource
         if self.binned:
-            found = {"bins": bins_pass()}
+            material_passes = {"bins": bins_pass()}
         elif self.multi_pass:
-            found = {"material ids": ids_pass(), "rectangles": rectangles_pass()}
-        elif Effect.MATERIAL_SHADERS in needs.effects:
-            found = {"material ids": ids_pass(by_shader=True)}
+            material_passes = {"material ids": ids_pass(), "rectangles": rectangles_pass()}
+        elif Effect.MATERIAL_SHADERS in effects.enabled:
+            material_passes = {"material ids": ids_pass(by_shader=True)}
         # A pass can't read the depth that it tests. Others test `material ids`.
-        copied = () if found or samples > 1 else (Target("depth copy", DEPTH_FORMAT),)
-        shading = Pass(
+        copied = () if material_passes or samples > 1 else (Target("depth copy", DEPTH_FORMAT),)
+        shading = FramePass(
             "shading",
             self._shade,
             "evaluates each pixel's material and its light",
             reads=(
-                *list_samples(samples, *find_packed(needs, samples), "depth"),
+                *list_samples(samples, *packed_formats(effects, samples), "depth"),
                 *(("light lists",) if lists else ()),
-                *found,
+                *material_passes,
             ),
-            writes=(Target("lit", LIGHT_FORMAT),) if self.binned else (needs.image, *copied),
+            writes=(Target("lit", LIGHT_FORMAT),) if self.binned else (effects.image, *copied),
         )
-        shown = (resolve_pass(needs, _show, "shows what was shaded", ("lit", "depth")),) if self.binned else ()
-        lighting = by_cells(CLUSTERS) if lists else FORWARD
-        passes = packed_pass(needs, samples=samples), *lists, *found.values(), shading, *shown
-        return frame_samples(needs, *passes, samples=samples, lighting=lighting)
+        resolve = (resolve_pass(effects, _show, "shows what was shaded", ("lit", "depth")),) if self.binned else ()
+        lighting = lit_by_cells(CLUSTERS) if lists else FORWARD
+        passes = packed_pass(effects, samples=samples), *lists, *material_passes.values(), shading, *resolve
+        return frame_samples(effects, *passes, samples=samples, lighting=lighting)
 
     def _shade(self, frame: Frame) -> None:
-        targets, has_lamps = frame.targets, bool(list_lamps(frame.needs))
-        own: dict[str, Any] = bind_lists(frame, CLUSTERS) if has_lamps else {}
-        switches = {**UNPACKED, "has_lamps": has_lamps}
+        targets, has_local_lights = frame.targets, bool(local_light_effects(frame.effects))
+        own: dict[str, Any] = bind_light_lists(frame, CLUSTERS) if has_local_lights else {}
+        switches = {**PACKED_READER_SWITCHES, "has_local_lights": has_local_lights}
         if self.samples > 1:
             own |= bind_samples(frame)
             bases = SampleMean, PackedSamples, PackedShading
@@ -185,7 +243,7 @@ class DeferredPlus:
         if self.multi_pass:
             draw_rectangles(frame, PackedRectangles, own, switches)
             return
-        if Effect.MATERIAL_SHADERS in frame.needs.effects:
+        if Effect.MATERIAL_SHADERS in frame.effects.enabled:
             clear: Color | None = frame.background
             for number, shader, parameters in list_shaders(frame):
                 draw_full_screen(
@@ -207,16 +265,16 @@ class DeferredPlus:
 
 
 def _shade_bins(frame: Frame, own: dict[str, Any], switches: dict[str, Any]) -> None:
-    """Shade the pixels that are listed, by the shaders of their materials."""
+    """Shade the listed pixels by one dispatch per material shader."""
     bins = frame.view.workspace(PixelBins)
-    given = {**own, "pixels": bins.pixels, "ranges": bins.ranges, "lit": frame.targets["lit"].image(0)}
+    bin_bindings = {**own, "pixels": bins.pixels, "ranges": bins.ranges, "lit": frame.targets["lit"].image(0)}
     for number, bases, parameters in list_shaders(frame):
-        program: Program[...] = frame.program(find_variant(frame, *bases, PackedBins, **switches, shader=number))
-        bindings = bind(frame, program, {**given, **parameters})
+        program: Program[...] = frame.program(shader_variant(frame, *bases, PackedBins, **switches, shader=number))
+        bindings = bind(frame, program, {**bin_bindings, **parameters})
         frame.device.dispatch_indirect(program, bins.groups, number * DispatchGroups.dtype.itemsize, **bindings)
 
 
 def _show(frame: Frame) -> None:
-    """Make the image of what was shaded."""
+    """Copy the shaded pixels to the image."""
     depth, background = frame.targets["depth"], frame.background
     draw_full_screen(frame, LitPixels, frame.image, depth=depth, clear=background)

@@ -7,29 +7,40 @@ from __future__ import annotations
 
 from typing import Final
 
-from renderer.frame import Frame, Needs, Pass
+from renderer.frame import Frame, FrameEffects, FramePass
+from renderer.light_kinds.bounds import LightBounds
+from renderer.light_kinds.generation import define, for_each_kind
 from renderer.shaders.structs import SurfacePoint
-from renderer.techniques.parts.finish import forward_passes
+from renderer.techniques.parts.depth import DEPTH_SHADERS
+from renderer.techniques.parts.finish import FINISH_SHADERS, forward_passes
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.variants import FORWARD, Lighting
-from rhi.shading import ivec3, vec3
+from rhi.shading import Shader, vec3
 
-
+LitByAll: Final[type[ForwardShader]] = define(
+    """
 class LitByAll(ForwardShader):
-    """Lights a fragment by all lamps of the scene, whether they reach its object or not."""
-
-    def lamplight(self, surface: SurfacePoint, lights: ivec3) -> vec3:
+    def shade_local_lights(self, surface: SurfacePoint, lights: LightBounds) -> vec3:
         color = vec3(0.0)
-        if self.has_point_lights:
-            for row in range(len(self.point_lights)):
-                color += self.pointlight(surface, row)
-        if self.has_spot_lights:
-            for row in range(len(self.spot_lights)):
-                color += self.spotlight(surface, row)
-        return color
+"""
+    + for_each_kind(
+        """
+        if self.has_${kind}_lights:
+            for light_index in range(len(self.${kind}_lights)):
+                color += self.shade_${kind}_light(surface, light_index)
+"""
+    )
+    + "        return color\n",
+    "LitByAll",
+    __name__,
+    ForwardShader=ForwardShader,
+    LightBounds=LightBounds,
+    SurfacePoint=SurfacePoint,
+    vec3=vec3,
+)
+"""Lights a fragment by all lights of the scene, whether they reach its object or not."""
 
-
-BY_ALL: Final = Lighting((LitByAll,))
+LIT_BY_ALL: Final = Lighting((LitByAll,))
 
 
 class Forward:
@@ -40,19 +51,26 @@ class Forward:
     """
 
     name: Final = "forward"
+    shaders: Final[tuple[type[Shader], ...]] = (
+        LitByAll,
+        *DEPTH_SHADERS,
+        *FINISH_SHADERS,
+    )
+    """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
     def __init__(self, samples: int = 1, *, all_lights: bool = False) -> None:
-        """Choose the number of samples per pixel, one of the device's `capabilities.sample_counts`. With `all_lights`,
-        opaque surfaces have no lists: each fragment looks at each lamp, as in Wilks's forward shading."""
+        """`samples` is the number of samples per pixel, one of the device's `capabilities.sample_counts`.
+        `all_lights` evaluates every light of the scene for each opaque fragment instead of its object's
+        light list, as Wilks's forward shading does."""
         self.samples = samples
         self.all_lights = all_lights
 
     @property
     def lighting(self) -> Lighting:
-        """The way in which opaque surfaces are lit."""
-        return BY_ALL if self.all_lights else FORWARD
+        """The lighting of opaque surfaces."""
+        return LIT_BY_ALL if self.all_lights else FORWARD
 
-    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the pass `forward`; with several samples, one that draws depth before it, and one that resolves them;
-        and those of transparent surfaces."""
-        return forward_passes(needs, self.lighting, samples=self.samples)
+    def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
+        """The pass `forward` and those of transparent surfaces; with several samples, `depth` before and
+        `resolve` after it."""
+        return forward_passes(effects, self.lighting, samples=self.samples)

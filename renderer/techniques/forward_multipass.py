@@ -1,7 +1,7 @@
 """Forward shading in several passes: a base pass, then a light at a time, added by blending (Thatcher 2014,
 algorithm 2).
 
-- The base pass draws depth, and all light that isn't a lamp's: ambient, emission, directional lights.
+- The base pass draws depth, and all light that isn't a local light's: ambient, emission, directional lights.
 - A light's pass draws the objects that it reaches once more, where they are visible (depth equal), and adds its light.
   Of objects in one place only the one that the base pass shows is lit: that pass notes which one it is.
 - The light is added up in linear 32-bit floats; a last pass maps it to colours.
@@ -19,19 +19,33 @@ from typing import Any, Final
 import numpy as np
 
 import rhi.shading as sl
-from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, choose_program, find_states
-from renderer.scene.arrays import Rows
+from renderer.frame import (
+    DEPTH_FORMAT,
+    LOCAL_LIGHTS,
+    Effect,
+    Frame,
+    FrameEffects,
+    FramePass,
+    Target,
+    choose_program,
+    draw_group_states,
+)
+from renderer.light_kinds.bounds import KIND_COUNT, LightBounds
+from renderer.light_kinds.generation import define
+from renderer.light_kinds.kind import LocalLightKind
+from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
+from renderer.scene.arrays import Indices
 from renderer.shaders.structs import Object, SurfaceVarying
-from renderer.techniques.parts.finish import finish_image, forward_passes
+from renderer.techniques.parts.finish import FINISH_SHADERS, finish_image, forward_passes
 from renderer.techniques.parts.light_volumes import declare_lights
-from renderer.techniques.parts.resolve import EXACT_BITS, SUM_FORMATS, check_bits, sum_pass
-from renderer.techniques.parts.scene_shader import ForwardShader, LampShader, SurfaceShader
+from renderer.techniques.parts.resolve import DEFAULT_LIGHT_BITS, SUM_FORMATS, LightSum, check_bits, sum_pass
+from renderer.techniques.parts.scene_shader import ForwardShader, LocalLightShader, SurfaceShader
 from renderer.techniques.parts.variants import (
     FORWARD,
-    NO_LAMPS,
+    NO_LOCAL_LIGHTS,
     bind_programs,
-    list_lamps,
-    scene_pass,
+    local_light_effects,
+    make_scene_drawer,
 )
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Format, State, Texture
 
@@ -44,136 +58,190 @@ _ADDED: Final[tuple[State, ...]] = (
 
 
 class BaseTexels(sl.Struct):
-    """The texels that `Unmapped` writes: light, and 1 more than the row of the object."""
+    """Output of `BasePassShader`: light, and the index of the object plus 1."""
 
     light: sl.vec4
-    shown: sl.uvec4
+    visible_objects: sl.uvec4
 
 
-class Unmapped(ForwardShader):
-    """Leaves light linear and of any strength, to be added to other light, and tells which object is shown. The lists
-    of its lights aren't used; their place in the varyings has the object's row."""
+class BasePassShader(ForwardShader):
+    """Writes linear light of any strength without that of local lights, and the index of the visible
+    object. Light lists aren't used here: their varyings carry the object index."""
 
-    def list_lights(self, thing: Object) -> sl.ivec3:
-        return sl.ivec3(self.find_object())
+    def list_lights(self, object_data: Object) -> LightBounds:
+        return LightBounds(self.get_object_index())
 
     def fragment(self, v: SurfaceVarying) -> BaseTexels:  # type: ignore[override]  # more targets
-        return BaseTexels(light=self.light(v, self.materials[v.material]), shown=sl.uvec4(sl.uint(v.lights.x + 1)))
+        return BaseTexels(
+            light=self.light(v, self.materials[v.material]), visible_objects=sl.uvec4(sl.uint(v.lights.x + 1))
+        )
 
     def finish(self, color: sl.vec3, position: sl.vec3) -> sl.vec4:
         return sl.vec4(color, 1.0)
 
 
-class Pair(sl.Struct):
-    """An object and one of its lights: the rows `object` of the objects, and `entry` of the light rows."""
+class LightPair(sl.Struct):
+    """An object and one of its lights: the index of the object, and the entry of the light in the light
+    list."""
 
     object: int
     entry: int
 
 
-class LampPairs(SurfaceShader, LampShader):
-    """Adds the light of pairs of an object and one lamp of a kind that reaches it; a pair is an instance."""
+class PairReader(SurfaceShader, LocalLightShader):
+    """Base of shaders that draw one instance per pair of an object and a light that reaches it."""
 
-    pairs: sl.Storage[Pair]
+    pairs: sl.Storage[LightPair]
 
-    def find_object(self) -> int:
+    def get_object_index(self) -> int:
         return self.pairs[sl.instance_index()].object
 
-    def list_lights(self, thing: Object) -> sl.ivec3:
+
+def _pair_bounds(kinds: Sequence[LocalLightKind]) -> str:
+    """The source of the bounds of a light list with one light, at `entry`, of the kind that is enabled."""
+    bounds = ["entry"]
+    for number in range(1, len(kinds)):
+        is_before = " or ".join(f"self.has_{kind.name}_lights" for kind in kinds[:number])
+        bounds.append(f"entry + 1 if {is_before} else entry")
+    return f"LightBounds({', '.join(bounds)}, entry + 1)"
+
+
+LightPairs: Final[type[PairReader]] = define(
+    f"""
+class LightPairs(PairReader):
+    def list_lights(self, object_data: Object) -> LightBounds:
         entry = self.pairs[sl.instance_index()].entry
-        return sl.ivec3(entry, entry + 1 if self.has_point_lights else entry, entry + 1)
+        return {_pair_bounds(LOCAL_LIGHT_KINDS)}
 
     def fragment(self, v: SurfaceVarying) -> sl.vec4:
-        return sl.vec4(self.lamplight(self.find_surface(v, self.materials[v.material]), v.lights), 0.0)
+        return sl.vec4(self.shade_local_lights(self.evaluate_surface(v, self.materials[v.material]), v.lights), 0.0)
+""",
+    "LightPairs",
+    __name__,
+    PairReader=PairReader,
+    LightBounds=LightBounds,
+    Object=Object,
+    SurfaceVarying=SurfaceVarying,
+    sl=sl,
+)
+"""Adds the light of pairs of an object and one light of a kind that reaches it."""
 
 
-class ShownPairs(LampPairs):
-    """Adds the light of pairs where their object is shown. The place of the lists in the varyings has the light's entry
-    and the object's row."""
+class VisiblePairReader(PairReader):
+    """Base of `VisibleLightPairs`."""
 
-    shown: sl.UintTexture2D
+    visible_objects: sl.UintTexture2D
 
-    def list_lights(self, thing: Object) -> sl.ivec3:
-        return sl.ivec3(self.pairs[sl.instance_index()].entry, self.find_object(), 0)
+
+VisibleLightPairs: Final[type[VisiblePairReader]] = define(
+    f"""
+class VisibleLightPairs(VisiblePairReader):
+    def list_lights(self, object_data: Object) -> LightBounds:
+        return LightBounds(self.pairs[sl.instance_index()].entry, self.get_object_index(){", 0" * (KIND_COUNT - 1)})
 
     def fragment(self, v: SurfaceVarying) -> sl.vec4:
-        if self.shown.load(sl.ivec2(sl.fragment_coordinate().xy)).x != sl.uint(v.lights.y + 1):
+        if self.visible_objects.load(sl.ivec2(sl.fragment_coordinate().xy)).x != sl.uint(v.lights.y + 1):
             return sl.vec4(0.0)
         entry = v.lights.x
-        lights = sl.ivec3(entry, entry + 1 if self.has_point_lights else entry, entry + 1)
-        return sl.vec4(self.lamplight(self.find_surface(v, self.materials[v.material]), lights), 0.0)
+        lights = {_pair_bounds(LOCAL_LIGHT_KINDS)}
+        return sl.vec4(self.shade_local_lights(self.evaluate_surface(v, self.materials[v.material]), lights), 0.0)
+""",
+    "VisibleLightPairs",
+    __name__,
+    VisiblePairReader=VisiblePairReader,
+    LightBounds=LightBounds,
+    Object=Object,
+    SurfaceVarying=SurfaceVarying,
+    sl=sl,
+)
+"""Adds the light of pairs where their object is visible. The place of the bounds in the varyings has the light's entry
+and the object's index."""
 
 
 class ForwardMultipass:
-    """Draws the scene with a base pass, and once more for each light; without lamps in view, as `Forward` does."""
+    """Draws the scene with a base pass, then each object once more for each light that reaches it. Without
+    local lights in view, as `Forward`."""
 
     name: Final = "forward_multipass"
+    shaders: Final[tuple[type[sl.Shader], ...]] = (
+        BasePassShader,
+        VisibleLightPairs,
+        LightSum,
+        *FINISH_SHADERS,
+    )
+    """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
-    def __init__(self, *, light_bits: int = EXACT_BITS) -> None:
-        """`light_bits` is 16 or 32: those of a channel of the light that is added up."""
+    def __init__(self, *, light_bits: int = DEFAULT_LIGHT_BITS) -> None:
+        """`light_bits` (16 or 32) are the bits per channel of the accumulated light."""
         check_bits(light_bits, SUM_FORMATS, "ForwardMultipass(light_bits=...)")
         self.light_bits = light_bits
 
-    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return a base pass, one for each kind of lamp in view, and one that maps their sum to colours."""
-        if not list_lamps(needs):
-            return forward_passes(needs)
-        base = Pass(
+    def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
+        """The base pass, one pass per kind of local lights in view, one that tone-maps their sum, and
+        those of transparent surfaces."""
+        if not local_light_effects(effects):
+            return forward_passes(effects)
+        base = FramePass(
             "base",
             _draw_base,
-            "draws the visible objects with the light that isn't a lamp's",
+            "draws the visible objects with all light but that of local lights",
             writes=(
                 Target("light", SUM_FORMATS[self.light_bits]),
-                Target("shown", Format.R32UI),
+                Target("visible_objects", Format.R32UI),
                 Target("depth", DEPTH_FORMAT),
             ),
         )
         passes, (light,) = declare_lights(
-            needs, ["light"], ("shown", "depth"), _add_lamps, are_written=True, because="adds a light at a time; "
+            effects,
+            ["light"],
+            ("visible_objects", "depth"),
+            _add_lights,
+            are_written=True,
+            reason="adds a light at a time; ",
         )
-        return base, *passes, sum_pass(needs, light), *finish_image(needs, FORWARD)
+        return base, *passes, sum_pass(effects, light), *finish_image(effects, FORWARD)
 
 
 def _draw_base(frame: Frame) -> None:
-    switches = {**NO_LAMPS, "has_haze": False, "has_fog": False}
-    color = [frame.targets["light"], frame.targets["shown"]]
-    base = scene_pass(frame, Unmapped, switches=switches, color=color)
+    switches = {**NO_LOCAL_LIGHTS, "has_haze": False, "has_fog": False}
+    color = [frame.targets["light"], frame.targets["visible_objects"]]
+    base = make_scene_drawer(frame, BasePassShader, switches=switches, color=color)
     frame.draw_visible(base)
 
 
-def _add_lamps(frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool) -> None:
-    draw_pairs(frame, effect, frame.targets[targets[0]], ShownPairs)
+def _add_lights(frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool) -> None:
+    draw_pairs(frame, effect, frame.targets[targets[0]], VisibleLightPairs)
 
 
 def draw_pairs(frame: Frame, effect: Effect, color: Texture, *bases: type[Any]) -> None:
-    """Draw every pair of a visible object and a light of a kind that reaches it, adding up what the variant of
-    `LampPairs` with these bases returns."""
+    """Draw every pair of a visible object and a light of one kind that reaches it, and add what the
+    variant of `LightPairs` with these bases returns."""
     device, resources = frame.device, frame.resources
-    is_spot = effect is Effect.SPOT_LIGHTS
-    lights = frame.needs.in_view[effect]
-    objects, entries = resources.pair_lights(_list_visible(frame), lights, spots=is_spot)
+    kind = LOCAL_LIGHTS[effect].kind
+    lights = frame.effects.in_view[effect]
+    objects, entries = resources.pair_objects_with_lights(_list_visible(frame), lights, kind)
     if not len(objects):
         return
-    pairs: Any = np.zeros(len(objects), Pair.dtype)
+    pairs: Any = np.zeros(len(objects), LightPair.dtype)
     pairs["object"], pairs["entry"] = objects, entries
     draws = resources.draws[objects]
     draws["base_instance"] = np.arange(len(objects))
-    kinds = {"has_point_lights": not is_spot, "has_spot_lights": is_spot}
-    programs = bind_programs(frame, *bases, own={"pairs": device.transient.storage(Pair, pairs)}, switches=kinds)
+    kinds = {**NO_LOCAL_LIGHTS, f"has_{kind.name}_lights": True}
+    programs = bind_programs(frame, *bases, own={"pairs": device.transient.storage(LightPair, pairs)}, switches=kinds)
     with device.render_pass(color, frame.targets["depth"]), device.states(CullMode.BACK, *_ADDED):
         for group in resources.groups:
-            chosen = draws[resources.find_group(objects, group)]
-            if chosen.size:
+            group_draws = draws[resources.select_group(objects, group)]
+            if group_draws.size:
                 program, bindings = choose_program(programs, group)
-                with device.states(*find_states(group)):
-                    device.draw_many(program, resources.mesh, chosen, **bindings)
+                with device.states(*draw_group_states(group)):
+                    device.draw_many(program, resources.mesh, group_draws, **bindings)
 
 
-def _list_visible(frame: Frame) -> Rows:
-    """Return the objects drawn, but for transparent ones. Where only the device knows them, return all in view: those
-    that are hidden fail the depth test."""
-    if frame.drawn.is_known:
-        return frame.drawn.opaque
+def _list_visible(frame: Frame) -> Indices:
+    """The opaque objects drawn. If only the device knows them, all opaque objects in view: hidden ones
+    fail the depth test."""
+    if frame.draw_result.is_on_cpu:
+        return frame.draw_result.opaque
     resources = frame.resources
-    rows = resources.find_in_view(frame.camera, np.arange(len(resources.draws)))
-    return rows[~resources.is_transparent[rows]]
+    object_indices = resources.select_in_view(frame.camera, np.arange(len(resources.draws)))
+    return object_indices[~resources.is_transparent[object_indices]]

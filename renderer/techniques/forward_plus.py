@@ -15,61 +15,85 @@ from __future__ import annotations
 
 from typing import Final
 
-from renderer.frame import Frame, Needs, Pass
-from renderer.techniques.parts.cell_lists import CLUSTERS, TILES, LightCells, by_cells, list_pass
-from renderer.techniques.parts.finish import draw_once, forward_passes
-from renderer.techniques.parts.variants import list_lamps
+from renderer.frame import Frame, FrameEffects, FramePass
+from renderer.techniques.parts.depth import DEPTH_SHADERS
+from renderer.techniques.parts.finish import FINISH_SHADERS, draw_once, forward_passes
+from renderer.techniques.parts.light_list_reader import (
+    CLUSTERS,
+    TILES,
+    ClusterSettings,
+    ForwardByCells,
+    light_list_pass,
+    lit_by_cells,
+)
+from renderer.techniques.parts.variants import local_light_effects
+from rhi.shading import Shader
 
 
 class ForwardPlus:
-    """Draws depth, lists the lights of tiles, and draws what is seen, lit by its tile's lights."""
+    """Draws depth, lists the lights of tiles, and draws the visible surfaces lit by the list of their
+    tile."""
 
     name: Final = "forward_plus"
+    shaders: Final[tuple[type[Shader], ...]] = (
+        ForwardByCells,
+        *DEPTH_SHADERS,
+        *FINISH_SHADERS,
+    )
+    """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
-    def __init__(self, samples: int = 1, *, tiles: LightCells = TILES) -> None:
-        """Choose the number of samples per pixel, as for `Forward`, and the tiles whose lights are listed."""
+    def __init__(self, samples: int = 1, *, tiles: ClusterSettings = TILES) -> None:
+        """`samples` is the number of samples per pixel, as for `Forward`; `tiles` are the tiles whose
+        lights are listed."""
         self.samples = samples
         self.cells = tiles
 
-    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the passes `depth`, `light lists` and `forward`, with several samples also `depth samples` and
-        `resolve`; those of `Forward` without lights to list."""
-        if not list_lamps(needs):
-            return forward_passes(needs, samples=self.samples)
+    def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
+        """The passes `depth`, `light lists` and `forward`; with several samples also `depth samples` and
+        `resolve`. Without local lights, those of `Forward`."""
+        if not local_light_effects(effects):
+            return forward_passes(effects, samples=self.samples)
         return draw_once(
-            needs,
-            by_cells(self.cells),
+            effects,
+            lit_by_cells(self.cells),
             "draws what is seen, lit by its tile's lights",
             samples=self.samples,
             depth_first="lights are listed for what is seen" if self.samples == 1 else "finds what is seen",
-            lists=(list_pass(needs, self.cells, depth="depth" if self.samples == 1 else None),),
+            lists=(light_list_pass(effects, self.cells, depth="depth" if self.samples == 1 else None),),
         )  # transparent surfaces have the lists of their objects: those of tiles end at opaque surfaces
 
 
 class Clustered:
-    """Lists the lights of clusters, and draws the scene lit by them."""
+    """Lists the lights of clusters, and draws the scene lit by the lists."""
 
     name: Final = "clustered"
+    shaders: Final[tuple[type[Shader], ...]] = (
+        ForwardByCells,
+        *DEPTH_SHADERS,
+        *FINISH_SHADERS,
+    )
+    """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
-    def __init__(self, samples: int = 1, *, depth_first: bool = False, clusters: LightCells = CLUSTERS) -> None:
-        """Choose the number of samples per pixel, as for `Forward`, and the clusters whose lights are listed. With
-        `depth_first`, a pass of its own draws depth before, so that no hidden fragment is lit."""
+    def __init__(self, samples: int = 1, *, depth_first: bool = False, clusters: ClusterSettings = CLUSTERS) -> None:
+        """`samples` is the number of samples per pixel, as for `Forward`; `clusters` are the clusters
+        whose lights are listed. `depth_first` draws depth in a pass before, so that no hidden fragment is
+        lit."""
         self.samples = samples
         self.depth_first = depth_first
         self.cells = clusters
 
-    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the passes `light lists` and `forward`, and before them `depth` if that is drawn first; those of
-        `Forward` without lights to list."""
-        if not list_lamps(needs):
-            return forward_passes(needs, samples=self.samples)
-        lighting = by_cells(self.cells)
+    def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
+        """The passes `light lists` and `forward`, with `depth` before them if `depth_first`. Without local
+        lights, those of `Forward`."""
+        if not local_light_effects(effects):
+            return forward_passes(effects, samples=self.samples)
+        lighting = lit_by_cells(self.cells)
         return draw_once(
-            needs,
+            effects,
             lighting,
             "draws the visible objects, lit by their clusters' lights",
             samples=self.samples,
             depth_first="no hidden fragment is lit" if self.depth_first else "",
-            lists=(list_pass(needs, self.cells),),
+            lists=(light_list_pass(effects, self.cells),),
             transparent=lighting,
         )

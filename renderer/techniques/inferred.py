@@ -1,7 +1,7 @@
 """Inferred lighting: a light pre-pass with light buffers that are smaller than the image (Kircher and Lawrance, 2009).
 
 1. `normals` draws the geometry, as in a light pre-pass.
-2. `shrink` keeps the surfaces of every so many pixels, with their depth.
+2. `downscale` keeps the surfaces of every so many pixels, with their depth.
 3. `point lights` and `spot lights` collect terms at these pixels, whose number falls with the square of the scale.
 4. `materials` draws the geometry again. Each fragment takes its terms from the four nearest texels by a filter that is
    **sensitive to discontinuities**: texels whose surface lies in another plane or is turned away hardly count. So light
@@ -25,27 +25,29 @@ from typing import Final
 
 import rhi.shading as sl
 from renderer import rules
-from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, FrameEffects, FramePass, Target
+from renderer.light_kinds.bounds import LightBounds
 from renderer.shaders.encodings import decode_normal
-from renderer.shaders.lighting import BRIGHTEST
+from renderer.shaders.lighting import MAX_HALF_FLOAT
 from renderer.shaders.pixels import BackgroundScreen
 from renderer.shaders.structs import Object, SurfacePoint, SurfaceVarying
-from renderer.techniques.parts.finish import finish_image, forward_passes
-from renderer.techniques.parts.geometry_buffer import SurfaceReader, find_shrunk, find_surface_format
+from renderer.techniques.parts.finish import FINISH_SHADERS, finish_image, forward_passes
+from renderer.techniques.parts.geometry_buffer import SurfaceReader, full_size_pixel, surface_format
 from renderer.techniques.parts.light_terms import (
     DIRECTIONS,
     SHININESS_FORMAT,
+    TERM_SHADERS,
     NormalShader,
     NormalTexels,
-    bind_contents,
+    bind_resources,
     collect_terms,
     list_terms,
     normals_pass,
 )
-from renderer.techniques.parts.light_volumes import declare_lights
-from renderer.techniques.parts.resolve import EXACT_BITS, SUM_FORMATS, check_bits
+from renderer.techniques.parts.light_volumes import VolumeShader, declare_lights
+from renderer.techniques.parts.resolve import DEFAULT_LIGHT_BITS, SUM_FORMATS, check_bits
 from renderer.techniques.parts.scene_shader import ForwardShader, SceneShader
-from renderer.techniques.parts.variants import FORWARD, Lighting, draw_full_screen, lit_pass, scene_pass
+from renderer.techniques.parts.variants import FORWARD, Lighting, draw_full_screen, lit_pass, make_scene_drawer
 from rhi import DepthFunction, DepthWrite, refuse
 
 _NEAR_PLANE: Final = 0.01
@@ -56,44 +58,45 @@ _STRANGER: Final = 1e-4
 """The weight of a texel with another surface, where all four have one."""
 _LAYERS: Final = 3
 """The transparent surfaces behind each other that are lit at once."""
-_LEAST: Final = 1e-3
+_MIN_WEIGHT: Final = 1e-3
 """Where texels of the fragment's surface have less of the bilinear weights, all of them count the same."""
 
 
-class Shrunk(sl.Struct):
-    """The size of shrunk buffers in texels."""
+class DownscaledSize(sl.Struct):
+    """Width and height of the downscaled buffers in texels."""
 
     size: sl.ivec2
 
 
-class ShrunkTexels(sl.Struct):
-    """The texels that `ShrinkShader` writes."""
+class DownscaledTexels(sl.Struct):
+    """Output of `DownscaleShader`."""
 
     surface: sl.uvec4
     shininess: float
     depth: sl.FragmentDepth
 
 
-class ShrinkShader(BackgroundScreen):
-    """Copies every so many pixels. The background is put out of reach of the filter."""
+class DownscaleShader(BackgroundScreen):
+    """Copies the surface of one pixel per texel of the downscaled buffers. The background gets a distance
+    that the filter never accepts."""
 
     surface: sl.UintTexture2D
     shininess: sl.Texture2D
     depth: sl.Texture2D
-    shrunk: sl.Uniform[Shrunk]
+    downscaled: sl.Uniform[DownscaledSize]
 
-    def fragment(self) -> ShrunkTexels:
-        place = sl.ivec2(find_shrunk(sl.fragment_coordinate().xy, self.rays.size, self.shrunk.size))
-        surface = self.surface.load(place)
-        depth = self.depth.load(place).x
+    def fragment(self) -> DownscaledTexels:
+        pixel = sl.ivec2(full_size_pixel(sl.fragment_coordinate().xy, self.rays.size, self.downscaled.size))
+        surface = self.surface.load(pixel)
+        depth = self.depth.load(pixel).x
         if depth == self.rays.farthest:
             surface.x = sl.float_bits_to_uint(-1e30)
-        return ShrunkTexels(surface=surface, shininess=self.shininess.load(place).x, depth=depth)
+        return DownscaledTexels(surface=surface, shininess=self.shininess.load(pixel).x, depth=depth)
 
 
 class Taps(sl.Struct):
-    """The four texels that a pixel takes its light from, at the corners `first` and `last`, and their weights: of the
-    first, of the one to its right, of the one below, and of the last."""
+    """The four texels that a pixel takes its light from, and their weights. `first` and `last` are
+    opposite corners; weights are in the order first, right of it, below it, last."""
 
     first: sl.ivec2
     last: sl.ivec2
@@ -102,55 +105,55 @@ class Taps(sl.Struct):
 
 @sl.function
 def filter_light(light: sl.Texture2D, taps: Taps) -> sl.vec3:
-    """Return the mean of four texels of light."""
-    sum = sl.min(light.load(taps.first).rgb, BRIGHTEST) * taps.weights.x
-    sum += sl.min(light.load(sl.ivec2(taps.last.x, taps.first.y)).rgb, BRIGHTEST) * taps.weights.y
-    sum += sl.min(light.load(sl.ivec2(taps.first.x, taps.last.y)).rgb, BRIGHTEST) * taps.weights.z
-    return sum + sl.min(light.load(taps.last).rgb, BRIGHTEST) * taps.weights.w
+    """Weighted mean of four texels of light."""
+    sum = sl.min(light.load(taps.first).rgb, MAX_HALF_FLOAT) * taps.weights.x
+    sum += sl.min(light.load(sl.ivec2(taps.last.x, taps.first.y)).rgb, MAX_HALF_FLOAT) * taps.weights.y
+    sum += sl.min(light.load(sl.ivec2(taps.first.x, taps.last.y)).rgb, MAX_HALF_FLOAT) * taps.weights.z
+    return sum + sl.min(light.load(taps.last).rgb, MAX_HALF_FLOAT) * taps.weights.w
 
 
-class Stippled(SceneShader):
-    """Tells the texels of an object. The lists of its lights aren't used; their place in the varyings has the number of
-    the texel in each 2 × 2, from 1 to 3."""
+class StippledShader(SceneShader):
+    """Assigns each object one texel of every 2 × 2. Light lists aren't used here: their varyings carry the
+    number of that texel, 1 to 3."""
 
-    def list_lights(self, thing: Object) -> sl.ivec3:
-        return sl.ivec3(1 + sl.instance_index() % _LAYERS)
+    def list_lights(self, object_data: Object) -> LightBounds:
+        return LightBounds(1 + sl.instance_index() % _LAYERS)
 
 
-class StippleShader(Stippled, NormalShader):
-    """Writes normal, distance and shininess to an object's texels."""
+class StippleShader(StippledShader, NormalShader):
+    """Writes normal, distance and shininess to the texels of an object."""
 
     def fragment(self, v: SurfaceVarying) -> NormalTexels:
-        place = sl.ivec2(sl.fragment_coordinate().xy)
-        if place.x % 2 + 2 * (place.y % 2) != v.lights.x:
+        texel = sl.ivec2(sl.fragment_coordinate().xy)
+        if texel.x % 2 + 2 * (texel.y % 2) != v.lights.x:
             sl.discard()
         return super().fragment(v)
 
 
-class Inference(ForwardShader, SurfaceReader):
+class InferredLightShader(ForwardShader, SurfaceReader):
     """Adds the light of terms in buffers that are smaller than the image."""
 
     diffuse: sl.Texture2D
     specular: sl.Texture2D
     grazing: sl.Texture2D
-    is_shrunk = True
+    is_downscaled = True
     is_stippled = False
 
-    def lamplight(self, surface: SurfacePoint, lights: sl.ivec3) -> sl.vec3:
-        taps = self.find_taps(surface, lights.x)
+    def shade_local_lights(self, surface: SurfacePoint, lights: LightBounds) -> sl.vec3:
+        taps = self.compute_taps(surface, lights.x)
         diffuse = filter_light(self.diffuse, taps)
         color = surface.base_color * diffuse + surface.specular_color * filter_light(self.specular, taps)
         if self.has_metals:
             color += filter_light(self.grazing, taps)
         return color
 
-    def find_taps(self, surface: SurfacePoint, begin: int) -> Taps:
-        """Return the texels that the surface's pixel takes its light from."""
+    def compute_taps(self, surface: SurfacePoint, begin: int) -> Taps:
+        """The texels and weights that the surface's pixel takes its light from."""
         size = self.surface.size()
         at = sl.fragment_coordinate().xy * sl.vec2(size) / self.rays.size - 0.5
         stride = 1
         offset = sl.ivec2(0)
-        if self.is_stippled:  # the texels of the object are every second one, from the one that `Stippled` tells
+        if self.is_stippled:  # the texels of the object are every second one, from the one that `StippledShader` tells
             stride = 2
             offset = sl.ivec2(begin % 2, begin // 2)
             at = (at - sl.vec2(offset)) * 0.5
@@ -165,36 +168,47 @@ class Inference(ForwardShader, SurfaceReader):
         )
         across = sl.vec2(1.0 - share.x, share.x)
         weights = sl.vec4(across * (1.0 - share.y), across * share.y) * sl.step(sl.vec4(0.5), alike)
-        if sl.dot(weights, sl.vec4(1.0)) < _LEAST:
+        if sl.dot(weights, sl.vec4(1.0)) < _MIN_WEIGHT:
             weights = alike
         return Taps(first=first, last=last, weights=weights / sl.dot(weights, sl.vec4(1.0)))
 
-    def compare(self, surface: SurfacePoint, place: sl.ivec2) -> float:
-        """Return the weight of a texel: 1 if it is of the same surface, or else that of a stranger."""
-        texel = self.surface.load(place)
-        away = sl.abs(sl.dot(surface.normal, self.find_place(texel, place) - surface.position))
+    def compare(self, surface: SurfacePoint, texel_position: sl.ivec2) -> float:
+        """Weight of a texel: 1 if it belongs to the same surface, else nearly 0."""
+        texel = self.surface.load(texel_position)
+        away = sl.abs(sl.dot(surface.normal, self.surface_position(texel, texel_position) - surface.position))
         if away > _NEAR_PLANE * sl.length(surface.position) or sl.dot(surface.normal, decode_normal(texel.y)) < _ALIKE:
             return _STRANGER
         return 1.0
 
 
 def check_scale(scale: float, call: str) -> None:
-    """Refuse a size of the light buffers, in that of the image, that is out of its range."""
+    """Refuse a scale of the light buffers that isn't above 0 and at most 1."""
     if not 0.0 < scale <= 1.0:
         refuse(rules.BAD_TECHNIQUE, f"{call}(scale=...)", scale, "more than 0, at most 1; 0.4 and more look well")
 
 
 class Inferred:
-    """Collects the terms of light at a part of the pixels, and takes them for the others from their surface."""
+    """Accumulates the terms of light at lower resolution, and filters them to full resolution surface by
+    surface."""
 
     name: Final = "inferred"
+    shaders: Final[tuple[type[sl.Shader], ...]] = (
+        *TERM_SHADERS,
+        VolumeShader,
+        DownscaleShader,
+        StippleShader,
+        InferredLightShader,
+        StippledShader,
+        *FINISH_SHADERS,
+    )
+    """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
-    def __init__(self, *, scale: float = 0.6, stippled: bool = True, light_bits: int = EXACT_BITS) -> None:
-        """`scale` is the width and height of light buffers in those of the image, more than 0 and at most 1;
-        `light_bits` is 16 or 32, those of a channel of the terms that are added up.
+    def __init__(self, *, scale: float = 0.6, stippled: bool = True, light_bits: int = DEFAULT_LIGHT_BITS) -> None:
+        """`scale` is the size of the light buffers as a fraction of the image's, above 0 and at most 1;
+        `light_bits` (16 or 32) are the bits per channel of the accumulated terms.
 
         If they aren't `stippled`, transparent surfaces are lit by the lists of their objects; so they are at full size,
-        where each texel that they take is missing in the picture of what is behind them.
+        where each texel that they take is missing in the image of what is behind them.
         """
         check_scale(scale, "Inferred")
         check_bits(light_bits, SUM_FORMATS, "Inferred(light_bits=...)")
@@ -202,67 +216,71 @@ class Inferred:
         self.scale = scale
         self.stippled = stippled
 
-    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the passes `normals`, `shrink`, those of lights in view, and `materials`; without such lights, that of
-        forward shading; and those of transparent surfaces."""
-        stippled = self.stippled and self.scale < 1.0 and Effect.TRANSPARENCY in needs.effects
-        scale, small, lit = self.scale, name_small("small "), name_small("stippled " if stippled else "small ")
+    def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
+        """The passes `normals`, `downscale`, one per kind of local lights in view, `materials`, and those
+        of transparent surfaces. Without local lights, those of forward shading."""
+        stippled = self.stippled and self.scale < 1.0 and Effect.TRANSPARENCY in effects.enabled
+        scale, small, lit = (
+            self.scale,
+            downscaled_names("small "),
+            downscaled_names("stippled " if stippled else "small "),
+        )
         collect = partial(collect_terms, prefix="stippled " if stippled else "small ")
-        lights, last = declare_lights(needs, list_terms(needs), lit, collect, scale, self.light_bits)
+        lights, last = declare_lights(effects, list_terms(effects), lit, collect, scale, self.light_bits)
         if not lights:
-            return forward_passes(needs)
-        own = dict(zip(list_terms(needs), last, strict=True), surface=lit[0])
-        formats = (find_surface_format(needs), SHININESS_FORMAT, DEPTH_FORMAT)
-        lighting = Lighting((Inference,), bind=partial(bind_contents, names=own), reads=(lit[0], *last))
-        through = replace(lighting, bases=(Stippled, Inference), switches={"is_stippled": True})
-        because = "draws the visible objects, lit by what was collected"
+            return forward_passes(effects)
+        own = dict(zip(list_terms(effects), last, strict=True), surface=lit[0])
+        formats = (surface_format(effects), SHININESS_FORMAT, DEPTH_FORMAT)
+        lighting = Lighting((InferredLightShader,), bind=partial(bind_resources, names=own), reads=(lit[0], *last))
+        through = replace(lighting, bases=(StippledShader, InferredLightShader), switches={"is_stippled": True})
+        reason = "draws the visible objects, lit by what was collected"
         return (
-            normals_pass(needs),
-            Pass(
-                "shrink",
-                shrink,
+            normals_pass(effects),
+            FramePass(
+                "downscale",
+                downscale,
                 f"lights {scale * scale:.0%} of the pixels",
                 reads=("surface", "shininess", "depth"),
                 writes=tuple(Target(name, format, scale) for name, format in zip(small, formats, strict=True)),
             ),
-            *([_stipple_pass(needs, small, lit)] if stippled else []),
+            *([_stipple_pass(effects, small, lit)] if stippled else []),
             *lights,
-            lit_pass(needs, lighting, because, after_depth=True, name="materials"),
-            *finish_image(needs, through if stippled else FORWARD),
+            lit_pass(effects, lighting, reason, after_depth=True, name="materials"),
+            *finish_image(effects, through if stippled else FORWARD),
         )
 
 
-def name_small(prefix: str) -> tuple[str, str, str]:
-    """Return the names of shrunk contents."""
+def downscaled_names(prefix: str) -> tuple[str, str, str]:
+    """Names of the downscaled resources with this prefix."""
     return f"{prefix}surface", f"{prefix}shininess", f"{prefix}depth"
 
 
-def _stipple_pass(needs: Needs, small: Sequence[str], stippled: Sequence[str]) -> Pass[Frame]:
-    """Return the pass that draws transparent surfaces over shrunk contents."""
-    return Pass(
+def _stipple_pass(effects: FrameEffects, small: Sequence[str], stippled: Sequence[str]) -> FramePass[Frame]:
+    """The pass that draws transparent surfaces over the downscaled resources."""
+    return FramePass(
         "stipple",
         _stipple,
-        f"lets light reach transparent surfaces; {needs.explain(Effect.TRANSPARENCY)}",
+        f"lets light reach transparent surfaces; {effects.explain(Effect.TRANSPARENCY)}",
         changes=dict(zip(small, stippled, strict=True)),
     )
 
 
 def _stipple(frame: Frame) -> None:
-    surface, shininess, depth = (frame.targets[name] for name in name_small("stippled "))
+    surface, shininess, depth = (frame.targets[name] for name in downscaled_names("stippled "))
     color = [surface, shininess]
-    stippled = scene_pass(frame, StippleShader, color=color, depth=depth, clears=False, switches=DIRECTIONS)
+    stippled = make_scene_drawer(frame, StippleShader, color=color, depth=depth, clears=False, switches=DIRECTIONS)
     frame.draw_transparent(stippled, in_order=False)
 
 
-def shrink(frame: Frame) -> None:
-    """Keep the surfaces of every so many pixels."""
+def downscale(frame: Frame) -> None:
+    """Copy the surfaces to the downscaled buffers."""
     targets = frame.targets
     small = targets["small surface"]
     draw_full_screen(
         frame,
-        ShrinkShader,
+        DownscaleShader,
         [small, targets["small shininess"]],
-        {"shrunk": frame.device.transient.uniform(Shrunk(size=small.size))},
+        {"downscaled": frame.device.transient.uniform(DownscaledSize(size=small.size))},
         depth=targets["small depth"],
         states=(DepthFunction.ALWAYS, DepthWrite.ON),
     )

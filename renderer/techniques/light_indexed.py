@@ -15,21 +15,27 @@ costs more, and looks the same.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading as sl
-from renderer.frame import LAMPS, Frame, Needs, Pass, Target, Targets
-from renderer.lights.rectangles import bound_cones, bound_spheres
+from renderer.frame import LOCAL_LIGHTS, Frame, FrameEffects, FramePass, Target, Targets
+from renderer.light_kinds.bounds import LightBounds
+from renderer.light_kinds.generation import define
+from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
+from renderer.lights.rectangles import bound_spheres
+from renderer.scene.arrays import Indices
 from renderer.shaders.lighting import safe_normalize
-from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_pixel
+from renderer.shaders.pixels import PixelRays, depth_to_nearness, nearness_to_distance, pixel_position
 from renderer.shaders.structs import SurfacePoint
-from renderer.techniques.parts.finish import draw_once, forward_passes
+from renderer.techniques.parts.depth import DEPTH_SHADERS
+from renderer.techniques.parts.finish import FINISH_SHADERS, draw_once, forward_passes
 from renderer.techniques.parts.full_screen import bind_rays
 from renderer.techniques.parts.scene_shader import ForwardShader
-from renderer.techniques.parts.variants import Lighting, explain_lamps, list_lamps
+from renderer.techniques.parts.variants import Lighting, explain_local_lights, local_light_effects
 from rhi import (
     BlendColor,
     BlendFactor,
@@ -42,16 +48,16 @@ from rhi import (
     Mesh,
 )
 
-INDICES: Final = "light indices"
-"""The contents that hold the numbers of each pixel's lights."""
+INDICES: Final = "light_indices"
+"""The resource that holds the numbers of each pixel's lights."""
 LIGHT_BITS: Final = 3
 """Bits of a light's number in each of the four channels of a texture of light indices."""
 LIGHT_MASK: Final = (1 << LIGHT_BITS) - 1
 LIGHTS_PER_PIXEL: Final = 24 // LIGHT_BITS
 """The lights whose numbers a pixel of light indices can hold: a float has 24 bits."""
-LIGHTS_FULL: Final = float(1 << 24)
+OVERFLOW_VALUE: Final = float(1 << 24)
 """A channel of this or more says that a pixel has too many lights."""
-MOST_LIGHTS: Final = (1 << 4 * LIGHT_BITS) - 1
+MAX_INDEXED_LIGHTS: Final = (1 << 4 * LIGHT_BITS) - 1
 """The lights in view that have a number."""
 
 _SHIFT: Final = float(1 << LIGHT_BITS)
@@ -66,8 +72,8 @@ _CORNERS: Final = 6  # of the two triangles of a rectangle
 
 
 class IndexedVolume(sl.Struct):
-    """The volume of a light: the rectangle around it in the image, its place relative to the eye, and the value that
-    is packed for it. A point light has a cone of -2, which holds all directions."""
+    """The volume of a light: its rectangle in the image, its position relative to the eye, and the value
+    that is packed for it. The cosine of a light without a cone is -2, which contains all directions."""
 
     rectangle: sl.vec4
     packed: sl.vec4
@@ -85,7 +91,7 @@ class IndexVarying(sl.Struct):
 
 
 class PackIndices(sl.Shader):
-    """Writes the numbers of the lights that reach the surface at each pixel; an instance is a light."""
+    """Writes the numbers of the lights that reach the surface at each pixel, one instance per light."""
 
     volumes: sl.Storage[IndexedVolume]
     depth: sl.Texture2D
@@ -100,12 +106,12 @@ class PackIndices(sl.Shader):
         return IndexVarying(clip=sl.vec4(sl.vec2(x, y), 0.5, 1.0), volume=volume)
 
     def fragment(self, v: IndexVarying) -> sl.vec4:
-        place = sl.fragment_coordinate().xy
-        nearness = nearness_of(self.rays, self.depth.load(sl.ivec2(place)).x)
+        pixel = sl.fragment_coordinate().xy
+        nearness = depth_to_nearness(self.rays, self.depth.load(sl.ivec2(pixel)).x)
         if nearness == 0.0:
             sl.discard()
         light = self.volumes[v.volume]
-        away = place_pixel(self.rays, place, distance_at(self.rays, nearness)) - light.position
+        away = pixel_position(self.rays, pixel, nearness_to_distance(self.rays, nearness)) - light.position
         if sl.dot(away, away) >= light.range * light.range:
             sl.discard()
         if sl.dot(safe_normalize(away), light.direction) <= light.cos_outer:
@@ -115,33 +121,60 @@ class PackIndices(sl.Shader):
 
 @sl.function
 def next_light(packed: sl.uvec4) -> int:
-    """Return the number of the first light of a pixel's packed numbers, 0 if there is none (`light_indexed`)."""
+    """Number of the first light in a pixel's packed numbers; 0 if there is none."""
     parts = packed & sl.uvec4(LIGHT_MASK)
     return int(parts.x | (parts.y << LIGHT_BITS) | (parts.z << (2 * LIGHT_BITS)) | (parts.w << (3 * LIGHT_BITS)))
 
 
-class LitByIndices(ForwardShader):
-    """Finds the lights of a pixel in a texture. A pixel with too many lights uses its object's list."""
+class PixelLightReader(ForwardShader):
+    """Base of `LitByIndices`."""
 
     light_indices: sl.Texture2D
-    numbered: sl.Storage[int]
+    light_indices_by_number: sl.Storage[int]
 
-    def lamplight(self, surface: SurfacePoint, lights: sl.ivec3) -> sl.vec3:
+
+def _shade_by_kind() -> str:
+    """The source that adds the light of `light_index`, as `encode_indices` encodes it."""
+    text, others = "", len(LOCAL_LIGHT_KINDS) - 1
+    for number, kind in enumerate(LOCAL_LIGHT_KINDS):
+        condition = f"self.has_{kind.name}_lights and light_index {'<' if number else '>='} 0"
+        index = "~light_index" if number else "light_index"
+        if number and others > 1:
+            condition += f" and {index} % {others} == {number - 1}"
+            index = f"{index} // {others}"
+        text += f"            if {condition}:\n"
+        text += f"                color += self.shade_{kind.name}_light(surface, {index})\n"
+    return text
+
+
+LitByIndices: Final[type[ForwardShader]] = define(
+    f"""
+class LitByIndices(PixelLightReader):
+    def shade_local_lights(self, surface: SurfacePoint, lights: LightBounds) -> sl.vec3:
         indices = self.light_indices.load(sl.ivec2(sl.fragment_coordinate().xy))
-        if sl.max(sl.max(indices.x, indices.y), sl.max(indices.z, indices.w)) >= LIGHTS_FULL:
-            return super().lamplight(surface, lights)
+        if sl.max(sl.max(indices.x, indices.y), sl.max(indices.z, indices.w)) >= OVERFLOW_VALUE:
+            return super().shade_local_lights(surface, lights)
         packed = sl.uvec4(indices)
         color = sl.vec3(0.0)
         number = next_light(packed)
         while number > 0:
-            row = self.numbered[number - 1]
-            if self.has_point_lights and row >= 0:
-                color += self.pointlight(surface, row)
-            if self.has_spot_lights and row < 0:
-                color += self.spotlight(surface, ~row)
+            light_index = self.light_indices_by_number[number - 1]
+{_shade_by_kind()}
             packed = packed >> sl.uvec4(LIGHT_BITS)
             number = next_light(packed)
         return color
+""",
+    "LitByIndices",
+    __name__,
+    PixelLightReader=PixelLightReader,
+    LightBounds=LightBounds,
+    SurfacePoint=SurfacePoint,
+    LIGHT_BITS=LIGHT_BITS,
+    OVERFLOW_VALUE=OVERFLOW_VALUE,
+    next_light=next_light,
+    sl=sl,
+)
+"""Finds the lights of a pixel in a texture. A pixel with too many lights uses its object's list."""
 
 
 def _make_rectangle(device: Device) -> Mesh:
@@ -149,31 +182,40 @@ def _make_rectangle(device: Device) -> Mesh:
 
 
 class LightIndexed:
-    """Draws depth, the lights of each pixel, then the scene lit by them; without lamps in view, as `Forward` does."""
+    """Draws depth, the light numbers of each pixel, then the scene lit by them. Without local lights in
+    view, as `Forward`."""
 
     name: Final = "light_indexed"
+    shaders: Final[tuple[type[sl.Shader], ...]] = (
+        PackIndices,
+        LitByIndices,
+        *DEPTH_SHADERS,
+        *FINISH_SHADERS,
+    )
+    """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
-    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the three passes, and those of transparent surfaces."""
-        if not list_lamps(needs):
-            return forward_passes(needs)
-        because = "draws the visible objects, lit by the lights of each pixel"
-        indices = Pass(
-            INDICES,
+    def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
+        """The passes `depth`, `light indices` and `forward`, and those of transparent surfaces. Without
+        local lights, those of `Forward`."""
+        if not local_light_effects(effects):
+            return forward_passes(effects)
+        reason = "draws the visible objects, lit by the lights of each pixel"
+        indices = FramePass(
+            "light indices",
             _pack_indices,
-            f"writes the numbers of each pixel's lights; {explain_lamps(needs)}",
+            f"writes the numbers of each pixel's lights; {explain_local_lights(effects)}",
             reads=("depth",),
             writes=(Target(INDICES, Format.RGBA32F),),
         )
         first = "finds the surface that lights reach at each pixel"
-        return draw_once(needs, BY_INDICES, because, samples=1, depth_first=first, lists=(indices,))
+        return draw_once(effects, LIT_BY_INDICES, reason, samples=1, depth_first=first, lists=(indices,))
 
 
 def count_overflowing(targets: Targets) -> int | None:
-    """Return the number of pixels of the last frame that more lights reach than can be packed; None if its plan has no
+    """Number of pixels of the last frame with more lights than can be packed; None if its plan has no
     light indices. Waits for the device."""
-    indices = targets.find(INDICES)
-    return None if indices is None else int((indices.read() >= LIGHTS_FULL).any(-1).sum())
+    indices = targets.get(INDICES)
+    return None if indices is None else int((indices.read() >= OVERFLOW_VALUE).any(-1).sum())
 
 
 def _pack_indices(frame: Frame) -> None:
@@ -194,38 +236,45 @@ def _pack_indices(frame: Frame) -> None:
 
 
 def list_volumes(frame: Frame) -> NDArray[Any]:
-    """Return the volumes (l,) of `IndexedVolume` of the lights in view: point lights, then spot lights."""
-    needs, lights, eye = frame.needs, frame.resources.lights, frame.camera.position
-    points, spots = (kind.find_rows(lights)[needs.in_view[effect]] for effect, kind in LAMPS.items())
-    volumes: Any = np.zeros(len(points) + len(spots), IndexedVolume.dtype)
-    first, last = volumes[: len(points)], volumes[len(points) :]
-    first["cos_outer"] = -2.0
-    last["cos_outer"], last["direction"] = np.cos(spots["outer"]), spots["direction"]
-    for part, some in ((first, points), (last, spots)):
-        part["position"], part["range"] = some["position"] - eye, some["range"]
-    ranges, outer = spots["range"].astype(np.float64), spots["outer"].astype(np.float64)
-    centers, radii = bound_cones(spots["position"], spots["direction"].astype(np.float64), ranges, outer)
-    volumes["rectangle"] = bound_spheres(
-        frame.camera,
-        np.concatenate([points["position"], centers]),
-        np.concatenate([points["range"].astype(np.float64), radii]),
-    )
+    """Volumes (l,) of `IndexedVolume` of the local lights in view, kind by kind."""
+    effects, eye = frame.effects, frame.camera.position
+    parts: list[NDArray[Any]] = []
+    centers: list[NDArray[Any]] = []
+    radii: list[NDArray[Any]] = []
+    for effect, row in LOCAL_LIGHTS.items():
+        kind, lights = row.kind, frame.resources.lights.of_kind(row.kind)[effects.in_view[effect]]
+        part: Any = np.zeros(len(lights), IndexedVolume.dtype)
+        part["position"], part["range"] = lights["position"] - eye, lights["range"]
+        part["cos_outer"] = kind.cone_cosine(lights)
+        if kind.has_direction:
+            part["direction"] = lights["direction"]
+        parts.append(part)
+        for values, added in zip((centers, radii), kind.bounds(lights), strict=True):
+            values.append(added)
+    volumes: NDArray[Any] = np.concatenate(parts)
+    volumes["rectangle"] = bound_spheres(frame.camera, np.concatenate(centers), np.concatenate(radii))
     volumes["packed"] = pack_numbers(np.arange(1, len(volumes) + 1))
-    made: NDArray[Any] = volumes
-    return made
+    return volumes
 
 
 def pack_numbers(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return what is packed (l, 4) for lights with these numbers; those that are too large fill a pixel."""
+    """Packed values (l, 4) of these light numbers; numbers that are too large fill a pixel."""
     packed: NDArray[np.int64] = numbers[:, None] >> LIGHT_BITS * np.arange(4) & LIGHT_MASK
-    packed[numbers > MOST_LIGHTS] = int(LIGHTS_FULL)
+    packed[numbers > MAX_INDEXED_LIGHTS] = int(OVERFLOW_VALUE)
     return packed
 
 
+def encode_indices(indices: Sequence[Indices]) -> NDArray[np.int32]:
+    """Distinct numbers (l,) for the light indices of each kind: 0 and above for the first kind,
+    interleaved below 0 for the others."""
+    first, *others = indices
+    encoded = [first, *(~(kind_indices * len(others) + number) for number, kind_indices in enumerate(others))]
+    return np.concatenate(encoded).astype(np.int32)
+
+
 def _bind_indices(frame: Frame) -> dict[str, Any]:
-    points, spots = (frame.needs.in_view[effect] for effect in LAMPS)
-    numbered = np.concatenate([points, ~spots]).astype(np.int32)
-    return {"light_indices": frame.targets[INDICES], "numbered": frame.device.transient.storage(int, numbered)}
+    light_indices_by_number = encode_indices([frame.effects.in_view[effect] for effect in LOCAL_LIGHTS])
+    return {"light_indices_by_number": frame.device.transient.storage(int, light_indices_by_number)}
 
 
-BY_INDICES: Final = Lighting((LitByIndices,), bind=_bind_indices, reads=(INDICES,))
+LIT_BY_INDICES: Final = Lighting((LitByIndices,), bind=_bind_indices, reads=(INDICES,))

@@ -20,26 +20,29 @@ from typing import Final
 
 import rhi.shading as sl
 from renderer import rules
-from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass
-from renderer.shaders.lighting import BRIGHTEST
+from renderer.frame import DEPTH_FORMAT, Frame, FrameEffects, FramePass
+from renderer.light_kinds.bounds import LightBounds
+from renderer.shaders.lighting import MAX_HALF_FLOAT
 from renderer.shaders.structs import SurfacePoint
-from renderer.techniques.parts.finish import finish_image, forward_passes
+from renderer.techniques.parts.finish import FINISH_SHADERS, finish_image, forward_passes
 from renderer.techniques.parts.light_terms import (
-    bind_contents,
+    PACKED_TERM_SHADERS,
+    TERM_SHADERS,
+    bind_resources,
     collect_terms,
     list_terms,
     luminance,
     normals_pass,
 )
-from renderer.techniques.parts.light_volumes import declare_lights
-from renderer.techniques.parts.resolve import EXACT_BITS, SUM_FORMATS, check_bits
+from renderer.techniques.parts.light_volumes import VolumeShader, declare_lights
+from renderer.techniques.parts.resolve import DEFAULT_LIGHT_BITS, SUM_FORMATS, check_bits
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.variants import FORWARD, Lighting, lit_pass
 from rhi import Format, refuse
 
 
 class LitByTerms(ForwardShader):
-    """Adds the light of terms. Where they are packed, the specular one is a luminance."""
+    """Adds the light of accumulated terms. If they are packed, the specular term is a luminance."""
 
     is_packed = False
 
@@ -47,53 +50,63 @@ class LitByTerms(ForwardShader):
     specular: sl.Texture2D
     grazing: sl.Texture2D
 
-    def lamplight(self, surface: SurfacePoint, lights: sl.ivec3) -> sl.vec3:
-        place = sl.ivec2(sl.fragment_coordinate().xy)
-        terms = sl.min(self.diffuse.load(place), BRIGHTEST)
+    def shade_local_lights(self, surface: SurfacePoint, lights: LightBounds) -> sl.vec3:
+        pixel = sl.ivec2(sl.fragment_coordinate().xy)
+        terms = sl.min(self.diffuse.load(pixel), MAX_HALF_FLOAT)
         specular = terms.rgb / sl.max(luminance(terms.rgb), 1e-6) * terms.a
         if not self.is_packed:
-            specular = sl.min(self.specular.load(place).rgb, BRIGHTEST)
+            specular = sl.min(self.specular.load(pixel).rgb, MAX_HALF_FLOAT)
         color = surface.base_color * terms.rgb + surface.specular_color * specular
         if self.has_metals:
-            color += sl.min(self.grazing.load(place).rgb, BRIGHTEST)
+            color += sl.min(self.grazing.load(pixel).rgb, MAX_HALF_FLOAT)
         return color
 
 
 def check_channels(specular_channels: int, call: str) -> None:
-    """Refuse a number of channels of highlights that isn't 1 or 3."""
+    """Refuse a number of specular channels that isn't 1 or 3."""
     if specular_channels not in (1, 3):
         refuse(rules.BAD_TECHNIQUE, f"{call}(specular_channels=...)", specular_channels, "1 or 3")
 
 
 class LightPrePass:
-    """Collects the terms of light before materials complete the equation."""
+    """Accumulates the terms of light before materials complete the lighting equation."""
 
     name: Final = "light_pre_pass"
+    shaders: Final[tuple[type[sl.Shader], ...]] = (
+        *TERM_SHADERS,
+        *PACKED_TERM_SHADERS,
+        VolumeShader,
+        LitByTerms,
+        *FINISH_SHADERS,
+    )
+    """The shaders of its passes: a draw's shader is one of them, or several combined."""
 
-    def __init__(self, *, specular_channels: int = 3, stencil: bool = False, light_bits: int = EXACT_BITS) -> None:
-        """`specular_channels` is 3 or 1. With `stencil`, each light is masked in a stencil buffer. `light_bits` is 16
-        or 32: those of a channel of the terms that are added up."""
+    def __init__(
+        self, *, specular_channels: int = 3, stencil: bool = False, light_bits: int = DEFAULT_LIGHT_BITS
+    ) -> None:
+        """`specular_channels` is 3 or 1. `stencil` masks each light in the stencil buffer. `light_bits`
+        (16 or 32) are the bits per channel of the accumulated terms."""
         check_channels(specular_channels, "LightPrePass")
         check_bits(light_bits, SUM_FORMATS, "LightPrePass(light_bits=...)")
         self.light_bits = light_bits
         self.specular_channels = specular_channels
         self.stencil = stencil
 
-    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the passes `normals`, those of lights in view, and `materials`; without such lights, that of forward
-        shading."""
+    def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
+        """The passes `normals`, one per kind of local lights in view, and `materials`. Without local
+        lights, those of forward shading."""
         reads = ("surface", "shininess", "depth")
-        buffers = list_terms(needs, packed=self.specular_channels == 1)
+        buffers = list_terms(effects, packed=self.specular_channels == 1)
         collect = partial(collect_terms, stencil=self.stencil)
-        lights, last = declare_lights(needs, buffers, reads, collect, bits=self.light_bits)
+        lights, last = declare_lights(effects, buffers, reads, collect, bits=self.light_bits)
         if not lights:
-            return forward_passes(needs)
+            return forward_passes(effects)
         own, packed = dict(zip(buffers, last, strict=True)), self.specular_channels == 1
-        lighting = Lighting((LitByTerms,), {"is_packed": packed}, partial(bind_contents, names=own), tuple(last))
-        because = "draws the visible objects, lit by what was collected"
+        lighting = Lighting((LitByTerms,), {"is_packed": packed}, partial(bind_resources, names=own), tuple(last))
+        reason = "draws the visible objects, lit by what was collected"
         return (
-            normals_pass(needs, Format.D32FS8 if self.stencil else DEPTH_FORMAT),
+            normals_pass(effects, Format.D32FS8 if self.stencil else DEPTH_FORMAT),
             *lights,
-            lit_pass(needs, lighting, because, after_depth=True, name="materials"),
-            *finish_image(needs, FORWARD),
+            lit_pass(effects, lighting, reason, after_depth=True, name="materials"),
+            *finish_image(effects, FORWARD),
         )

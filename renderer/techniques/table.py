@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from renderer.techniques.deferred import Deferred
-from renderer.techniques.deferred_cells import ClusteredDeferred, TiledDeferred
+from renderer.techniques.deferred_by_cells import ClusteredDeferred, TiledDeferred
 from renderer.techniques.deferred_plus import DeferredPlus
 from renderer.techniques.forward import Forward
 from renderer.techniques.forward_multipass import ForwardMultipass
@@ -17,8 +17,8 @@ from renderer.techniques.light_pre_pass import LightPrePass
 from renderer.techniques.technique import Technique
 
 TECHNIQUES: Final[dict[str, Callable[..., Technique]]] = {
-    one.name: one
-    for one in (
+    technique.name: technique
+    for technique in (
         Forward,
         ForwardMultipass,
         Deferred,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from renderer.frame import Frame, Needs, Pass
+from renderer.frame import Frame, FrameEffects, FramePass
 
 
 class Technique(Protocol):
@@ -20,17 +20,17 @@ class Technique(Protocol):
         """The name on the command line."""
         ...
 
-    def declare(self, needs: Needs) -> Sequence[Pass[Frame]]:
-        """Return the passes of a frame with these needs.
+    def declare(self, effects: FrameEffects) -> Sequence[FramePass[Frame]]:
+        """The passes of a frame with these effects.
 
-        They write the contents `image` and `depth`, and draw the scene with `Frame.draw_visible`. The result is kept
-        while `needs.key` stays the same, so it depends on nothing else; passes find all else in their `Frame`.
+        They write the resources `image` and `depth`, and draw the scene with `Frame.draw_visible`. The result is
+        cached while `effects.key` stays the same, so it depends on nothing else; passes find all else in their `Frame`.
         """
         ...
 
 
 class WrappedTechnique:
-    """The base of techniques that have the passes of another one, and more."""
+    """Base of techniques that add passes to those of another one."""
 
     def __init__(self, technique: Technique) -> None:
         self._technique = technique

@@ -1,9 +1,9 @@
 """The shaders that choose a field's triangles: two roots are bisected level by level.
 
 A triangle that is to be split is three vertices of the grid: the ends of its longest edge and the apex opposite. A
-vertex is row · 2^16 + column, so the middle of an edge is half the sum of its ends. `Begin` makes the roots, `Bisect`
-splits the triangles of one level and passes on the children that are split, too, and writes the others to the mesh.
-`Finish` tells the draws how many there are.
+vertex is row · 2^16 + column, so the middle of an edge is half the sum of its ends. `BeginBisection` makes the roots,
+`Bisect` splits the triangles of one level and passes on the children that are split, too, and writes the others to
+the mesh. `FinishBisection` tells the draws how many there are.
 
 Whether an edge is split depends on nothing but its middle (`EdgeTest`), so both triangles at the edge agree.
 """
@@ -18,17 +18,17 @@ from renderer.visibility.gpu.draw_lists import DrawArguments
 
 GROUP: Final = 64
 """Number of triangles per work-group."""
-MOST_LEVELS: Final = 24
+MAX_LEVELS: Final = 24
 
-SPLIT: Final = 0
+SPLIT_COUNTS: Final = 0
 """Where the numbers of triangles begin that each level splits."""
-KEPT: Final = MOST_LEVELS
+WRITTEN_COUNTS: Final = MAX_LEVELS
 """Where the numbers of triangles begin that each level writes to the mesh."""
-IS_CUT: Final = 2 * MOST_LEVELS
+LIMIT_REACHED: Final = 2 * MAX_LEVELS
 """Where it is noted that the limit was reached."""
-BEFORE: Final = IS_CUT + 1
+PREVIOUS_INDEX_COUNT: Final = LIMIT_REACHED + 1
 """Where the number of indices before is kept."""
-COUNTERS: Final = BEFORE + 1
+COUNTER_COUNT: Final = PREVIOUS_INDEX_COUNT + 1
 
 
 class GridVertex(sl.Struct):
@@ -56,18 +56,18 @@ class FieldShape(sl.Struct):
 class FieldView(sl.Struct):
     """A view in the space of a field, where reaches and lengths are as they are.
 
-    What has n · p >= d is inside a plane (n, d) of `planes`. With a lens, `is_lens` is 1, `depth` is the plane through
-    the eye, and an edge is as long on screen as is wanted if it is its distance from that plane, divided by `scale`.
-    With a parallel lens, `is_lens` is 0, that length is 1 / `scale` everywhere. `unseen` is the scale for what is not
-    in view, by the distance from the `eye`, whose square is multiplied by `squeeze`.
-    """
+    What has n · p >= d is inside a plane (n, d) of `planes`. In perspective, `is_perspective` is 1, `depth` is the
+    plane through the eye, and an edge is as long on screen as is wanted if it is its distance from that plane,
+    divided by `scale`. In an orthographic projection, `is_perspective` is 0, that length is 1 / `scale` everywhere.
+    `out_of_view_scale` is the scale for what is not in view, by the distance from the `eye`, whose square is
+    multiplied by `squared_axis_ratio`."""
 
     depth: sl.vec4
     eye: sl.vec3
     scale: float
-    unseen: float
-    squeeze: float
-    is_lens: float
+    out_of_view_scale: float
+    squared_axis_ratio: float
+    is_perspective: float
     planes: sl.Array[sl.vec4] = sl.array(sl.vec4, 6)
 
 
@@ -78,7 +78,7 @@ class Level(sl.Struct):
 
 
 @sl.function
-def along(n: sl.vec3, p: sl.vec3) -> float:
+def ordered_dot(n: sl.vec3, p: sl.vec3) -> float:
     """Return a dot product, rounded in the same order everywhere."""
     return n.x * p.x + n.y * p.y + n.z * p.z
 
@@ -99,18 +99,21 @@ class EdgeTest(sl.Shader):
         x = self.shape.corner.x + self.shape.steps.x * float(column)
         z = self.shape.corner.y + self.shape.steps.y * float(row)
         p = sl.vec3(x, vertex.height, z)
-        depth = along(self.view.depth.xyz, p) - self.view.is_lens * vertex.reach
-        is_wanted = depth - vertex.length * self.view.scale <= self.view.depth.w
+        depth = ordered_dot(self.view.depth.xyz, p) - self.view.is_perspective * vertex.reach
+        should_split = depth - vertex.length * self.view.scale <= self.view.depth.w
         for i in range(6):
             plane = self.view.planes[i]
-            is_wanted = is_wanted and along(plane.xyz, p) + vertex.reach >= plane.w
+            should_split = should_split and ordered_dot(plane.xyz, p) + vertex.reach >= plane.w
         away = p - self.view.eye
-        lens = self.view.is_lens
-        near = vertex.length * self.view.unseen + lens * vertex.reach
-        return is_wanted or lens * self.view.squeeze * along(away, away) + (1.0 - lens) <= near * near
+        perspective = self.view.is_perspective
+        near = vertex.length * self.view.out_of_view_scale + perspective * vertex.reach
+        return (
+            should_split
+            or perspective * self.view.squared_axis_ratio * ordered_dot(away, away) + (1.0 - perspective) <= near * near
+        )
 
 
-class Begin(EdgeTest):
+class BeginBisection(EdgeTest):
     """Begins with the two halves of the field. There is one group."""
 
     work_group = (GROUP,)
@@ -121,8 +124,8 @@ class Begin(EdgeTest):
 
     def compute(self) -> None:
         lane = sl.local_index()
-        if lane < COUNTERS:
-            self.counters[lane] = self.draws[self.shape.draw].count if lane == BEFORE else sl.uint(0)
+        if lane < COUNTER_COUNT:
+            self.counters[lane] = self.draws[self.shape.draw].count if lane == PREVIOUS_INDEX_COUNT else sl.uint(0)
         sl.barrier()
         if lane < 2:
             n = self.shape.side - 1
@@ -135,7 +138,7 @@ class Begin(EdgeTest):
                 self.split[3 * lane + 1] = apex
                 self.split[3 * lane + 2] = right
                 if lane == 0:
-                    self.counters[SPLIT] = sl.uint(2)
+                    self.counters[SPLIT_COUNTS] = sl.uint(2)
             else:
                 first = self.shape.first + 3 * lane
                 last = self.shape.side * self.shape.side - 1
@@ -143,7 +146,7 @@ class Begin(EdgeTest):
                 self.indices[first + 1] = sl.uint(last - n if lane == 0 else n)
                 self.indices[first + 2] = sl.uint(last if lane == 0 else 0)
                 if lane == 0:
-                    self.counters[KEPT] = sl.uint(2)
+                    self.counters[WRITTEN_COUNTS] = sl.uint(2)
 
 
 class Bisect(EdgeTest):
@@ -159,12 +162,12 @@ class Bisect(EdgeTest):
 
     def compute(self) -> None:
         level = self.level.number
-        count = int(self.counters[SPLIT + level])
+        count = int(self.counters[SPLIT_COUNTS + level])
         written = 0
         for earlier in range(level):
-            written += int(self.counters[KEPT + earlier])
+            written += int(self.counters[WRITTEN_COUNTS + earlier])
         if level == 0 and count == 0:
-            return  # `Begin` has kept the roots
+            return  # `BeginBisection` has kept the roots
         is_cut = written + 2 * count > self.shape.limit
         is_last = level + 1 == self.shape.levels
         triangle = sl.global_id().x
@@ -173,50 +176,54 @@ class Bisect(EdgeTest):
             apex = self.split[3 * triangle + 1]
             right = self.split[3 * triangle + 2]
             if is_cut:
-                self.counters[IS_CUT] = sl.uint(1)
-                self.keep(written + int(sl.atomic_add(self.counters[KEPT + level], sl.uint(1))), left, apex, right)
+                self.counters[LIMIT_REACHED] = sl.uint(1)
+                self.write_triangle(
+                    written + int(sl.atomic_add(self.counters[WRITTEN_COUNTS + level], sl.uint(1))), left, apex, right
+                )
             else:
                 middle = (left + right) >> sl.uint(1)
                 goes_left = not is_last and self.is_split(apex, left)
                 goes_right = not is_last and self.is_split(right, apex)
                 deeper = int(goes_left) + int(goes_right)
-                place = 0
+                slot = 0
                 if deeper > 0:
-                    place = int(sl.atomic_add(self.counters[SPLIT + level + 1], sl.uint(deeper)))
-                kept = 0
+                    slot = int(sl.atomic_add(self.counters[SPLIT_COUNTS + level + 1], sl.uint(deeper)))
+                written_slot = 0
                 if deeper < 2:
-                    kept = written + int(sl.atomic_add(self.counters[KEPT + level], sl.uint(2 - deeper)))
+                    written_slot = written + int(
+                        sl.atomic_add(self.counters[WRITTEN_COUNTS + level], sl.uint(2 - deeper))
+                    )
                 if goes_left:
-                    self.pass_on(place, apex, middle, left)
-                    place += 1
+                    self.push_child(slot, apex, middle, left)
+                    slot += 1
                 else:
-                    self.keep(kept, apex, middle, left)
-                    kept += 1
+                    self.write_triangle(written_slot, apex, middle, left)
+                    written_slot += 1
                 if goes_right:
-                    self.pass_on(place, right, middle, apex)
+                    self.push_child(slot, right, middle, apex)
                 else:
-                    self.keep(kept, right, middle, apex)
+                    self.write_triangle(written_slot, right, middle, apex)
             triangle += sl.group_count().x * GROUP
 
-    def pass_on(self, place: int, left: sl.uint, apex: sl.uint, right: sl.uint) -> None:
-        """Note a triangle that the next level splits."""
-        self.children[3 * place] = left
-        self.children[3 * place + 1] = apex
-        self.children[3 * place + 2] = right
+    def push_child(self, slot: int, left: sl.uint, apex: sl.uint, right: sl.uint) -> None:
+        """Record a triangle that the next level splits."""
+        self.children[3 * slot] = left
+        self.children[3 * slot + 1] = apex
+        self.children[3 * slot + 2] = right
 
-    def keep(self, place: int, left: sl.uint, apex: sl.uint, right: sl.uint) -> None:
+    def write_triangle(self, slot: int, left: sl.uint, apex: sl.uint, right: sl.uint) -> None:
         """Write a triangle to the mesh."""
-        at = self.shape.first + 3 * place
+        at = self.shape.first + 3 * slot
         self.indices[at] = self.index(left)
         self.indices[at + 1] = self.index(apex)
         self.indices[at + 2] = self.index(right)
 
     def index(self, vertex: sl.uint) -> sl.uint:
-        """Return the place of a vertex in the mesh."""
+        """Return the index of a vertex in the mesh."""
         return (vertex >> sl.uint(16)) * sl.uint(self.shape.side) + (vertex & sl.uint(65535))
 
 
-class Finish(sl.Shader):
+class FinishBisection(sl.Shader):
     """Writes the number of triangles to the draws, and empty triangles over what is left of those before."""
 
     work_group = (GROUP,)
@@ -228,12 +235,12 @@ class Finish(sl.Shader):
 
     def compute(self) -> None:
         count = 0
-        for level in range(MOST_LEVELS):
-            count += 3 * int(self.counters[KEPT + level])
-        place = count + sl.global_id().x
-        while place < int(self.counters[BEFORE]):
-            self.indices[self.shape.first + place] = sl.uint(0)
-            place += sl.group_count().x * GROUP
+        for level in range(MAX_LEVELS):
+            count += 3 * int(self.counters[WRITTEN_COUNTS + level])
+        slot = count + sl.global_id().x
+        while slot < int(self.counters[PREVIOUS_INDEX_COUNT]):
+            self.indices[self.shape.first + slot] = sl.uint(0)
+            slot += sl.group_count().x * GROUP
         if sl.global_id().x == 0:
             self.draws[self.shape.draw].count = sl.uint(count)
             self.parts[self.shape.mesh].count = sl.uint(count)

@@ -11,25 +11,25 @@ from typing import Any, Final
 
 import numpy as np
 
-from renderer.frame import Effect, Frame, Needs, Pass, SceneResources
+from renderer.frame import Effect, Frame, FrameEffects, FramePass, SceneResources
 from renderer.scene import Camera, HeightField
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Indices
 from renderer.tessellation.kernels import (
-    COUNTERS,
+    COUNTER_COUNT,
     GROUP,
-    IS_CUT,
-    KEPT,
-    MOST_LEVELS,
-    Begin,
+    LIMIT_REACHED,
+    MAX_LEVELS,
+    WRITTEN_COUNTS,
+    BeginBisection,
     Bisect,
     FieldShape,
     FieldView,
-    Finish,
+    FinishBisection,
     GridVertex,
     Level,
 )
 from renderer.tessellation.settings import TessellationSettings
-from renderer.visibility.repeated import RepeatedCommands
+from renderer.visibility.command_cache import CommandCache
 from rhi import Device, Encoder, Readback
 from rhi.math import is_parallel
 from rhi.shading import uint
@@ -39,7 +39,7 @@ _GROUPS: Final = 16
 are is known to the device only, and on a CPU each group that finds none costs 2 µs, in some twenty dispatches."""
 
 
-class Tessellation:
+class FieldTessellation:
     """The triangles of one height field on one device.
 
     Attributes:
@@ -48,14 +48,14 @@ class Tessellation:
             waiting. Their triangles are those of as many levels as fit.
     """
 
-    def __init__(self, device: Device, resources: SceneResources, row: int) -> None:
+    def __init__(self, device: Device, resources: SceneResources, object_index: int) -> None:
         scene = resources.scene
-        self.field: HeightField = scene.height_fields[row]
-        self.row = row
-        self.cuts = 0
+        self.field: HeightField = scene.height_fields[object_index]
+        self.object_index = object_index
+        self.limited_views = 0
         self._device = device
         self._resources = resources
-        mesh, steps = int(scene.objects.mesh[row]), self.field.steps
+        mesh, steps = int(scene.objects.mesh[object_index]), self.field.steps
         side, size = len(self.field.heights), self.field.size
         self._shape = device.uniform(
             FieldShape(
@@ -66,7 +66,7 @@ class Tessellation:
                 limit=self.field.limit,
                 first=int(scene.meshes.ranges["first_index"][mesh]),
                 mesh=mesh,
-                draw=int(np.searchsorted(resources.tessellated_rows, row)),
+                draw=int(np.searchsorted(resources.tessellated_indices, object_index)),
             )
         )
         length, reach = self.field.bounds
@@ -75,18 +75,18 @@ class Tessellation:
         for name, values in (("length", length), ("reach", reach)):
             grid[name] = np.nextafter(values.reshape(-1).astype(np.float32), np.float32(np.inf))
         self._grid = device.storage(GridVertex, grid, label="height field")
-        self._counters = device.storage(uint, COUNTERS, label="triangle counts")
+        self._counters = device.storage(uint, COUNTER_COUNT, label="triangle counts")
         self._split = [device.storage(uint, 3 * self.field.limit, label="triangles to split") for _ in range(2)]
         self._levels = [device.uniform(Level(number=number)) for number in range(self.field.levels)]
         self._view: FieldView | None = None
         self._constants = device.uniform(_no_view())
-        self._repeated = RepeatedCommands(device, "tessellation")
+        self._repeated = CommandCache(device, "tessellation")
         self._pending: Readback | None = None
 
     def update(self, camera: Camera, settings: TessellationSettings, height: int) -> None:
         """Choose the triangles for a view in an image of `height` pixels; see `Tessellator`."""
-        self._learn()
-        node = self._resources.scene.objects.node[self.row]
+        self._read_limit()
+        node = self._resources.scene.objects.node[self.object_index]
         view = view_field(self._resources.scene.nodes.world[node], camera, settings, height)
         if view == self._view:
             return
@@ -95,11 +95,11 @@ class Tessellation:
         self._repeated.execute((), self._issue)
         self._resources.tessellations += 1
         if self._pending is None:
-            self._pending = self._counters.read_async(IS_CUT, 1)
+            self._pending = self._counters.read_async(LIMIT_REACHED, 1)
 
-    def _learn(self) -> None:
+    def _read_limit(self) -> None:
         if self._pending is not None and self._pending.done:
-            self.cuts += int(self._pending.result()[0])
+            self.limited_views += int(self._pending.result()[0])
             self._pending = None
 
     def _issue(self, encoder: Encoder) -> None:
@@ -107,7 +107,7 @@ class Tessellation:
         shared: dict[str, Any] = {"shape": self._shape, "counters": self._counters, "indices": resources.indices}
         test: dict[str, Any] = {"view": self._constants, "grid": self._grid}
         encoder.dispatch(
-            device.program(Begin), 1, split=self._split[0], draws=resources.tessellated_draws, **shared, **test
+            device.program(BeginBisection), 1, split=self._split[0], draws=resources.tessellated_draws, **shared, **test
         )
         for number, level in enumerate(self._levels):
             most = min(2 << number, self.field.limit)
@@ -121,12 +121,16 @@ class Tessellation:
                 **test,
             )
         encoder.dispatch(
-            device.program(Finish), _GROUPS, draws=resources.tessellated_draws, parts=resources.parts, **shared
+            device.program(FinishBisection),
+            _GROUPS,
+            draws=resources.tessellated_draws,
+            parts=resources.mesh_parts,
+            **shared,
         )
 
     def read_count(self) -> int:
         """Return the number of triangles of the last view. Waits for the device."""
-        counts = self._counters.read(KEPT, MOST_LEVELS)
+        counts = self._counters.read(WRITTEN_COUNTS, MAX_LEVELS)
         return int(counts.sum())
 
     def destroy(self) -> None:
@@ -146,24 +150,24 @@ class Tessellator:
 
     def __init__(self, device: Device) -> None:
         self.settings = TessellationSettings()
-        self.fields: list[Tessellation] = []
+        self.fields: list[FieldTessellation] = []
         self._device = device
 
     def update(self, resources: SceneResources, camera: Camera, height: int, *, has_shadows: bool = False) -> None:
-        """Choose the triangles for what `camera` sees in an image of `height` pixels. Fields that rest and cast no
-        shadow keep theirs until they are drawn, and then have those of this frame."""
+        """Choose the triangles for what `camera` sees in an image of `height` pixels. Paused fields that cast no
+        shadow keep theirs until they are drawn, and then get those of this frame."""
         if not self.fields:
-            rows = resources.scene.height_fields
-            self.fields = [Tessellation(self._device, resources, row) for row in rows]
+            object_indices = resources.scene.height_fields
+            self.fields = [FieldTessellation(self._device, resources, object_index) for object_index in object_indices]
 
-        def choose(rows: Rows) -> None:
+        def choose(object_indices: Indices) -> None:
             for field in self.fields:
-                if field.row in rows:
+                if field.object_index in object_indices:
                     field.update(camera, self.settings, height)
 
         casts = resources.scene.objects.casts_shadow & has_shadows
-        choose(np.flatnonzero(~resources.hidden.rests | casts))
-        resources.wake = choose
+        choose(np.flatnonzero(~resources.hidden.paused | casts))
+        resources.resume = choose
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
@@ -172,18 +176,18 @@ class Tessellator:
         self.fields = []
 
 
-def tessellation_passes(needs: Needs) -> list[Pass[Frame]]:
+def tessellation_passes(effects: FrameEffects) -> list[FramePass[Frame]]:
     """Return the pass that chooses triangles, if the scene has a height field."""
     effect = Effect.HEIGHT_FIELDS
-    if effect not in needs.effects:
+    if effect not in effects.enabled:
         return []
-    return [Pass("tessellation", _update, needs.explain(effect), has_side_effects=True)]
+    return [FramePass("tessellation", _update, effects.explain(effect), has_side_effects=True)]
 
 
 def _update(frame: Frame) -> None:
     if frame.device.capabilities.compute:  # the second of two eyes asks for the same as the first
         tessellator = frame.resources.workspace(Tessellator)
-        has_shadows = frame.needs.casts_shadows
+        has_shadows = frame.effects.has_shadow_casters
         tessellator.update(frame.resources, frame.view.around, frame.targets.size[1], has_shadows=has_shadows)
 
 
@@ -210,9 +214,9 @@ def view_field(world: Floats, camera: Camera, settings: TessellationSettings, he
             depth=(0.0, 0.0, 0.0, -1.0),
             eye=(0.0, 0.0, 0.0),
             scale=scale * most,
-            unseen=scale * most / settings.unseen,
-            squeeze=0.0,
-            is_lens=0.0,
+            out_of_view_scale=scale * most / settings.out_of_view_scale,
+            squared_axis_ratio=0.0,
+            is_perspective=0.0,
             planes=inside,
         )
     depth = np.append(camera.forward @ linear, -camera.forward @ offset) / most
@@ -220,9 +224,9 @@ def view_field(world: Floats, camera: Camera, settings: TessellationSettings, he
         depth=depth,
         eye=np.linalg.solve(linear, -offset),
         scale=scale,
-        unseen=scale / settings.unseen,
-        squeeze=(least / most) ** 2,
-        is_lens=1.0,
+        out_of_view_scale=scale / settings.out_of_view_scale,
+        squared_axis_ratio=(least / most) ** 2,
+        is_perspective=1.0,
         planes=inside,
     )
 
@@ -233,8 +237,8 @@ def _no_view() -> FieldView:
         depth=(0.0, 0.0, 0.0, -1.0),
         eye=(0.0, 0.0, 0.0),
         scale=0.0,
-        unseen=0.0,
-        squeeze=0.0,
-        is_lens=0.0,
+        out_of_view_scale=0.0,
+        squared_axis_ratio=0.0,
+        is_perspective=0.0,
         planes=np.zeros((6, 4), np.float32),
     )

@@ -5,7 +5,7 @@ viewer.handle(event)           # of rendercanvas
 image = viewer.draw()
 """
 
-from renderer.viewer.look import Look
+from renderer.viewer.display_settings import DisplaySettings
 from renderer.viewer.viewer import Viewer
 
-__all__ = ["Look", "Viewer"]
+__all__ = ["DisplaySettings", "Viewer"]

@@ -1,6 +1,6 @@
-"""Commands: what a viewer can be told, in one table, by keys, the console, script files and a socket alike.
+"""The table of the viewer's commands, which keys, the console, script files and the socket all use.
 
-A command is a line of words: a name and arguments. Faults are refused in a sentence that names the nearest words.
+A command is a line of words: a name and arguments. Errors name the nearest words.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, Final, NoReturn
 from renderer import rules
 from rhi.errors import Rule, refuse
 
-_FEW: Final = 4  # words that are named even if none is near
+_MAX_LISTED: Final = 4  # words that errors list even if none is near
 
 Words = Callable[[], Iterable[str]]
 
@@ -24,21 +24,21 @@ class Parameter:
     """An argument of a command.
 
     Attributes:
-        name: the word for it in the help. parse: makes its value of a word, or raises ValueError.
-        words: the words that are known, for completion; if `is_closed`, no others are allowed.
+        name: its name in the help. parse: parses a word, or raises ValueError.
+        words: the words for completion; if `is_exhaustive`, no others are allowed.
         is_optional: whether it may be left out; all after it may be left out, too.
     """
 
     name: str
     parse: Callable[[str], Any] = str
     words: Words | None = None
-    is_closed: bool = False
+    is_exhaustive: bool = False
     is_optional: bool = False
 
     def read(self, call: str, word: str) -> Any:
-        """Return the value of a word."""
-        if self.words is not None and self.is_closed and word not in (known := list(self.words())):
-            refuse_word(rules.BAD_ARGUMENT, call, word, known)
+        """The value of a word."""
+        if self.words is not None and self.is_exhaustive and word not in (words := list(self.words())):
+            refuse_word(rules.BAD_ARGUMENT, call, word, words)
         try:
             return self.parse(word)
         except ValueError:
@@ -47,11 +47,11 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class ViewerCommand:
-    """A thing that a viewer can be told.
+    """A command of the viewer.
 
     Attributes:
         name: the first word. summary: a sentence for the help.
-        run: does it, given the values of the parameters, and returns what it has to say.
+        run: executes the command with the parameters' values, and returns its message.
     """
 
     name: str
@@ -61,8 +61,8 @@ class ViewerCommand:
 
     @property
     def usage(self) -> str:
-        """The command as it is written, such as `camera NAME`; what may be left out is in brackets."""
-        words = [f"[{one.name}]" if one.is_optional else one.name for one in self.parameters]
+        """The command as it is typed, such as `camera NAME`; optional parameters are in brackets."""
+        words = [f"[{parameter.name}]" if parameter.is_optional else parameter.name for parameter in self.parameters]
         return " ".join([self.name, *words])
 
 
@@ -77,13 +77,13 @@ class CommandTable:
         return iter(self._commands.values())
 
     def __getitem__(self, name: str) -> ViewerCommand:
-        """Return the command of this name, or refuse it with the nearest one."""
+        """The command of this name; other names are refused with the nearest one."""
         if name not in self._commands:
             refuse_word(rules.UNKNOWN_COMMAND, "command", name, self._commands)
         return self._commands[name]
 
     def run(self, line: str) -> str:
-        """Run a line and return what it says. An empty one, or a comment that begins with #, does nothing.
+        """Run a line and return its message. An empty line, or a comment that begins with #, does nothing.
 
         Raises:
             ValidationError: `viewer-unknown-command` or `viewer-bad-argument`, or what the command refuses.
@@ -91,16 +91,18 @@ class CommandTable:
         words = split_line(line)
         if not words:
             return ""
-        command, given = self[words[0]], words[1:]
+        command, arguments = self[words[0]], words[1:]
         most = len(command.parameters)
-        least = sum(not one.is_optional for one in command.parameters)
-        if not least <= len(given) <= most:
-            refuse(rules.BAD_ARGUMENT, command.name, f"{len(given)} arguments", command.usage)
-        values = [one.read(command.name, word) for one, word in zip(command.parameters, given, strict=False)]
+        least = sum(not parameter.is_optional for parameter in command.parameters)
+        if not least <= len(arguments) <= most:
+            refuse(rules.BAD_ARGUMENT, command.name, f"{len(arguments)} arguments", command.usage)
+        values = [
+            parameter.read(command.name, word) for parameter, word in zip(command.parameters, arguments, strict=False)
+        ]
         return command.run(*values)
 
     def complete(self, line: str) -> list[str]:
-        """Return the words that may end `line`: its last word is their beginning."""
+        """The words that complete the last word of `line`."""
         before, _, begun = line.rpartition(" ")
         words = before.split()
         if not words:
@@ -109,19 +111,19 @@ class CommandTable:
         number = len(words) - 1
         if command is None or number >= len(command.parameters):
             return []
-        known = command.parameters[number].words
-        return sorted({word for word in known() if word.startswith(begun)}) if known is not None else []
+        list_words = command.parameters[number].words
+        return sorted({word for word in list_words() if word.startswith(begun)}) if list_words is not None else []
 
 
-def refuse_word(rule: Rule, call: str, word: str, known: Iterable[str]) -> NoReturn:
-    """Refuse a word, naming those that are near to it; Tab lists the others."""
-    known = list(known)
-    near = get_close_matches(word.lower(), known, n=3, cutoff=0.5) or (known if len(known) <= _FEW else [])
+def refuse_word(rule: Rule, call: str, word: str, words: Iterable[str]) -> NoReturn:
+    """Refuse a word, listing the nearest ones; Tab lists the others."""
+    words = list(words)
+    near = get_close_matches(word.lower(), words, n=3, cutoff=0.5) or (words if len(words) <= _MAX_LISTED else [])
     refuse(rule, call, word, "", f"did you mean {' or '.join(near)}?" if near else "")
 
 
 def split_line(line: str) -> list[str]:
-    """Return the words of a line, with quotes as in a shell; none of a comment."""
+    """The words of a line, with quotes as in a shell; a comment has none."""
     try:
         return shlex.split(line, comments=True)
     except ValueError as error:
@@ -129,10 +131,10 @@ def split_line(line: str) -> list[str]:
 
 
 def common_start(words: Iterable[str]) -> str:
-    """Return the longest beginning that all words share."""
+    """The longest prefix that all words share."""
     words = list(words)
     least, most = min(words), max(words)
-    for number, (one, other) in enumerate(zip(least, most, strict=False)):
-        if one != other:
+    for number, (first_letter, last_letter) in enumerate(zip(least, most, strict=False)):
+        if first_letter != last_letter:
             return least[:number]
     return least

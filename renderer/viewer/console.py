@@ -1,4 +1,4 @@
-"""The console: a line that is edited, the lines before it, and what was said to them. It draws nothing.
+"""The console: a line that is edited, the lines before it, and their messages. It draws nothing.
 
 Keys are named as the events of rendercanvas name them.
 """
@@ -11,8 +11,8 @@ from typing import Final
 
 from renderer.viewer.command_table import CommandTable, common_start
 
-_KEPT: Final = 200  # lines of text, and of history
-_LONGEST: Final = 1000  # characters of a line
+_HISTORY_LENGTH: Final = 200  # lines of text, and of history
+_MAX_LENGTH: Final = 1000  # characters of a line
 
 
 class Console:
@@ -20,7 +20,7 @@ class Console:
 
     Attributes:
         is_open: whether keys are for the console. text, cursor: the line, and where it is edited.
-        lines: what was typed and said, the latest last, each with whether it is an error.
+        lines: typed lines and messages, the latest last, each with whether it is an error.
         choices: the words that could follow, after Tab.
     """
 
@@ -28,27 +28,27 @@ class Console:
         self.is_open = False
         self.text = ""
         self.cursor = 0
-        self.lines: deque[tuple[str, bool]] = deque(maxlen=_KEPT)
+        self.lines: deque[tuple[str, bool]] = deque(maxlen=_HISTORY_LENGTH)
         self.choices: list[str] = []
-        self._history: deque[str] = deque(maxlen=_KEPT)
-        self._place = 0  # in the history; its length is the new line
+        self._history: deque[str] = deque(maxlen=_HISTORY_LENGTH)
+        self._history_index = 0  # into the history; its length stands for the new line
         self._draft = ""  # the new line, while an older one is shown
         self._commands = commands
         self._run = run
 
-    def say(self, text: str, *, is_error: bool = False) -> None:
+    def show_message(self, text: str, *, is_error: bool = False) -> None:
         """Add lines of text."""
         self.lines.extend((line, is_error) for line in text.splitlines())
 
     def insert(self, text: str) -> None:
-        """Insert typed characters at the cursor; control characters are left out."""
-        text = "".join(one for one in text if one.isprintable())[: _LONGEST - len(self.text)]
+        """Insert typed characters at the cursor; control characters are dropped."""
+        text = "".join(character for character in text if character.isprintable())[: _MAX_LENGTH - len(self.text)]
         self.text = self.text[: self.cursor] + text + self.text[self.cursor :]
         self.cursor += len(text)
         self.choices = []
 
     def press(self, key: str) -> bool:
-        """Edit by a key; return whether it means anything here."""
+        """Edit by a key; return whether the key has a meaning here."""
         edit = {
             "Enter": self._enter,
             "Tab": self._complete,
@@ -58,8 +58,8 @@ class Console:
             "ArrowRight": lambda: self._move(self.cursor + 1),
             "Home": lambda: self._move(0),
             "End": lambda: self._move(len(self.text)),
-            "ArrowUp": lambda: self._recall(self._place - 1),
-            "ArrowDown": lambda: self._recall(self._place + 1),
+            "ArrowUp": lambda: self._recall(self._history_index - 1),
+            "ArrowDown": lambda: self._recall(self._history_index + 1),
             "Escape": self._close,
         }.get(key)
         if edit is None:
@@ -74,7 +74,7 @@ class Console:
             if not self._history or self._history[-1] != line:
                 self._history.append(line)
             self._run(line)
-        self._place = len(self._history)
+        self._history_index = len(self._history)
 
     def _complete(self) -> None:
         before = self.text[: self.cursor]
@@ -95,13 +95,13 @@ class Console:
         self.cursor = min(max(cursor, 0), len(self.text))
         self.choices = []
 
-    def _recall(self, place: int) -> None:
-        if not 0 <= place <= len(self._history):
+    def _recall(self, index: int) -> None:
+        if not 0 <= index <= len(self._history):
             return
-        if self._place == len(self._history):
+        if self._history_index == len(self._history):
             self._draft = self.text
-        self._place = place
-        self._set(self._history[place] if place < len(self._history) else self._draft)
+        self._history_index = index
+        self._set(self._history[index] if index < len(self._history) else self._draft)
 
     def _close(self) -> None:
         if self.text:

@@ -7,7 +7,7 @@
   beside the old one, and takes its place once a frame of it could be drawn. A texture that is missing is waited for.
 - **The settings** that were read last.
 
-Whatever fails is said, stays in the picture for as long as the file is at fault, and what was drawn before goes on.
+A failure is shown in the frame for as long as the file is faulty, and the last good version keeps drawing.
 """
 
 from __future__ import annotations
@@ -20,29 +20,30 @@ from typing import Final
 
 from renderer import rules
 from renderer.content import GENERATORS, change_options, load_scene
+from renderer.light_kinds import LIGHT_KINDS
 from renderer.scene.files import parse_path
 from renderer.settings import RenderSettings
 from renderer.viewer.command_table import Parameter, ViewerCommand
-from renderer.viewer.commands import find_file, parse_number, switch
-from renderer.viewer.stage import ViewerStage
+from renderer.viewer.commands import output_path, parse_number, switch
+from renderer.viewer.session import ViewerSession
 from rhi import Reloader, RhiError, ShaderError
 
 _COUNTS: Final = {"bazaar": "instances", "glass": "panes", "terrain": "trees"}  # other generators have `count`
 LOGGER: Final = logging.getLogger("rhi.reload")
 
 
-class SavedFiles:
-    """Exchanges what a stage draws with when its files are saved.
+class FileReloader:
+    """Exchanges what a session draws with when its files are saved.
 
     Attributes:
         wake: called by another thread when a file was saved, so that a frame is drawn soon.
     """
 
-    def __init__(self, stage: ViewerStage, say: Callable[[str, bool], None]) -> None:
-        """`say` is told what is exchanged, and what is wrong."""
+    def __init__(self, session: ViewerSession, show_message: Callable[[str, bool], None]) -> None:
+        """`show_message` is told what is exchanged, and what is wrong."""
         self.wake: Callable[[], object] = lambda: None
-        self._stage = stage
-        self._say = say
+        self._session = session
+        self._say = show_message
         self._settings: Path | None = None
         self._reloader: Reloader | None = None
 
@@ -66,7 +67,7 @@ class SavedFiles:
         if not on:
             self.close()
         elif self._reloader is None:
-            device = self._stage.renderer.device
+            device = self._session.renderer.device
             reloader = Reloader(device, on_error=self._report, on_save=lambda: self.wake())
             try:
                 reloader.watch_shaders()
@@ -83,12 +84,12 @@ class SavedFiles:
         Raises:
             RhiError: what is wrong with it. Then the present one stays.
         """
-        stage, before = self._stage, self._stage.scene.name
-        stage.exchange(load_scene(change_options(before, text)))
-        if stage.scene.name.partition(":")[0] != before.partition(":")[0]:
-            stage.camera = next(iter(stage.scene.views.values()))
+        session, before = self._session, self._session.scene.name
+        session.exchange(load_scene(change_options(before, text)))
+        if session.scene.name.partition(":")[0] != before.partition(":")[0]:
+            session.camera = next(iter(session.scene.views.values()))
         self._watch_files()
-        return stage.scene.name
+        return session.scene.name
 
     def read_settings(self, path: Path) -> None:
         """Draw with the settings of a file, and with what is saved to it later.
@@ -96,7 +97,7 @@ class SavedFiles:
         Raises:
             ValidationError: what is wrong with it. Then all stays.
         """
-        self._stage.change(settings=RenderSettings.load(path))
+        self._session.change(settings=RenderSettings.load(path))
         self._settings = path.resolve()
         self._watch_files()
 
@@ -119,17 +120,17 @@ class SavedFiles:
         if not is_changed:
             return
         try:
-            self._stage.try_frame()
+            self._session.draw_hidden_frame()
         except Exception as error:  # also of Python that has read a constant of a module of shaders
-            if reloader.put_back(error):
+            if reloader.roll_back(error):
                 return
         if reloader.exchanged > before:
             self._say(f"exchanged {reloader.exchanged - before} programs", False)
 
-    def keep(self) -> None:
+    def remember_shaders(self) -> None:
         """Keep the texts of shaders that a frame was just drawn with, for a start at which they are at fault."""
         if self._reloader is not None:
-            self._reloader.keep()
+            self._reloader.checkpoint()
 
     def close(self) -> None:
         """Stop watching."""
@@ -141,19 +142,21 @@ class SavedFiles:
         reloader = self._reloader
         if reloader is None:
             return
-        files = [path for path in self._stage.scene.files if path.parent.is_dir()]
+        files = [path for path in self._session.scene.files if path.parent.is_dir()]
         reloader.watch(*files, reload=self._read_scene, missing_ok=True)
         if self._settings is not None:
             reloader.watch(self._settings, reload=self._read_saved_settings)
 
     def _read_scene(self, path: Path) -> None:
-        if path in (one.resolve() for one in self._stage.scene.files):  # which may be those of another scene by now
-            self.show_scene(self._stage.scene.name)
+        if path in (
+            scene_file.resolve() for scene_file in self._session.scene.files
+        ):  # which may be those of another scene by now
+            self.show_scene(self._session.scene.name)
             self._say(f"read {path.name} again", False)
 
     def _read_saved_settings(self, path: Path) -> None:
         if path == self._settings:
-            self._stage.change(settings=RenderSettings.load(path))
+            self._session.change(settings=RenderSettings.load(path))
             self._say(f"read {path.name} again", False)
 
     def _report(self, error: Exception) -> None:
@@ -169,47 +172,48 @@ def describe_fault(error: Exception) -> str:
     if isinstance(error, RhiError):
         return rules.describe(error)
     lines = [f"{type(error).__name__}: {error}"]
-    lines += [f"  {one.filename}:{one.lineno}\n    {one.line}" for one in extract_tb(error.__traceback__)[-1:]]
+    lines += [f"  {frame.filename}:{frame.lineno}\n    {frame.line}" for frame in extract_tb(error.__traceback__)[-1:]]
     return "\n".join(lines)
 
 
-def make_commands(saved: SavedFiles, stage: ViewerStage) -> Iterator[ViewerCommand]:
+def make_commands(file_reloader: FileReloader, session: ViewerSession) -> Iterator[ViewerCommand]:
     """Yield the commands for files that may change."""
     summary = "exchange shaders, the scene and settings when their files are saved"
-    yield switch("reload", summary, lambda: saved.is_watching, saved.watch)
+    yield switch("reload", summary, lambda: file_reloader.is_watching, file_reloader.watch)
 
     summary = "show another scene, or this one with other options: lights=300"
-    yield ViewerCommand("scene", summary, saved.show_scene, (Parameter("TEXT", words=lambda: GENERATORS),))
+    yield ViewerCommand("scene", summary, file_reloader.show_scene, (Parameter("TEXT", words=lambda: GENERATORS),))
 
     def lights(number: int | None = None) -> str:
         if number is not None:
-            saved.show_scene(f"lights={number}")
-        stage.try_frame()  # which finds what reaches objects
-        lights, (needs, _) = stage.scene.lights, stage.renderer.plan(stage.camera)
-        kinds = f"{len(lights.directional)} directional, {len(lights.point)} point, {len(lights.spot)} spot"
-        return f"{len(lights)} lights: {kinds}; of the last two {needs.lamps_in_view} reach what is in view"
+            file_reloader.show_scene(f"lights={number}")
+        session.draw_hidden_frame()  # which finds what reaches objects
+        lights, (effects, _) = session.scene.lights, session.renderer.plan(session.camera)
+        kinds = ", ".join(f"{len(lights.of_kind(kind))} {kind.name}" for kind in LIGHT_KINDS)
+        return f"{len(lights)} lights: {kinds}; of the last two {effects.local_lights_in_view} reach what is in view"
 
     numbers = (Parameter("NUMBER", parse_number, is_optional=True),)
     yield ViewerCommand("lights", "show the scene with so many lights, or count them", lights, numbers)
 
-    def objects(number: int | None = None) -> str:
+    def show_objects(number: int | None = None) -> str:
         if number is not None:
-            saved.show_scene(f"{_COUNTS.get(stage.scene.name.partition(':')[0], 'count')}={number}")
-        return f"{len(stage.scene.objects.node)} objects, {int(stage.scene.objects.shown.sum())} of them not hidden"
+            file_reloader.show_scene(f"{_COUNTS.get(session.scene.name.partition(':')[0], 'count')}={number}")
+        objects = session.scene.objects
+        return f"{len(objects.node)} objects, {int(objects.is_shown.sum())} of them not hidden"
 
-    yield ViewerCommand("objects", "show the scene with so many objects, or count them", objects, numbers)
+    yield ViewerCommand("objects", "show the scene with so many objects, or count them", show_objects, numbers)
 
     def settings(path: Path) -> str:
-        saved.read_settings(path)
-        return f"read {path}: {stage.look.describe()}"
+        file_reloader.read_settings(path)
+        return f"read {path}: {session.display.describe()}"
 
     yield ViewerCommand("settings", "draw with the settings of a file", settings, (Parameter("FILE.json", parse_path),))
 
     def save(_: str, path: Path) -> str:
-        path = find_file(stage, "save settings", path, ".json")
-        stage.look.settings.save(path)
-        saved.note_settings(path)
+        path = output_path(session, "save settings", path, ".json")
+        session.display.settings.save(path)
+        file_reloader.note_settings(path)
         return f"wrote {path}"
 
-    what = Parameter("settings", words=lambda: ("settings",), is_closed=True)
+    what = Parameter("settings", words=lambda: ("settings",), is_exhaustive=True)
     yield ViewerCommand("save", "write the settings to a file", save, (what, Parameter("FILE.json", parse_path)))

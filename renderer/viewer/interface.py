@@ -28,12 +28,12 @@ _CURSOR: Final = srgb("#57c785")
 _BOX: Final = srgb("#e8b64c")
 _TRIANGLE: Final = srgb("#ffffff")
 _PAD: Final = 8
-_ROWS: Final = 16  # of the console
+_CONSOLE_LINES: Final = 16  # of the console
 _EDGES: Final = [(a, b) for a in range(8) for b in range(8) if a < b and (a ^ b).bit_count() == 1]
 
 
 @dataclass(slots=True)
-class Shown:
+class InterfaceState:
     """The contents of the interface in the next frame.
 
     Attributes:
@@ -65,7 +65,7 @@ class ScreenRectangle:
 
 
 class InterfaceLayer:
-    """Draws what is `shown`.
+    """Draws what is `state`.
 
     Attributes:
         shown: what the next frame shows; replace it between frames. scale: pixels of a texel of the text.
@@ -74,7 +74,7 @@ class InterfaceLayer:
 
     def __init__(self, device: Device, font: Font | None = None) -> None:
         self._canvas = Canvas(device, font or Font.load(file=MONOSPACED))
-        self.shown = Shown()
+        self.state = InterfaceState()
         self.scale = 1
         self.is_hidden = False
 
@@ -84,18 +84,18 @@ class InterfaceLayer:
             return
         canvas, image = self._canvas, frame.targets.image
         width, height = image.size
-        shown = self.shown
+        state = self.state
         self._mark(frame.camera, (width, height))
-        if shown.corner:
-            wide = canvas.measure(shown.corner, self.scale)[0]
-            self._add_text((width - wide) // 2, _PAD * self.scale, [(shown.corner, False)])
+        if state.corner:
+            wide = canvas.measure(state.corner, self.scale)[0]
+            self._add_text((width - wide) // 2, _PAD * self.scale, [(state.corner, False)])
         bottom = height - _PAD * self.scale
-        if shown.console is not None:
+        if state.console is not None:
             self._add_console(ScreenRectangle(0, 0, width, bottom))
-        elif shown.notes and shown.help is None:
-            notes = self._wrap(shown.notes, width - 4 * _PAD * self.scale)
-            self._add_text(2 * _PAD * self.scale, bottom - self._row * len(notes) - _PAD * self.scale, notes)
-        if shown.help is not None:
+        elif state.notes and state.help is None:
+            notes = self._wrap(state.notes, width - 4 * _PAD * self.scale)
+            self._add_text(2 * _PAD * self.scale, bottom - self._line_height * len(notes) - _PAD * self.scale, notes)
+        if state.help is not None:
             self._add_help(width, height)
         if not len(canvas):
             return
@@ -107,14 +107,14 @@ class InterfaceLayer:
         self._canvas.destroy()
 
     @property
-    def _row(self) -> int:
+    def _line_height(self) -> int:
         return self._canvas.font.line_height * self.scale
 
     def _add_text(self, x: int, y: int, lines: Sequence[tuple[str, bool]]) -> None:
         """Add lines on a panel; the text's top left is at (x, y)."""
         canvas, scale, pad = self._canvas, self.scale, _PAD * self.scale
         wide = canvas.measure("\n".join(text for text, _ in lines), scale)[0]
-        canvas.rect(x - pad, y - pad // 2, wide + 2 * pad, self._row * len(lines) + pad, _PANEL)
+        canvas.rect(x - pad, y - pad // 2, wide + 2 * pad, self._line_height * len(lines) + pad, _PANEL)
         self._add_lines(x, y, lines, _TEXT)
 
     def _add_lines(self, x: int, y: int, lines: Sequence[tuple[str, bool]], color: NDArray[np.float32]) -> None:
@@ -122,7 +122,7 @@ class InterfaceLayer:
         for is_error, run in groupby(lines, lambda line: line[1]):
             texts = [text for text, _ in run]
             self._canvas.text(x, y, "\n".join(texts), _ERROR if is_error else color, self.scale)
-            y += self._row * len(texts)
+            y += self._line_height * len(texts)
 
     def _wrap(self, lines: Sequence[tuple[str, bool]], width: int) -> list[tuple[str, bool]]:
         """Return the lines broken to a width in pixels, about: a character is as wide as an n."""
@@ -135,35 +135,35 @@ class InterfaceLayer:
 
     def _add_help(self, width: int, height: int) -> None:
         canvas, scale, pad = self._canvas, self.scale, _PAD * self.scale
-        rows = self.shown.help or ()
+        rows = self.state.help or ()
         keys, texts = ("\n".join(column) for column in zip(*rows, strict=True))
         left, right = canvas.measure(keys, scale)[0], canvas.measure(texts, scale)[0]
-        wide, high = left + right + 2 * pad, self._row * len(rows)
+        wide, high = left + right + 2 * pad, self._line_height * len(rows)
         x, y = max((width - wide) // 2, pad), max((height - high) // 2, pad)
         canvas.rect(x - pad, y - pad, wide + 2 * pad, high + 2 * pad, _PANEL)
         canvas.text(x, y, keys, _TEXT, scale)
         canvas.text(x + left + 2 * pad, y, texts, _DIM, scale)
 
     def _add_console(self, box: ScreenRectangle) -> None:
-        canvas, scale, pad, row = self._canvas, self.scale, _PAD * self.scale, self._row
-        shown = self.shown
-        lines = [*(shown.console or ()), ("  ".join(shown.choices), False)] if shown.choices else shown.console or ()
-        room = max(min(_ROWS, (box.height - 2 * pad) // row - 1), 0)
+        canvas, scale, pad, row = self._canvas, self.scale, _PAD * self.scale, self._line_height
+        state = self.state
+        lines = [*(state.console or ()), ("  ".join(state.choices), False)] if state.choices else state.console or ()
+        room = max(min(_CONSOLE_LINES, (box.height - 2 * pad) // row - 1), 0)
         lines = self._wrap(lines[max(len(lines) - room, 0) :], box.width - 2 * pad)
         lines = lines[max(len(lines) - room, 0) :]
         top = box.y + box.height - row * (len(lines) + 1) - pad
         canvas.rect(box.x, top - pad, box.width, row * (len(lines) + 1) + 2 * pad, _PANEL)
         self._add_lines(box.x + pad, top, lines, _DIM)
         below = top + len(lines) * row
-        canvas.text(box.x + pad, below, f"> {shown.line}", _TEXT, scale)
-        before = canvas.measure(f"> {shown.line[: shown.cursor]}", scale)[0]
+        canvas.text(box.x + pad, below, f"> {state.line}", _TEXT, scale)
+        before = canvas.measure(f"> {state.line[: state.cursor]}", scale)[0]
         canvas.rect(box.x + pad + before, below, 2 * scale, row, _CURSOR)
 
     def _mark(self, camera: Camera, size: tuple[int, int]) -> None:
         """Add the edges of the box and of the triangle, as the camera sees them."""
         for points, edges, color in (
-            (self.shown.box, _EDGES, _BOX),
-            (self.shown.triangle, [(0, 1), (1, 2), (2, 0)], _TRIANGLE),
+            (self.state.box, _EDGES, _BOX),
+            (self.state.triangle, [(0, 1), (1, 2), (2, 0)], _TRIANGLE),
         ):
             if points is not None:
                 lines = project_lines(camera, size, points[np.array(edges)])
@@ -173,7 +173,7 @@ class InterfaceLayer:
 
 def project_lines(camera: Camera, size: tuple[int, int], lines: Floats) -> Floats:
     """Return the lines (k, 2, 2), in pixels, as which lines (n, 2, 3) in the world are seen. They are cut off where
-    they are nearer than the lens sees, or out of the image by more than its size."""
+    they are before the near plane, or outside the image by more than its size."""
     ends = (lines - camera.position) @ camera.rotation.T
     clip = np.concatenate([ends, np.ones((*ends.shape[:2], 1))], axis=2) @ camera.projection.matrix.T
     w = clip[..., 3:]
@@ -187,8 +187,8 @@ def project_lines(camera: Camera, size: tuple[int, int], lines: Floats) -> Float
         begin = np.where((first < 0.0) & (last >= 0.0), np.maximum(begin, at), begin)
         end = np.where((first >= 0.0) & (last < 0.0), np.minimum(end, at), end)
         end = np.where((first < 0.0) & (last < 0.0), -1.0, end)
-    kept = begin < end
-    parts = np.stack([begin, end], axis=1)[kept][:, :, None]
-    cut = clip[kept][:, :1] + parts * (clip[kept][:, 1:] - clip[kept][:, :1])
-    places = cut[..., :2] / np.maximum(cut[..., 3:], 1e-12)
-    return np.asarray((places * (0.5, -0.5) + 0.5) * size)
+    is_visible = begin < end
+    parts = np.stack([begin, end], axis=1)[is_visible][:, :, None]
+    cut = clip[is_visible][:, :1] + parts * (clip[is_visible][:, 1:] - clip[is_visible][:, :1])
+    ndc = cut[..., :2] / np.maximum(cut[..., 3:], 1e-12)
+    return np.asarray((ndc * (0.5, -0.5) + 0.5) * size)

@@ -1,7 +1,7 @@
 """Visibility algorithms: they decide which objects are drawn.
 
 visibility = make_visibility("chc_plus_plus", scene, device)
-statistics = visibility.render(camera, scene_pass)      # `scene_pass`: a `ScenePass`
+statistics = visibility.render(camera, scene_drawer)      # `scene_drawer`: a `SceneDrawer`
 """
 
 from collections.abc import Callable
@@ -14,10 +14,10 @@ from renderer.visibility.algorithm import (
     ListedAlgorithm,
     VisibilityAlgorithm,
     VisibilityStatistics,
-    find_visible_objects,
+    list_visible_objects,
 )
 from renderer.visibility.auto import AutoCulling
-from renderer.visibility.boxes.culling import Culler, CullingCounts, find_visible
+from renderer.visibility.boxes.culling import CullingCounts, HierarchyCuller, select_visible
 from renderer.visibility.boxes.hierarchy import Hierarchy, build_by_area, build_by_middle
 from renderer.visibility.frustum import FrustumCulling, NoCulling
 from renderer.visibility.gpu.depth_pyramid import DepthPyramidCulling, prepare_depth_pyramid
@@ -27,50 +27,50 @@ from renderer.visibility.queries.chc import Chc
 from renderer.visibility.queries.chc_plus_plus import ChcPlusPlus
 from renderer.visibility.queries.conditional import ConditionalCulling
 from renderer.visibility.queries.stop_and_wait import StopAndWait
-from renderer.visibility.scene_pass import CallbackPass, DeviceList, SceneArrays, ScenePass
+from renderer.visibility.scene_drawer import CallbackDrawer, DeviceDrawList, SceneArrays, SceneDrawer
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from renderer.visibility.software_depth import SoftwareDepth
-from renderer.visibility.walk import CullingWalk, WalkOutcome, find_walk
+from renderer.visibility.traversal import CullingTraversal, TraversalOutcome, compute_traversal
 from rhi import Device, refuse
 
 __all__ = [
     "ALGORITHMS",
-    "CANDIDATES",
+    "AUTO_CANDIDATES",
     "AutoCulling",
-    "CallbackPass",
+    "CallbackDrawer",
     "Chc",
     "ChcPlusPlus",
     "ConditionalCulling",
-    "Culler",
     "CullingCounts",
-    "CullingWalk",
+    "CullingTraversal",
     "DepthPyramidCulling",
     "DeviceCulling",
-    "DeviceList",
+    "DeviceDrawList",
     "FrustumCulling",
     "Hierarchy",
+    "HierarchyCuller",
     "NoCulling",
     "SceneArrays",
-    "ScenePass",
+    "SceneDrawer",
     "SoftwareDepth",
     "StopAndWait",
+    "TraversalOutcome",
     "TwoPassCulling",
     "VisibilityAlgorithm",
     "VisibilitySettings",
     "VisibilityStatistics",
-    "WalkOutcome",
     "build_by_area",
     "build_by_middle",
     "check_algorithm",
-    "find_obstacle",
-    "find_visible",
-    "find_visible_objects",
-    "find_walk",
+    "compute_traversal",
+    "find_missing_feature",
     "list_algorithms",
+    "list_visible_objects",
     "make_visibility",
+    "select_visible",
 ]
 
-CANDIDATES: Final[tuple[str, ...]] = (
+AUTO_CANDIDATES: Final[tuple[str, ...]] = (
     "chc_plus_plus",
     "conditional",
     "frustum",
@@ -80,18 +80,18 @@ CANDIDATES: Final[tuple[str, ...]] = (
 )
 """The algorithms that `auto` tries, in this order. Each is the fastest for some scene, view and device; no other
 is."""
-_CL_CANDIDATES: Final = "frustum", "none", "depth_pyramid"
+_CL_AUTO_CANDIDATES: Final = "frustum", "none", "depth_pyramid"
 """Those on cl, whose rasteriser drops instances that are hidden: what asks for the sake of that costs more than it
 spares once kernels are optimised. Last, since it builds kernels, comes what culls on the device."""
 
 
-def _make_auto(scene: Scene, device: Device, settings: VisibilitySettings) -> AutoCulling:
+def _create_auto_culling(scene: Scene, device: Device, settings: VisibilitySettings) -> AutoCulling:
     can = device.capabilities
-    names = (_CL_CANDIDATES if can.backend == "cl" else CANDIDATES) if can.renders else ("frustum",)
-    able = [name for name in names if find_obstacle(name, device) is None]
-    makers = {name: partial(make_visibility, name, scene, device, settings) for name in able}
+    names = (_CL_AUTO_CANDIDATES if can.backend == "cl" else AUTO_CANDIDATES) if can.renders else ("frustum",)
+    able = [name for name in names if find_missing_feature(name, device) is None]
+    factories = {name: partial(make_visibility, name, scene, device, settings) for name in able}
     prepare = partial(prepare_depth_pyramid, scene, device) if "depth_pyramid" in able else None
-    return AutoCulling(scene, device, makers, prepare=prepare)
+    return AutoCulling(scene, device, factories, prepare=prepare)
 
 
 _LISTED: Final[dict[str, type[ListedAlgorithm]]] = {
@@ -107,7 +107,7 @@ _LISTED: Final[dict[str, type[ListedAlgorithm]]] = {
 }
 ALGORITHMS: Final[dict[str, Callable[[Scene, Device, VisibilitySettings], VisibilityAlgorithm]]] = {
     **_LISTED,
-    "auto": _make_auto,
+    "auto": _create_auto_culling,
 }
 """All visibility algorithms, by the names of the command line."""
 
@@ -115,20 +115,20 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, VisibilitySettings], Visibi
 def list_algorithms(device: Device) -> list[str]:
     """Return the names of the algorithms that `device` can run. The null device answers no queries and runs no
     shaders, unless it is told how (see `count_samples` and `run_shaders`)."""
-    return [name for name in ALGORITHMS if find_obstacle(name, device) is None]
+    return [name for name in ALGORITHMS if find_missing_feature(name, device) is None]
 
 
-def find_obstacle(name: str, device: Device) -> str | None:
+def find_missing_feature(name: str, device: Device) -> str | None:
     """Return what a device lacks for an algorithm, in a few words, or None if it can run it."""
-    return _LISTED[name].find_obstacle(device) if name in _LISTED else None  # `auto` tries those that can run
+    return _LISTED[name].find_missing_feature(device) if name in _LISTED else None  # `auto` tries those that can run
 
 
 def check_algorithm(name: str, device: Device, call: str) -> None:
     """Refuse an algorithm that a device can't run: `visibility-cannot-run`."""
-    obstacle = find_obstacle(name, device)
+    obstacle = find_missing_feature(name, device)
     if obstacle is not None:
-        given = f"{name!r} on a {device.backend_name} device, which lacks {obstacle}"
-        refuse(rules.CANNOT_RUN, call, given, f"one of {', '.join(list_algorithms(device))}")
+        request = f"{name!r} on a {device.backend_name} device, which lacks {obstacle}"
+        refuse(rules.CANNOT_RUN, call, request, f"one of {', '.join(list_algorithms(device))}")
 
 
 def make_visibility(

@@ -15,8 +15,8 @@ from typing import Protocol
 import numpy as np
 
 from renderer.scene import Camera, Scene
-from renderer.scene.arrays import Rows
-from renderer.visibility.scene_pass import CallbackPass, ScenePass
+from renderer.scene.arrays import Indices
+from renderer.visibility.scene_drawer import CallbackDrawer, SceneDrawer
 from renderer.visibility.settings import VisibilitySettings
 from rhi import Device
 
@@ -32,7 +32,8 @@ class VisibilityStatistics:
         queries: number of occlusion queries issued.
         box_draws, boxes: draws of bounding boxes inside queries, and the number of boxes drawn; not objects.
         stalled_milliseconds: how long the CPU waited for query results.
-        by_frustum: whether only the frustum of `ScenePass.widen` decided, so that the objects are those of all eyes.
+        is_frustum_only: whether only the frustum of `SceneDrawer.widen` decided, so that the objects are those of all
+            eyes.
     """
 
     objects: int
@@ -45,7 +46,7 @@ class VisibilityStatistics:
     box_draws: int = 0
     boxes: int = 0
     stalled_milliseconds: float = 0.0
-    by_frustum: bool = False
+    is_frustum_only: bool = False
 
 
 class VisibilityAlgorithm(Protocol):
@@ -56,7 +57,7 @@ class VisibilityAlgorithm(Protocol):
         """Whether the algorithm opens the pass itself. Otherwise the pass must be open when `render` is called."""
         ...
 
-    def render(self, camera: Camera, scene: ScenePass) -> VisibilityStatistics:
+    def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
         """Draw all that `camera` may see, each object once, in one batch or several.
 
         The scene must be up to date (`Scene.update`). The rows of a batch are ascending. An object that
@@ -75,13 +76,13 @@ class ListedAlgorithm(VisibilityAlgorithm, Protocol):
     def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings, /) -> None: ...
 
     @staticmethod
-    def find_obstacle(device: Device) -> str | None:
+    def find_missing_feature(device: Device) -> str | None:
         """Return what a device lacks to run the algorithm, in a few words, or None if it can."""
         ...
 
 
-def find_visible_objects(algorithm: VisibilityAlgorithm, camera: Camera) -> Rows:
-    """Return the rows (k,), ascending, of all objects that `algorithm` would draw; for tools and tests."""
-    batches: list[Rows] = [np.zeros(0, np.int64)]
-    algorithm.render(camera, CallbackPass(batches.append))
+def list_visible_objects(algorithm: VisibilityAlgorithm, camera: Camera) -> Indices:
+    """Return the indices (k,), ascending, of all objects that `algorithm` would draw; for tools and tests."""
+    batches: list[Indices] = [np.zeros(0, np.int64)]
+    algorithm.render(camera, CallbackDrawer(batches.append))
     return np.sort(np.concatenate(batches))

@@ -9,16 +9,16 @@ from typing import Final
 
 from renderer.scene import Camera, Depth, Scene
 from renderer.visibility.algorithm import VisibilityAlgorithm, VisibilityStatistics
-from renderer.visibility.scene_pass import ScenePass
-from renderer.visibility.trial import OnTrial, SpeedTrial
-from renderer.visibility.walk import CullingWalk, WalksNodes
+from renderer.visibility.scene_drawer import SceneDrawer
+from renderer.visibility.speed_trial import CandidateSelector, SpeedTrial
+from renderer.visibility.traversal import CullingTraversal, TraversalSource
 from rhi import Device, Preparation
 
-_EARLY: Final = 3
+_WARM_UP_FRAMES: Final = 3
 """The frame by which it shows which kernels are hot. These are optimised before those that only a candidate needs."""
 
 
-class AutoCulling(OnTrial):
+class AutoCulling(CandidateSelector):
     """Tries each candidate for some frames, then stays with the fastest until the view has changed (`SpeedTrial`).
 
     In a trial frame the CPU waits for the GPU, so that the frame's cost is known; the wait counts as stalled. While
@@ -35,47 +35,47 @@ class AutoCulling(OnTrial):
         self,
         scene: Scene,
         device: Device,
-        makers: Mapping[str, Callable[[], VisibilityAlgorithm]],
+        factories: Mapping[str, Callable[[], VisibilityAlgorithm]],
         *,
         prepare: Callable[[Depth], Preparation] | None = None,
         frames: int = 5,
-        rest: int = 120,
+        idle: int = 120,
     ) -> None:
-        """`makers` make the candidates, `prepare` begins to build what they need for a direction of depth; `frames` and
-        `rest` are those of a `SpeedTrial`."""
+        """`factories` make the candidates, `prepare` begins to build what they need for a direction of depth; `frames`
+        and `idle` are those of a `SpeedTrial`."""
         self.candidates: dict[str, VisibilityAlgorithm] = {}
         self.latest: VisibilityAlgorithm | None = None
-        self._makers = dict(makers)
+        self._factories = dict(factories)
         self._prepare = prepare
         self._preparation: Preparation | None = None
         self._device = device
-        self._early = _EARLY
-        self._trial = SpeedTrial(scene, list(makers), frames=frames, rest=rest)
+        self._warm_up_left = _WARM_UP_FRAMES
+        self._trial = SpeedTrial(scene, list(factories), frames=frames, idle=idle)
 
     @property
     def is_trying(self) -> bool:
         """Whether the next frame is a trial frame, or before the first one."""
-        return self._trial.is_trying and (self._early > 0 or self._is_ready)
+        return self._trial.is_trying and (self._warm_up_left > 0 or self._is_ready)
 
-    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
+    def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
         """Draw what the chosen algorithm draws."""
         trial = self._trial
-        trial.look(camera)
-        self._early = max(self._early - 1, 0)
-        if not self._early and self._prepare is not None and not self._device.is_building:
+        trial.check_view(camera)
+        self._warm_up_left = max(self._warm_up_left - 1, 0)
+        if not self._warm_up_left and self._prepare is not None and not self._device.is_building:
             self._preparation, self._prepare = self._prepare(camera.projection.depth), None
         if trial.is_trying and not self._is_ready:
-            return _render(self.latest or self._find(trial.chosen), camera, scene_pass)
-        candidate = self._find(trial.chosen)
+            return _render(self.latest or self._get_candidate(trial.current_name), camera, scene_drawer)
+        candidate = self._get_candidate(trial.current_name)
         if trial.is_trying:
-            return self._try(candidate, camera, scene_pass)
-        statistics = _render(candidate, camera, scene_pass)
-        trial.rest(statistics.visible)
+            return self._try(candidate, camera, scene_drawer)
+        statistics = _render(candidate, camera, scene_drawer)
+        trial.idle(statistics.visible)
         return statistics
 
-    def walk(self) -> CullingWalk | None:
+    def traversal(self) -> CullingTraversal | None:
         """Return the nodes that the last frame's algorithm reached, None if it walked no hierarchy."""
-        return self.latest.walk() if isinstance(self.latest, WalksNodes) else None
+        return self.latest.traversal() if isinstance(self.latest, TraversalSource) else None
 
     def destroy(self) -> None:
         """Destroy the candidates."""
@@ -88,11 +88,11 @@ class AutoCulling(OnTrial):
         is_prepared = self._prepare is None and (self._preparation is None or self._preparation.done())
         return is_prepared and not self._device.is_building
 
-    def _try(self, candidate: VisibilityAlgorithm, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
+    def _try(self, candidate: VisibilityAlgorithm, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
         device = self._device
         device.finish()
         began = perf_counter()
-        statistics = _render(candidate, camera, scene_pass)
+        statistics = _render(candidate, camera, scene_drawer)
         submitted = perf_counter()
         device.finish()
         done = perf_counter()
@@ -100,15 +100,15 @@ class AutoCulling(OnTrial):
         waited = 1e3 * (done - submitted)
         return replace(statistics, stalled_milliseconds=statistics.stalled_milliseconds + waited)
 
-    def _find(self, name: str) -> VisibilityAlgorithm:
+    def _get_candidate(self, name: str) -> VisibilityAlgorithm:
         if name not in self.candidates:
-            self.candidates[name] = self._makers[name]()
+            self.candidates[name] = self._factories[name]()
         self.latest = self.candidates[name]
         return self.latest
 
 
-def _render(algorithm: VisibilityAlgorithm, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
+def _render(algorithm: VisibilityAlgorithm, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
     """Draw what an algorithm draws, in an open pass if it doesn't open the pass itself."""
     if not algorithm.opens_pass:
-        scene_pass.open()
-    return algorithm.render(camera, scene_pass)
+        scene_drawer.open()
+    return algorithm.render(camera, scene_drawer)

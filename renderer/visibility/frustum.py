@@ -8,12 +8,12 @@ import numpy as np
 
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
-from renderer.visibility.boxes.culling import AllBoxes, Culler, CullingCounts, find_visible
+from renderer.visibility.boxes.culling import BruteForceCuller, CullingCounts, HierarchyCuller, select_visible
 from renderer.visibility.boxes.hierarchy import build_by_area
-from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.scene_drawer import SceneDrawer
 from rhi import Device
 
-_FEW: Final = 4096
+_MAX_BRUTE_FORCE: Final = 4096
 """So many boxes are tested one by one: that takes less time than traversing a hierarchy."""
 
 
@@ -23,8 +23,8 @@ class DevicelessCulling:
     opens_pass: Final = True
 
     @staticmethod
-    def find_obstacle(_: Device) -> None:
-        """Find none: every device can run it."""
+    def find_missing_feature(_: Device) -> None:
+        """Return None: every device can run it."""
 
     def destroy(self) -> None:
         """Do nothing: there are no resources on the device."""
@@ -37,43 +37,44 @@ class NoCulling(DevicelessCulling):
         """Neither a device nor settings are needed."""
         self._objects, self._rows = scene.objects, np.arange(len(scene.objects))
 
-    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
+    def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
         """Draw every object that is shown."""
-        rows = self._objects.find_shown(self._rows)
-        scene_pass.draw_alone(rows)
-        return VisibilityStatistics(len(self._rows), len(rows), by_frustum=True)
+        object_indices = self._objects.select_shown(self._rows)
+        scene_drawer.draw_alone(object_indices)
+        return VisibilityStatistics(len(self._rows), len(object_indices), is_frustum_only=True)
 
 
 class FrustumCulling(DevicelessCulling):
     """Draws the objects whose bounds are not outside the frustum.
 
-    Objects with fixed bounds are in a hierarchy that is built once by surface area, unless they are few. The others are
-    tested one by one: that takes less time than building a hierarchy over them. The result is the set that
-    `boxes.culling.find_visible` gives for all objects.
-    """
+    Objects with fixed bounds are in a hierarchy that is built once by surface area, unless they are few. The others
+    are tested one by one: that takes less time than building a hierarchy over them. The result is the set that
+    `boxes.culling.select_visible` gives for all objects."""
 
     def __init__(self, scene: Scene, *_: object) -> None:
         """Neither a device nor settings are needed."""
         self._scene = scene
-        rows = scene.objects.fixed_rows
-        lower, upper = scene.objects.lower[rows], scene.objects.upper[rows]
-        few = len(rows) <= _FEW
-        self._static = AllBoxes(lower, upper) if few else Culler(build_by_area(lower, upper), lower, upper)
+        object_indices = scene.objects.fixed_indices
+        lower, upper = scene.objects.lower[object_indices], scene.objects.upper[object_indices]
+        few = len(object_indices) <= _MAX_BRUTE_FORCE
+        self._static = (
+            BruteForceCuller(lower, upper) if few else HierarchyCuller(build_by_area(lower, upper), lower, upper)
+        )
 
-    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
+    def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
         """Draw the objects whose bounds are not outside the frustum."""
         objects = self._scene.objects
-        planes = scene_pass.widen(camera).frustum.planes
-        static, counts = self._static.find_visible(planes)
-        visible = objects.fixed_rows.take(static)
-        moving = objects.following_rows
+        planes = scene_drawer.widen(camera).frustum.planes
+        static, counts = self._static.select_visible(planes)
+        visible = objects.fixed_indices.take(static)
+        moving = objects.following_indices
         if len(moving):
-            shown = find_visible(planes, objects.lower[moving], objects.upper[moving])
-            visible = np.sort(np.concatenate([visible, moving[shown]]))
+            is_visible = select_visible(planes, objects.lower[moving], objects.upper[moving])
+            visible = np.sort(np.concatenate([visible, moving[is_visible]]))
             counts = counts + CullingCounts(0, len(moving), len(moving) * len(planes))
-        visible = objects.find_shown(visible)
+        visible = objects.select_shown(visible)
         if len(visible):
-            scene_pass.draw_alone(visible)
+            scene_drawer.draw_alone(visible)
         return VisibilityStatistics(
             objects=len(objects),
             visible=len(visible),
@@ -81,5 +82,5 @@ class FrustumCulling(DevicelessCulling):
             nodes_tested=counts.nodes,
             objects_tested=counts.objects,
             plane_tests=counts.planes,
-            by_frustum=True,
+            is_frustum_only=True,
         )

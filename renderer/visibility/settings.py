@@ -26,15 +26,14 @@ class VisibilitySettings:
         persistence: number of frames for which a visible leaf isn't queried again, the thesis's n; 1 or more.
         leaf_size: largest number of objects in a leaf; they are queried and drawn together. 1 or more.
         threshold: a box that passes at most this many samples counts as hidden; 0 or more. Above 0 images may differ.
-        emulated: whether occlusion queries are emulated by two counters and a fence (thesis 4.4.2), as they are in any
-            case on a device without its own. Conditional culling can't use emulated ones.
+        emulated: whether occlusion queries are emulated by two counters and a fence (thesis 4.4.2), as they are in
+            any case on a device without its own. Conditional culling can't use emulated ones.
         occluders: the largest number of objects that software occlusion draws; 1 or more.
-        occluder_pixels: how many pixels of the image, in width and height, are one for its occluders; 1 or more. Above
-            1 what is seen through narrow gaps between them may be missing.
+        occluder_pixels: how many pixels of the image, in width and height, are one for its occluders; 1 or more.
+            Above 1 what is seen through narrow gaps between them may be missing.
         pyramid_texels: the largest width and height, in texels of a depth pyramid, of what a box is compared with in
-            `depth_pyramid` and `software_depth`; 1 or more. Fewer are coarser, and hide less. In the last level, which
-            is at most 16 texels wide and high, there may be more.
-    """
+            `depth_pyramid` and `software_depth`; 1 or more. Fewer are coarser, and hide less. In the last level,
+            which is at most 16 texels wide and high, there may be more."""
 
     batch: int = 50
     persistence: int = 20
@@ -46,16 +45,16 @@ class VisibilitySettings:
     pyramid_texels: int = 8
 
     def __post_init__(self) -> None:
-        rules.check_kinds(self, rules.BAD_PARAMETER)
+        rules.check_types(self, rules.BAD_PARAMETER)
         for name in _COUNTS:
             value, least = getattr(self, name), int(name != "threshold")
             if value < least:
-                given, allowed = repr(value), f"a whole number of {least} or more"
-                refuse(rules.BAD_PARAMETER, f"VisibilitySettings({name}=…)", given, allowed)
+                text, allowed = repr(value), f"a whole number of {least} or more"
+                refuse(rules.BAD_PARAMETER, f"VisibilitySettings({name}=…)", text, allowed)
 
-    def save(self, path: Path, **found: Any) -> None:
-        """Write the settings as JSON. `found` is written too, to say how they were found; `load` ignores it."""
-        path.write_text(json.dumps({"visibility": asdict(self), **found}, indent=2) + "\n")
+    def save(self, path: Path, **metadata: Any) -> None:
+        """Write the settings as JSON. `metadata` is written too, to say how they were found; `load` ignores it."""
+        path.write_text(json.dumps({"visibility": asdict(self), **metadata}, indent=2) + "\n")
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -72,10 +71,10 @@ class VisibilitySettings:
             refuse(rules.BAD_SETTINGS, call, f"{type(error).__name__}: {error}")
         if not isinstance(numbers, Mapping):
             refuse(rules.BAD_SETTINGS, call, repr(numbers), "an object of names and numbers")
-        known = [field.name for field in fields(cls)]
+        names = [field.name for field in fields(cls)]
         for name in numbers:
-            if name not in known:
-                rules.refuse_name(rules.BAD_SETTINGS, call, name, known)
+            if name not in names:
+                rules.refuse_name(rules.BAD_SETTINGS, call, name, names)
         return cls(**numbers)
 
 

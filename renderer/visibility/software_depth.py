@@ -19,12 +19,12 @@ import numpy as np
 
 import rhi
 from renderer.scene import AlphaMode, Camera, Scene
-from renderer.scene.arrays import Rows
-from renderer.visibility.algorithm import VisibilityStatistics, find_visible_objects
-from renderer.visibility.boxes.bounds import find_near, pad_boxes, squared_distances
+from renderer.scene.arrays import Indices
+from renderer.visibility.algorithm import VisibilityStatistics, list_visible_objects
+from renderer.visibility.boxes.bounds import near_mask, pad_boxes, squared_distances
 from renderer.visibility.frustum import FrustumCulling
 from renderer.visibility.gpu.occluder_depth import OccluderDepth
-from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.scene_drawer import SceneDrawer
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device
 
@@ -62,30 +62,30 @@ class SoftwareDepth:
         )
 
     @staticmethod
-    def find_obstacle(_: Device) -> str | None:
+    def find_missing_feature(_: Device) -> str | None:
         """Return what the machine lacks to draw occluders; the device itself needs nothing."""
         return None if can_rasterise() else "a device on the CPU that draws and computes"
 
-    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
+    def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
         """Draw the visible objects in one batch. The depth target of the pass gives the size of the image."""
         pixels = self._pixels
-        width, height = scene_pass.depth.size
+        width, height = scene_drawer.depth.size
         size = -(-width // pixels), -(-height // pixels)
-        rows = find_visible_objects(self._frustum, camera)
-        chosen = self.choose_occluders(camera, rows)
-        self._depth.render(camera, chosen, size)
+        object_indices = list_visible_objects(self._frustum, camera)
+        occluders = self.choose_occluders(camera, object_indices)
+        self._depth.render(camera, occluders, size)
 
         objects = self._scene.objects
-        lower, upper, far = pad_boxes(camera, objects.lower[rows], objects.upper[rows])
-        visible_mask = find_near(camera, lower, upper, far)
+        lower, upper, far = pad_boxes(camera, objects.lower[object_indices], objects.upper[object_indices])
+        visible_mask = near_mask(camera, lower, upper, far)
         tested = np.flatnonzero(~visible_mask)
         lower, upper = lower[tested], upper[tested]
         begin = time.perf_counter()
-        visible_mask[tested] = self._depth.find_shown(0.5 * (lower + upper) - camera.position, 0.5 * (upper - lower))
+        visible_mask[tested] = self._depth.test_boxes(0.5 * (lower + upper) - camera.position, 0.5 * (upper - lower))
         stalled = time.perf_counter() - begin
-        visible = rows[visible_mask]
+        visible = object_indices[visible_mask]
         if len(visible):
-            scene_pass.draw_alone(visible)
+            scene_drawer.draw_alone(visible)
         return VisibilityStatistics(
             objects=len(objects),
             visible=len(visible),
@@ -94,15 +94,16 @@ class SoftwareDepth:
             stalled_milliseconds=1e3 * stalled,
         )
 
-    def choose_occluders(self, camera: Camera, rows: Rows) -> Rows:
-        """Return those of the objects `rows` (k,) with the largest surface over squared distance, near ones first."""
+    def choose_occluders(self, camera: Camera, object_indices: Indices) -> Indices:
+        """Return those of the objects `object_indices` (k,) with the largest surface over squared distance, near ones
+        first."""
         objects = self._scene.objects
-        # Simulated objects are where the renderer has last drawn them, the triangles of height fields aren't those that
-        # it draws, and others than opaque ones hide only a part.
-        is_opaque = self._scene.materials["alpha_mode"][objects.material[rows]] == AlphaMode.OPAQUE
-        is_fixed = ~(objects.simulated[rows] | np.isin(rows, list(self._scene.height_fields)))
-        rows = rows[is_opaque & is_fixed]
-        lower, upper = objects.lower[rows], objects.upper[rows]
+        # Simulated objects are where the renderer has last drawn them, the triangles of height fields aren't those
+        # that it draws, and others than opaque ones hide only a part.
+        is_opaque = self._scene.materials["alpha_mode"][objects.material[object_indices]] == AlphaMode.OPAQUE
+        is_fixed = ~(objects.simulated[object_indices] | np.isin(object_indices, list(self._scene.height_fields)))
+        object_indices = object_indices[is_opaque & is_fixed]
+        lower, upper = objects.lower[object_indices], objects.upper[object_indices]
         extent = np.minimum(upper - lower, 1e100)
         surface = (extent * np.roll(extent, 1, axis=1)).sum(axis=1)
         middle = 0.5 * (lower + upper)
@@ -111,7 +112,7 @@ class SoftwareDepth:
         largest = np.argsort(-angle, kind="stable")[: self._limit]
         largest = largest[angle[largest] > _SMALLEST]
         order = np.argsort(distance[largest], kind="stable")
-        return np.asarray(rows[largest[order]])
+        return np.asarray(object_indices[largest[order]])
 
     def destroy(self) -> None:
         """Close the device."""

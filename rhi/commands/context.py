@@ -27,7 +27,7 @@ class StreamContext:
         states: the value of every state type, as sent to the backend.
         labels: the open labels, outermost first.
         program: the id of the bound program, 0 for none.
-        open_query, condition: the query that counts, and the one that draws depend on; 0 for none.
+        open_query, condition: ids of the open occlusion query and of the query that draws depend on; 0 for none.
         render_pass: the descriptor of the open pass, or None outside a pass.
         resources: the descriptors of existing resources, by id.
         slots: the bindings by (kind, slot): the arguments of the binding command that follow the slot.
@@ -97,12 +97,14 @@ class StreamContext:
     def copy(self) -> StreamContext:
         twin = StreamContext()
         twin.states = self.states.copy()
-        twin.labels, twin.program, twin.render_pass = self.labels, self.program, self.render_pass
+        twin.labels = self.labels
+        twin.program = self.program
+        twin.render_pass = self.render_pass
         twin.open_query, twin.condition = self.open_query, self.condition
         twin.resources, twin.slots = self.resources.copy(), self.slots.copy()
         return twin
 
-    def follow(self, op: int, arguments: Sequence[Any]) -> None:
+    def apply(self, op: int, arguments: Sequence[Any]) -> None:
         """Update the context by one command. Most commands change nothing."""
         change = _CHANGES[op]
         if change is not None:

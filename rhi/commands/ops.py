@@ -89,16 +89,21 @@ def _read_parameters(op: Op) -> dict[str, str]:
 
 _PARAMETERS: Final = {op: _read_parameters(op) for op in Op}
 ID_KINDS: Final[dict[str, type]] = {
-    "Id": object, "BufferId": BufferDescriptor, "TextureId": TextureDescriptor, "SamplerId": SamplerDescriptor,
-    "ProgramId": ProgramDescriptor, "VertexArrayId": VertexArrayDescriptor, "QueryId": QueryKind,
-}  # fmt: skip
+    "Id": object,
+    "BufferId": BufferDescriptor,
+    "TextureId": TextureDescriptor,
+    "SamplerId": SamplerDescriptor,
+    "ProgramId": ProgramDescriptor,
+    "VertexArrayId": VertexArrayDescriptor,
+    "QueryId": QueryKind,
+}
 """The kind of object that an id stands for, by its annotation in the contract."""
 ID_ARGUMENTS: Final = {
     op: tuple(i for i, annotation in enumerate(op.parameters.values()) if annotation in ID_KINDS) for op in Op
 }
 """The indices of the arguments that are resource ids, by op."""
 CREATIONS: Final = frozenset(op for op in Op if op.method.startswith("create_"))
-CLOSES: Final = {
+END_OPS: Final = {
     Op.BEGIN_PASS: Op.END_PASS,
     Op.BEGIN_CONDITIONAL: Op.END_CONDITIONAL,
     Op.BEGIN_QUERY: Op.END_QUERY,

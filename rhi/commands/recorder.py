@@ -21,7 +21,7 @@ from rhi.commands.ops import Op
 from rhi.commands.stream import CommandStream
 from rhi.contract.backend import Backend, Capabilities
 from rhi.contract.descriptors import Id, VertexArrayDescriptor
-from rhi.errors import MARK, MARKED, mark_library
+from rhi.errors.call_sites import MARK, MARKED, mark_library
 
 
 class CommandMethods:
@@ -96,7 +96,7 @@ class CommandMethods:
 
 
 def _make_methods(cls: type[CommandMethods], namespace: dict[str, object]) -> dict[str, Callable[..., Any]]:
-    """Return the methods that a class doesn't define itself. They are compiled together, in half the time."""
+    """Generate the methods that a class doesn't define itself. Compiling them together takes half the time."""
     lines: list[str] = []
     for op in Op:
         if op.method in vars(cls):
@@ -108,17 +108,17 @@ def _make_methods(cls: type[CommandMethods], namespace: dict[str, object]) -> di
             elif annotation.startswith("Sequence["):
                 lines.append(f"    {name} = tuple({name})")
         arguments = "".join(f"{name}, " for name in op.parameters)
-        look = "pass" if op.method.startswith(_IN_PASSES) else _LOOK
+        look = "pass" if op.method.startswith(_IN_PASSES) else _MARK_LIBRARY
         lines.append(cls.METHOD.format(op=int(op), method=op.method, arguments=arguments, look=look))
     source = "\n".join(lines)
     file = f"<{cls.__module__}.{cls.__qualname__}>"
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)  # for tracebacks
-    made: dict[str, Any] = {}
-    exec(compile(source, file, "exec"), namespace, made)
-    for name, method in made.items():
+    methods: dict[str, Any] = {}
+    exec(compile(source, file, "exec"), namespace, methods)
+    for name, method in methods.items():
         method.__qualname__ = f"{cls.__qualname__}.{name}"
         method.__doc__ = getattr(Backend, name).__doc__
-    return made
+    return methods
 
 
 class _NoFrame:
@@ -129,7 +129,7 @@ class _NoFrame:
     f_lasti = -1
 
 
-FIND_CALLER: Final = f"""\
+CALLER_LOOKUP: Final = f"""\
     {{look}}
     frame = get_frame(1)
     while "{MARK}" in frame.f_globals:
@@ -138,17 +138,22 @@ FIND_CALLER: Final = f"""\
 """The part of a `METHOD` that finds the innermost frame of user code: `frame`, with its code object
 (`frame.f_code`) and instruction offset (`frame.f_lasti`)."""
 
-_LOOK: Final = "if len(modules) != marked[0]: mark_library()"
+_MARK_LIBRARY: Final = "if len(modules) != marked[0]: mark_library()"
 _IN_PASSES: Final = ("bind_", "set_", "draw", "end_", "push_", "pop_")
-"""The beginnings of commands that don't look whether modules were imported, since a pass has begun before them."""
+"""Prefixes of commands that only occur inside passes: `begin_pass` has marked new modules already."""
 
-FIND_CALLER_GLOBALS: Final = MappingProxyType({
-    "get_frame": sys._getframe, "no_frame": _NoFrame(), "mark_library": mark_library, "marked": MARKED,
-    "modules": sys.modules,
-})  # fmt: skip
-"""The `GLOBALS` that `FIND_CALLER` uses."""
+CALLER_LOOKUP_GLOBALS: Final = MappingProxyType(
+    {
+        "get_frame": sys._getframe,
+        "no_frame": _NoFrame(),
+        "mark_library": mark_library,
+        "marked": MARKED,
+        "modules": sys.modules,
+    }
+)
+"""The `GLOBALS` that `CALLER_LOOKUP` needs."""
 
-_RECORD: Final = f"{FIND_CALLER}    self._write(({{op}}, {{arguments}}frame.f_code, frame.f_lasti))\n"
+_RECORD: Final = f"{CALLER_LOOKUP}    self._write(({{op}}, {{arguments}}frame.f_code, frame.f_lasti))\n"
 
 
 class CommandWriter(CommandMethods):
@@ -162,7 +167,7 @@ class CommandWriter(CommandMethods):
     __slots__ = ("_write", "capabilities", "stream", "vertex_arrays")
 
     METHOD = _RECORD
-    GLOBALS = FIND_CALLER_GLOBALS
+    GLOBALS = CALLER_LOOKUP_GLOBALS
 
     def __init__(self, capabilities: Capabilities) -> None:
         self.capabilities = capabilities
@@ -187,7 +192,7 @@ class CommandWriter(CommandMethods):
 
 
 class ForwardingBackend(CommandMethods):
-    """A `Backend` that forwards every call to another. Subclasses add what they do with some or all calls.
+    """A `Backend` that forwards every call to another. Subclasses add their work to some or all calls.
 
     Attributes:
         backend: the backend that receives all calls.
@@ -235,21 +240,21 @@ class Recorder(ForwardingBackend):
         self._fail(error)
         raise
 """
-    GLOBALS = FIND_CALLER_GLOBALS
+    GLOBALS = CALLER_LOOKUP_GLOBALS
 
     def __init__(self, backend: Backend) -> None:
         super().__init__(backend)
         self.stream = CommandStream()
         self._write: Callable[[tuple[Any, ...]], None] = self.stream.data.extend
 
-    def pass_on(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
+    def forward(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
         """Record a command that was called elsewhere, with its own call site, and forward it."""
         self.repeat(*self.prepare(op, arguments, code, offset))
 
     def prepare(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> tuple[Any, ...]:
-        """Return the arguments with which `repeat` does what `pass_on` does, any number of times and in half the
-        time."""
-        return (int(op), *arguments, code, offset), *find_call(self.backend, op, arguments, code, offset)
+        """Return arguments for `repeat`, which can be called many times with them, in half the time of
+        `forward`."""
+        return (int(op), *arguments, code, offset), *resolve_call(self.backend, op, arguments, code, offset)
 
     def repeat(self, entry: tuple[Any, ...], call: Callable[..., object], arguments: tuple[Any, ...]) -> None:
         """Record a command as the stream has it, and forward it."""
@@ -265,7 +270,7 @@ class Recorder(ForwardingBackend):
         """Forward calls without recording them. Commands recorded afterwards still know the states and labels
         that were set meanwhile."""
         before = self._write
-        self._write = self.stream.leave_out
+        self._write = self.stream.skip
         try:
             yield
         finally:
@@ -274,24 +279,24 @@ class Recorder(ForwardingBackend):
     @property
     def is_paused(self) -> bool:
         """Whether calls are forwarded without being recorded."""
-        return self._write == self.stream.leave_out
+        return self._write == self.stream.skip
 
     def _fail(self, error: BaseException) -> None:
         if not self.is_paused:
             self.stream.fail(error)
 
 
-def pass_on(backend: Backend, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
-    """Call a backend's command that was called elsewhere, with its call site if the backend has a `pass_on` method."""
-    call, given = find_call(backend, op, arguments, code, offset)
+def forward(backend: Backend, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
+    """Call a backend's command that was called elsewhere, with its call site if the backend has a `forward` method."""
+    call, given = resolve_call(backend, op, arguments, code, offset)
     call(*given)
 
 
-def find_call(
+def resolve_call(
     backend: Backend, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int
 ) -> tuple[Callable[..., object], tuple[Any, ...]]:
-    """Return the method that `pass_on` calls, and its arguments."""
-    with_site = getattr(backend, "pass_on", None)
+    """Return the method that `forward` calls, and its arguments."""
+    with_site = getattr(backend, "forward", None)
     if with_site is None:
         return getattr(backend, op.method), arguments
     return with_site, (op, arguments, code, offset)

@@ -21,7 +21,8 @@ from rhi.commands.context import CONTEXT_OPS, StreamContext
 from rhi.commands.ops import DRAWS, WIDTHS, Descriptor, Op, States
 from rhi.commands.text import describe_call
 from rhi.contract.descriptors import Id, PassDescriptor, ProgramDescriptor
-from rhi.errors import CallSite, RhiError, make_call_site, refuse
+from rhi.errors import RhiError, refuse
+from rhi.errors.call_sites import CallSite, make_call_site
 from rhi.errors.rules import COMMAND_ARGUMENT, COMMAND_CLEARED
 
 __all__ = ["Command", "CommandStream", "Commands", "Failure", "Op", "Refusal", "StreamContext"]
@@ -65,7 +66,7 @@ def _on_one_line(text: str) -> str:
     return first + " …" * bool(more)
 
 
-def find_site(code: CodeType | None, offset: int) -> CallSite | None:
+def call_site_at(code: CodeType | None, offset: int) -> CallSite | None:
     """Return the line of the instruction at an offset in bytes, or None without a code object."""
     if code is None:
         return None
@@ -116,7 +117,7 @@ class Command:
     @property
     def site(self) -> CallSite | None:
         """The user's line that made the call, or None if no user code was on the stack."""
-        return find_site(self._code, self.offset)
+        return call_site_at(self._code, self.offset)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -226,20 +227,20 @@ class Commands(Sequence[Command]):
                 _check_argument(each, name)
             if op is None:
                 refuse(COMMAND_ARGUMENT, f"filter({name}=…)", "no op", "an op along with arguments")
-        wanted = arguments.items()
+        expected = arguments.items()
 
         def meets(command: Command) -> bool:
             if label is not None and label not in command.labels:
                 return False
-            if wanted:
+            if expected:
                 given = command.arguments
-                if any(given[name] != value for name, value in wanted):
+                if any(given[name] != value for name, value in expected):
                     return False
             return where is None or where(command)
 
         stream = self._stream
         candidates = [index for index in self.indices() if stream.op(index) in ops]
-        if label is None and where is None and not wanted:
+        if label is None and where is None and not expected:
             return Commands(stream, candidates)
         return Commands(stream, [index for index in candidates if meets(Command(stream, index))])
 
@@ -258,24 +259,24 @@ class Commands(Sequence[Command]):
         return tuple(refusal for refusal in refused if first < refusal.index <= last)
 
     def format(self, limit: int | None = None, refusals: Sequence[Refusal] | None = None) -> str:
-        """Return the commands as text, one line each and indented by their labels, at most `limit` of them. Refused
-        calls are listed in between: the given `refusals`, or else those of the `refusals` property."""
+        """Return the commands as text, one line each and indented by their labels, at most `limit` of them.
+        Refused calls are listed in between: `refusals`, or by default the property of that name."""
         refused = deque(self.refusals if refusals is None else refusals)
         lines: list[str] = []
-        shown = 0
+        count = 0
         for command in islice(self, limit):
             while refused and refused[0].index <= command.index:
                 lines.append(_format_refusal(refused.popleft()))
             lines.append(f"{command.index:>6}  {'  ' * len(command.labels)}{command}")
-            shown += 1
-        if shown < len(self):
-            lines.append(f"… and {len(self) - shown} more")
+            count += 1
+        if count < len(self):
+            lines.append(f"… and {len(self) - count} more")
         else:
             lines.extend(map(_format_refusal, refused))
         return "\n".join(lines)
 
     def __str__(self) -> str:
-        return self.format(PRINTED)
+        return self.format(MAX_PRINTED_COMMANDS)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {len(self)} commands>"
@@ -285,7 +286,7 @@ def _format_refusal(refusal: Refusal) -> str:
     return f"     ×  {'  ' * len(refusal.labels)}{refusal}"
 
 
-PRINTED: Final = 1000
+MAX_PRINTED_COMMANDS: Final = 1000
 """Number of commands that `str` of a stream shows."""
 
 
@@ -303,8 +304,16 @@ class CommandStream(Commands):
     """
 
     __slots__ = (
-        "_base", "_cursor", "_gaps", "_refusals", "_starts", "data", "failures", "generation", "is_complete",
-    )  # fmt: skip
+        "_base",
+        "_cursor",
+        "_gaps",
+        "_refusals",
+        "_starts",
+        "data",
+        "failures",
+        "generation",
+        "is_complete",
+    )
 
     def __init__(self) -> None:
         super().__init__(self, ())
@@ -324,10 +333,10 @@ class CommandStream(Commands):
 
     def __len__(self) -> int:
         starts, data = self._starts, self.data
-        place = starts[-1] + WIDTHS[data[starts[-1]]] if starts else 0
-        while place < len(data):
-            starts.append(place)
-            place += WIDTHS[data[place]]
+        position = starts[-1] + WIDTHS[data[starts[-1]]] if starts else 0
+        while position < len(data):
+            starts.append(position)
+            position += WIDTHS[data[position]]
         return len(starts)
 
     def op(self, index: int) -> Op:
@@ -347,16 +356,18 @@ class CommandStream(Commands):
         """Return the context just before a command. It is valid until the next call of this method."""
         done, gaps, context = self._cursor
         if index < done:
-            done, gaps, context = 0, 0, self._base.copy()
+            done = 0
+            gaps = 0
+            context = self._base.copy()
         while True:
             while gaps < len(self._gaps) and self._gaps[gaps][0] <= done:
-                context.follow(*self._gaps[gaps][1:])
+                context.apply(*self._gaps[gaps][1:])
                 gaps += 1
             if done >= index:
                 break
             if done not in self.failures:
                 op, arguments, _, _ = self.entry(done)
-                context.follow(op, arguments)
+                context.apply(op, arguments)
             done += 1
         self._cursor = (done, gaps, context)
         return context
@@ -378,20 +389,20 @@ class CommandStream(Commands):
         self._base.resources[resource] = descriptor
         self._cursor = (0, 0, self._base.copy())
 
-    def leave_out(self, entry: tuple[Any, ...]) -> None:
+    def skip(self, entry: tuple[Any, ...]) -> None:
         """Update the context by a command without keeping it; used instead of `data.extend(entry)`."""
         self.is_complete = False
         if entry[0] in CONTEXT_OPS:
             self._gaps.append((len(self), entry[0], entry[1:-2]))
 
     def note_refusal(self, error: RhiError) -> None:
-        """A call was refused here."""
+        """Record that a call was refused at this point of the stream."""
         index = len(self)
         labels = self.context(index).labels
         self.add_refusal(Refusal(index, error.rule.id, error.call, error.given, error.allowed, error.site, labels))
 
     def add_refusal(self, refusal: Refusal) -> None:
-        """Keep a refused call; its index isn't below those before it."""
+        """Add a refused call. Its index is not below the indices of earlier ones."""
         self._refusals.append(refusal)
 
     def fail(self, error: BaseException) -> None:

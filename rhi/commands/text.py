@@ -47,8 +47,8 @@ def _describe_change(change: StateChange) -> str:
 def _describe_dataclass(value: object) -> str:
     """Return a value's name in its class (`Scissor.OFF`), or its source without fields that have their default."""
     name = type(value).__name__
-    for constant, known in vars(type(value)).items():
-        if type(known) is type(value) and known == value:
+    for constant, constant_value in vars(type(value)).items():
+        if type(constant_value) is type(value) and constant_value == value:
             return f"{name}.{constant}"
     if hasattr(value, "emit"):  # a program in full would take pages
         return f"{name}({getattr(value, 'name', '')!r})"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-SHOWN = 4
+MAX_SHOWN = 4
 MARKS = {(True, True): "#", (True, False): "+", (False, True): "-", (False, False): "."}
 
 
@@ -23,19 +23,19 @@ def assert_near(actual: ArrayLike, expected: ArrayLike, tolerance: ArrayLike, re
     """Assert that every value is within an absolute `tolerance` of the expected one; `reason` explains it."""
     __tracebackhide__ = True
     got = np.asarray(actual)
-    wanted, allowed = _widen(expected, got.shape), _widen(tolerance, got.shape)
+    expected_values, allowed = _widen(expected, got.shape), _widen(tolerance, got.shape)
     values = _widen(got, got.shape)
     with np.errstate(invalid="ignore"):
-        error = np.where(values == wanted, 0.0, np.abs(values - wanted))
+        error = np.where(values == expected_values, 0.0, np.abs(values - expected_values))
     wrong = ~(error <= allowed)  # true for NaN too
     if not wrong.any():
         return
-    places = np.argwhere(wrong)
+    indices = np.argwhere(wrong)
     worst = np.nan_to_num(error, nan=np.inf).max()
-    lines = [f"{len(places)} of {got.size} values differ by more than allowed ({reason}); worst {worst:g}"]
+    lines = [f"{len(indices)} of {got.size} values differ by more than allowed ({reason}); worst {worst:g}"]
     lines += [
-        f"  at {tuple(int(i) for i in place)}: got {got[tuple(place)]!r}, expected {wanted[tuple(place)]!r}"
-        for place in places[:SHOWN]
+        f"  at {tuple(int(i) for i in index)}: got {got[tuple(index)]!r}, expected {expected_values[tuple(index)]!r}"
+        for index in indices[:MAX_SHOWN]
     ]
     raise AssertionError("\n".join(lines))
 
@@ -51,6 +51,6 @@ def assert_mask(actual: NDArray[Any], expected: NDArray[np.bool_]) -> None:
     if np.array_equal(drawn, expected):
         return
     lines = [f"{int(drawn.sum())} texels drawn, {int(expected.sum())} expected ('#' both, '+' extra, '-' missing)"]
-    for got, wanted in zip(drawn[:40], expected[:40], strict=True):
-        lines.append("".join(MARKS[bool(g), bool(w)] for g, w in zip(got, wanted, strict=True)))
+    for got, expected_row in zip(drawn[:40], expected[:40], strict=True):
+        lines.append("".join(MARKS[bool(g), bool(w)] for g, w in zip(got, expected_row, strict=True)))
     raise AssertionError("\n".join(lines))

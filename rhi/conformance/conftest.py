@@ -133,11 +133,11 @@ def fresh_device(backend: str) -> Iterator[rhi.Device]:
 
 @pytest.fixture(autouse=True)
 def capable(request: pytest.FixtureRequest) -> None:
-    """Skip a test marked `needs` if the backend declares the capability missing, or the limit 0."""
-    wanted = [capability for marker in request.node.iter_markers("needs") for capability in marker.args]
-    if not wanted or "backend" not in request.fixturenames:
+    """Skip a test marked `requires` if the backend declares the capability missing, or the limit 0."""
+    required = [capability for marker in request.node.iter_markers("requires") for capability in marker.args]
+    if not required or "backend" not in request.fixturenames:
         return
     device: rhi.Device = request.getfixturevalue("shared_device")
-    for capability in wanted:
+    for capability in required:
         if not getattr(device.capabilities, capability):
             pytest.skip(f"{device.backend_name} declares no {capability}")

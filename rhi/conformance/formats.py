@@ -77,7 +77,7 @@ def random_texels(format: Format, *shape: int, seed: int = 0) -> NDArray[Any]:
     full = (*shape, format.components)
     if format is Format.R11G11B10F:  # each exponent below that of infinity, each fraction
         parts = (rng.integers(0, 31 << bits - 5, full, np.uint32) for bits in format.channel_bits)
-        return sum((part << 11 * place for place, part in enumerate(parts)), np.zeros(full, np.uint32))
+        return sum((part << 11 * channel for channel, part in enumerate(parts)), np.zeros(full, np.uint32))
     if format.dtype.kind == "f":
         return rng.normal(0, 100, full).astype(format.dtype)
     # The two smallest numbers of a signed normalised format both mean -1, and a copy may return either.

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import pytest
 
-from rhi.conformance.steps import STEPS, find_missing, step_of
+from rhi.conformance.port_steps import STEPS, missing_method, step_of
 
 pytest_plugins = ("rhi.testing.plugin",)
 
@@ -27,12 +27,12 @@ MISSING: Final = "rhi-missing-method"
 """Key of the user property that holds the missing backend method of a failed test."""
 FAILED: Final = pytest.StashKey[bool]()
 """Key of the stash of a kit test that has failed in any of its phases."""
-SHOWN: Final = 5
+MAX_SHOWN: Final = 5
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Declare the kit's markers."""
-    config.addinivalue_line("markers", "needs(*capabilities): skipped where the device declares one missing")
+    config.addinivalue_line("markers", "requires(*capabilities): skipped where the device declares one missing")
     config.addinivalue_line("markers", "recorded_too: runs without and with a recorder in front of the backend")
 
 
@@ -49,17 +49,17 @@ def quick_collections() -> None:
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Sort the kit's tests of each backend by the steps of a port. Other tests keep their places."""
-    places: list[int] = []
-    found: list[tuple[str, int, pytest.Item]] = []
-    for place, item in enumerate(items):
+    positions: list[int] = []
+    kit_tests: list[tuple[str, int, pytest.Item]] = []
+    for position, item in enumerate(items):
         key = _board_key(item)
         if key is not None:
-            places.append(place)
-            found.append((key[0], step_of(key[1]), item))
-    order = list(dict.fromkeys(backend for backend, _, _ in found))
-    found.sort(key=lambda entry: (order.index(entry[0]), entry[1]))
-    for place, (_, _, item) in zip(places, found, strict=True):
-        items[place] = item
+            positions.append(position)
+            kit_tests.append((key[0], step_of(key[1]), item))
+    order = list(dict.fromkeys(backend for backend, _, _ in kit_tests))
+    kit_tests.sort(key=lambda entry: (order.index(entry[0]), entry[1]))
+    for position, (_, _, item) in zip(positions, kit_tests, strict=True):
+        items[position] = item
 
 
 def _board_key(entry: pytest.Item | pytest.TestReport) -> tuple[str, str] | None:
@@ -78,7 +78,7 @@ def pytest_runtest_makereport(
     """
     method = ""
     if call.excinfo is not None and _board_key(item) is not None:
-        method = find_missing(call.excinfo.value)
+        method = missing_method(call.excinfo.value)
         if method:
             try:
                 pytest.fail(f"{method} is missing", pytrace=False)
@@ -144,8 +144,8 @@ def _write_board(reporter: pytest.TerminalReporter, board: Board) -> None:
     width = max(map(len, board.groups))
     for group in sorted(board.groups, key=lambda group: (step_of(group), group)):
         number = step_of(group)
-        shown = str(number) if number <= len(STEPS) else ""
-        _write_row(reporter, f"{shown:>2} {group:<{width}}", board.groups[group])
+        step = str(number) if number <= len(STEPS) else ""
+        _write_row(reporter, f"{step:>2} {group:<{width}}", board.groups[group])
     _write_row(reporter, f"   {'total':<{width}}", sum(board.groups.values(), Counter()), bold=True)
     for reason, count in sorted(board.reasons.items()):
         reporter.write_line(f"  {count:4} × {reason}")
@@ -179,5 +179,5 @@ def describe_next(board: Board) -> list[str]:
             *(f"  write {method}: {len(board.missing[method])} tests stop there" for method in lacking),
         ]
     failed = [f"{group}: {test}" for group in step.groups for test in board.failed.get(group, ())]
-    more = [f"  … and {len(failed) - SHOWN} more"] if len(failed) > SHOWN else []
-    return [*lines, *(f"  {test}" for test in failed[:SHOWN]), *more]
+    more = [f"  … and {len(failed) - MAX_SHOWN} more"] if len(failed) > MAX_SHOWN else []
+    return [*lines, *(f"  {test}" for test in failed[:MAX_SHOWN]), *more]

@@ -73,23 +73,23 @@ def _combine(
 
 
 def blend_factor(factor: BlendFactor, source: ArrayLike, destination: ArrayLike, constant: ArrayLike) -> Float:
-    """Return what a factor is for each channel, not yet clamped; all are (…, 4)."""
+    """Blend factor of each channel, not yet clamped. All arrays are (…, 4)."""
     source, destination, constant = (np.asarray(v, np.float64) for v in (source, destination, constant))
-    one = np.ones_like(source)
+    ones = np.ones_like(source)
     if factor is BlendFactor.SOURCE_ALPHA_SATURATE:
         saturated = np.minimum(source[..., 3:], 1.0 - destination[..., 3:])
-        return np.concatenate([one[..., :3] * saturated, one[..., 3:]], axis=-1)
+        return np.concatenate([ones[..., :3] * saturated, ones[..., 3:]], axis=-1)
     base = {
-        "zero": 0.0 * one,
-        "one": one,
+        "zero": 0.0 * ones,
+        "one": ones,
         "source_color": source,
-        "source_alpha": source[..., 3:] * one,
+        "source_alpha": source[..., 3:] * ones,
         "destination_color": destination,
-        "destination_alpha": destination[..., 3:] * one,
-        "constant": constant * one,
+        "destination_alpha": destination[..., 3:] * ones,
+        "constant": constant * ones,
     }
     name = factor.value
-    return one - base[name.removeprefix("one_minus_")] if name.startswith("one_minus_") else base[name]
+    return ones - base[name.removeprefix("one_minus_")] if name.startswith("one_minus_") else base[name]
 
 
 def stencil(operation: StencilOperation, stored: int, reference: int, write_mask: int = 255) -> int:
@@ -258,12 +258,12 @@ def rasterise_within(
 def _edges(
     triangle: ArrayLike, width: int, height: int, subtexels: int = SUBTEXELS
 ) -> Iterator[tuple[NDArray[np.int64], bool, float]]:
-    """Yield the edges of a triangle at the texel centers, see `find_edges`."""
+    """Yield the edges of a triangle at the texel centers, see `edge_functions`."""
     y, x = np.mgrid[0:height, 0:width].astype(np.int64) * subtexels + subtexels // 2
-    return find_edges([(int(u), int(v)) for u, v in np.asarray(triangle, np.int64)], x, y)
+    return edge_functions([(int(u), int(v)) for u, v in np.asarray(triangle, np.int64)], x, y)
 
 
-def find_edges(
+def edge_functions(
     corners: Sequence[tuple[int, int]], x: NDArray[np.int64], y: NDArray[np.int64]
 ) -> Iterator[tuple[NDArray[np.int64], bool, float]]:
     """Yield for each edge of a triangle the edge function at places x (right) and y (down), in the corners' unit and

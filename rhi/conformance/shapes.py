@@ -19,11 +19,11 @@ WHITE = (1.0, 1.0, 1.0, 1.0)
 
 def corners(positions: ArrayLike, color: ArrayLike = WHITE, depth: ArrayLike = 0.5) -> VertexRows:
     """Return vertices at (n, 2), (n, 3) or (n, 4) clip positions, with one color or (n, 4) colors."""
-    given = np.asarray(positions, np.float64)
-    rows = np.zeros(len(given), Corner.dtype)
+    coordinates = np.asarray(positions, np.float64)
+    rows = np.zeros(len(coordinates), Corner.dtype)
     rows["position"][:, 2] = depth
     rows["position"][:, 3] = 1.0
-    rows["position"][:, : given.shape[1]] = given
+    rows["position"][:, : coordinates.shape[1]] = coordinates
     rows["color"] = color
     return rows
 
@@ -54,12 +54,12 @@ def window_to_clip(points: ArrayLike, size: Sequence[int]) -> NDArray[np.float64
     return np.asarray(points, np.float64) * (2.0 / w, -2.0 / h) + (-1.0, 1.0)
 
 
-def point_rows(
-    places: ArrayLike, size: Sequence[int], sizes: ArrayLike, colors: ArrayLike = (1, 1, 1, 1), depth: float = 0.5,
+def point_vertices(
+    positions: ArrayLike, size: Sequence[int], sizes: ArrayLike, colors: ArrayLike = (1, 1, 1, 1), depth: float = 0.5,
     w: float = 1.0,
 ) -> NDArray[Any]:  # fmt: skip
     """Return vertices of `shaders.Sized` at window positions in texels, with their sizes."""
-    plane = window_to_clip(places, size)
+    plane = window_to_clip(positions, size)
     rows = np.zeros(len(plane), [("position", "f4", 4), ("color", "f4", 4), ("size", "f4")])
     rows["position"][:, :2], rows["position"][:, 2:] = plane, (depth, 1.0)
     rows["position"] *= w

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from rhi.conformance.steps import STEPS
+from rhi.conformance.port_steps import STEPS
 from rhi.contract.backend import Backend
 from rhi.device.registry import backend_names
 from rhi.errors import refuse

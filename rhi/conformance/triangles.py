@@ -1,10 +1,10 @@
 """Random triangles in clip space, what they must cover, and how deep they are: an exam of clipping and interpolation.
 
-- The truth is a set of lines in the window: the three edges, and what the near and the far plane cut. Weights divided
+- The reference is a set of lines in the window: the three edges and the near and far planes' cuts. Weights divided
   by w are linear in the window, also of a corner behind the eye (Olano and Greer 1997), so nothing has to be cut.
   Lines are computed with 64 bits of mantissa where the machine has them, and evaluated in float64.
 - A sample farther than `MARGIN` from all lines is certain. Devices round window positions to 1/256 pixel, so only
-  certain samples are judged.
+  certain samples are checked.
 - Many triangles are drawn into one target, each into a cell of its own, which a viewport and a scissor make.
 """
 
@@ -25,10 +25,10 @@ from rhi.shading import NoPerspective, Shader, Struct, vec4
 Floats = NDArray[np.float64]
 
 CELL: Final = 32
-"""Texels a side that a triangle is judged in."""
-ROW: Final = 16
+"""Texels a side that a triangle is checked in."""
+CELLS_PER_ROW: Final = 16
 """Cells a side of the target."""
-BATCH: Final = ROW * ROW
+BATCH: Final = CELLS_PER_ROW * CELLS_PER_ROW
 """Triangles that are drawn at once."""
 MARGIN: Final = 1 / 256
 """Pixels that an edge may be off: positions are rounded to 1/256 pixel."""
@@ -61,27 +61,27 @@ def through_the_near_plane(rng: np.random.Generator, count: int) -> Floats:
 def beyond_the_guard_band(rng: np.random.Generator, count: int) -> Floats:
     """Triangles in front of the eye that reach up to 1e7 times as far as the view."""
     w = 10.0 ** rng.uniform(-2, 2, (count, 3))
-    places = rng.normal(size=(count, 3, 2)) * 10.0 ** rng.uniform(0, 7, (count, 3, 1))
+    positions = rng.normal(size=(count, 3, 2)) * 10.0 ** rng.uniform(0, 7, (count, 3, 1))
     z = rng.uniform(0.05, 0.95, (count, 3))
-    return np.concatenate([places * w[..., None], (z * w)[..., None], w[..., None]], -1)
+    return np.concatenate([positions * w[..., None], (z * w)[..., None], w[..., None]], -1)
 
 
 def at_infinity(rng: np.random.Generator, count: int) -> Floats:
     """Corners of which some have w = 0, or a w that float32 stores with few bits."""
-    made = of_all_magnitudes(rng, count)
+    triangles = of_all_magnitudes(rng, count)
     tiny = rng.choice([0.0, 1e-45, 1e-41, 1.2e-38, -1e-40], (count, 3))
-    made[..., 3] = np.where(rng.random((count, 3)) < 0.4, tiny, made[..., 3])
-    return made
+    triangles[..., 3] = np.where(rng.random((count, 3)) < 0.4, tiny, triangles[..., 3])
+    return triangles
 
 
 def inside(rng: np.random.Generator, count: int) -> Floats:
     """Triangles of all sizes that nothing cuts, half of them with perspective."""
-    return _place(rng, count, 2.0 ** rng.uniform(-6, 1, (count, 1, 1)))
+    return _random_positions(rng, count, 2.0 ** rng.uniform(-6, 1, (count, 1, 1)))
 
 
 def of_a_pixel(rng: np.random.Generator, count: int) -> Floats:
     """Triangles of about a pixel, with steep depth."""
-    return _place(rng, count, rng.uniform(0.3, 3, (count, 1, 1)) * (2 / CELL))
+    return _random_positions(rng, count, rng.uniform(0.3, 3, (count, 1, 1)) * (2 / CELL))
 
 
 def slivers(rng: np.random.Generator, count: int) -> Floats:
@@ -93,7 +93,7 @@ def slivers(rng: np.random.Generator, count: int) -> Floats:
     return _finish(rng, flat)
 
 
-def _place(rng: np.random.Generator, count: int, size: Floats) -> Floats:
+def _random_positions(rng: np.random.Generator, count: int, size: Floats) -> Floats:
     return _finish(rng, rng.uniform(-1, 1, (count, 1, 2)) + size * rng.uniform(-1, 1, (count, 3, 2)))
 
 
@@ -117,8 +117,8 @@ WHOLE: Final[tuple[Family, ...]] = (inside, of_a_pixel, slivers)
 def make_triangles(family: Family, seed: int) -> Floats:
     """Return (BATCH, 3, 4) clip positions that float32 represents."""
     with np.errstate(over="ignore", under="ignore"):
-        made = family(np.random.default_rng(seed), BATCH).astype(np.float32)
-    return made.astype(np.float64)
+        triangles = family(np.random.default_rng(seed), BATCH).astype(np.float32)
+    return triangles.astype(np.float64)
 
 
 # -- drawing -----------------------------------------------------------------------------------------------------------
@@ -143,7 +143,7 @@ class Weights(Shader):
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class TriangleResults:
     """Results of (n,) triangles.
 
     Attributes:
@@ -157,13 +157,13 @@ class Drawn:
     weights: Floats
 
 
-def draw_cells(device: Device, triangles: Floats, wide: float = CELL) -> Drawn:
+def draw_cells(device: Device, triangles: Floats, wide: float = CELL) -> TriangleResults:
     """Draw (BATCH, 3, 4) triangles, each into its cell.
 
     Args:
         wide: edge length of each triangle's viewport, of which the cell is the middle.
     """
-    size = ROW * CELL, ROW * CELL
+    size = CELLS_PER_ROW * CELL, CELLS_PER_ROW * CELL
     rows = corners(triangles.reshape(-1, 4), np.tile([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1)], (len(triangles), 1)))
     program = device.program(Weights)
     with (
@@ -176,24 +176,24 @@ def draw_cells(device: Device, triangles: Floats, wide: float = CELL) -> Drawn:
             device.states(CullMode.NONE, DepthFunction.ALWAYS, BlendFunction.ADDITIVE),
         ):
             for number in range(len(triangles)):
-                x, y = number % ROW * CELL, number // ROW * CELL
+                x, y = number % CELLS_PER_ROW * CELL, number // CELLS_PER_ROW * CELL
                 off = (CELL - wide) / 2
                 with device.states(Viewport(x + off, y + off, wide, wide), Scissor(x, y, CELL, CELL)):
                     device.draw(program, mesh.view(first=3 * number, count=3))
         pixels, depths = _to_cells(image.read()), _to_cells(depth.read()[..., None])
-    return Drawn(pixels[..., 0], depths[..., 0], pixels[..., 1:])
+    return TriangleResults(pixels[..., 0], depths[..., 0], pixels[..., 1:])
 
 
 def _to_cells(image: NDArray[np.float32]) -> Floats:
-    cells = image.reshape(ROW, CELL, ROW, CELL, -1).swapaxes(1, 2)
+    cells = image.reshape(CELLS_PER_ROW, CELL, CELLS_PER_ROW, CELL, -1).swapaxes(1, 2)
     return cells.reshape(BATCH, CELL, CELL, -1).astype(np.float64)
 
 
-# -- truth -------------------------------------------------------------------------------------------------------------
+# -- reference ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class TriangleReference:
     """The samples, depths and varyings that triangles must give.
 
     Attributes:
@@ -207,40 +207,42 @@ class Truth:
         front: (n,), whether all corners lie before the eye.
     """
 
-    seen: NDArray[np.int64]
+    visible: NDArray[np.int64]
     certain: NDArray[np.bool_]
     possible: NDArray[np.bool_]
-    within: NDArray[np.bool_]
+    is_inside: NDArray[np.bool_]
     depth: Floats
     weights: Floats
     low: Floats
     high: Floats
-    front: NDArray[np.bool_]
+    is_before_eye: NDArray[np.bool_]
 
 
-def find_truth(triangles: Floats, wide: float = CELL) -> Truth:
+def compute_reference(triangles: Floats, wide: float = CELL) -> TriangleReference:
     """Return what (n, 3, 4) triangles must give in the middle of a viewport `wide` texels a side."""
     with np.errstate(all="ignore"):
-        rows, near, far = _find_planes(triangles, wide)
+        rows, near, far = _compute_planes(triangles, wide)
         lines = _measure(np.concatenate([rows, near[:, None], far[:, None]], 1))
         reach = lines[..., :1] * (0, CELL, 0, CELL) + lines[..., 1:2] * (0, 0, CELL, CELL) + lines[..., 2:]
-        seen = np.flatnonzero((reach.max(2) >= -MARGIN).all(1))  # NaN is never seen
-        shape = len(seen), CELL, CELL
-        certain, possible, within = np.ones(shape, bool), np.ones(shape, bool), np.ones(shape, bool)
-        for line in np.moveaxis(lines[seen], 1, 0):
+        visible = np.flatnonzero((reach.max(2) >= -MARGIN).all(1))  # NaN is never seen
+        shape = len(visible), CELL, CELL
+        certain, possible, is_inside = np.ones(shape, bool), np.ones(shape, bool), np.ones(shape, bool)
+        for line in np.moveaxis(lines[visible], 1, 0):
             distance = _evaluate(line)
             certain &= distance > MARGIN
             possible &= distance >= -MARGIN
-            within &= distance >= 0
-        parts = np.stack([_evaluate(row) for row in np.moveaxis(rows[seen], 1, 0)], -1)
+            is_inside &= distance >= 0
+        parts = np.stack([_evaluate(row) for row in np.moveaxis(rows[visible], 1, 0)], -1)
         weights = parts[..., 1:] / parts.sum(-1, keepdims=True)
-        z, w = np.moveaxis(triangles[seen][..., 2:], -1, 0)
+        z, w = np.moveaxis(triangles[visible][..., 2:], -1, 0)
         whole = ((w > 0) & (z >= 0) & (z <= w)).all(1)
         low, high = np.where(whole, (z / w).min(1), 0.0), np.where(whole, (z / w).max(1), 1.0)
-    return Truth(seen, certain, possible, within, _evaluate(near[seen]), weights, low, high, (w > 0).all(1))
+    return TriangleReference(
+        visible, certain, possible, is_inside, _evaluate(near[visible]), weights, low, high, (w > 0).all(1)
+    )
 
 
-def _find_planes(triangles: Floats, wide: float) -> tuple[Floats, Floats, Floats]:
+def _compute_planes(triangles: Floats, wide: float) -> tuple[Floats, Floats, Floats]:
     """Return planes in the window: (n, 3, 3) of the corners' weights divided by w, and (n, 3) of the depth, and of the
     distance from the far plane. Those of a triangle without area are NaN."""
     x, y, z, w = np.moveaxis(triangles.astype(np.longdouble), -1, 0)
@@ -271,8 +273,8 @@ def _evaluate(lines: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class Judgement:
-    """The largest distances of results from the truth.
+class TriangleErrors:
+    """The largest distances of results from the reference.
 
     Attributes:
         drawn: the number of texels drawn.
@@ -292,24 +294,26 @@ class Judgement:
     weight_beyond: float
 
 
-def examine(device: Device, family: Family, seed: int, wide: float = CELL) -> Judgement:
-    """Draw BATCH triangles of a family and compare the results with the truth; `wide` as for `draw_cells`."""
+def examine(device: Device, family: Family, seed: int, wide: float = CELL) -> TriangleErrors:
+    """Draw BATCH triangles of a family and compare the results with the reference; `wide` as for `draw_cells`."""
     triangles = make_triangles(family, seed)
-    results, truth = draw_cells(device, triangles, wide), find_truth(triangles, wide)
+    results, reference = draw_cells(device, triangles, wide), compute_reference(triangles, wide)
     wrong = (results.counts != 0).sum((1, 2))  # of those that must draw nothing
-    counts, depth, weights = (array[truth.seen] for array in (results.counts, results.depth, results.weights))
+    counts, depth, weights = (array[reference.visible] for array in (results.counts, results.depth, results.weights))
     drawn, once = counts != 0, counts == 1
-    wrong[truth.seen] = ((drawn & ~truth.possible) | (truth.certain & ~drawn) | (drawn & ~once)).sum((1, 2))
-    inside, texels = once & truth.within, np.nonzero(once)
-    beyond = np.maximum(truth.low[texels[0]] - depth[texels], depth[texels] - truth.high[texels[0]])
+    wrong[reference.visible] = ((drawn & ~reference.possible) | (reference.certain & ~drawn) | (drawn & ~once)).sum(
+        (1, 2)
+    )
+    inside, texels = once & reference.is_inside, np.nonzero(once)
+    beyond = np.maximum(reference.low[texels[0]] - depth[texels], depth[texels] - reference.high[texels[0]])
     first, second, straight = weights[texels].T
-    straight = np.where(truth.front[texels[0]], straight, 0.5)  # behind the eye it may be anything
+    straight = np.where(reference.is_before_eye[texels[0]], straight, 0.5)  # behind the eye it may be anything
     sums = np.stack([first, second, 1 - first - second, straight])
 
     def worst(errors: Floats) -> float:
         return float(np.nan_to_num(errors, nan=np.inf).max(initial=0.0))
 
-    return Judgement(
-        int(drawn.sum()), wrong, worst(np.abs(depth - truth.depth)[inside]), worst(beyond),
-        worst(np.abs(weights[..., :2] - truth.weights)[inside]), worst(np.maximum(-sums, sums - 1)),
+    return TriangleErrors(
+        int(drawn.sum()), wrong, worst(np.abs(depth - reference.depth)[inside]), worst(beyond),
+        worst(np.abs(weights[..., :2] - reference.weights)[inside]), worst(np.maximum(-sums, sums - 1)),
     )  # fmt: skip

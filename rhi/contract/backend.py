@@ -67,7 +67,8 @@ class Capabilities:
     max_texture_layers: int = 2048
     max_color_targets: int = 8
     max_target_bytes: int = 128
-    """The most that the texels of a pass's color targets may take together, by `rhi.contract.limits.target_bytes`."""
+    """Largest sum of bytes per sample of a pass's color targets, as counted by
+    `rhi.contract.limits.target_bytes`."""
     sample_counts: tuple[int, ...] = (1, 2, 4)
     """Numbers of samples that textures can have, in ascending order: 1 and some of 2, 4 and 8."""
     max_vertex_attributes: int = 16
@@ -81,7 +82,8 @@ class Capabilities:
     max_work_group_invocations: int = 1024
     max_dispatch: tuple[int, int, int] = (65535, 65535, 65535)
     max_dispatch_groups: int = (1 << 32) - 1
-    """The most work-groups of a dispatch in all: drivers count them in 32 bits, and some run the remainder."""
+    """Largest total number of work-groups of a dispatch. Drivers count in 32 bits; beyond that, some run only
+    the remainder."""
     max_shared_bytes: int = 32768
     max_anisotropy: float = 1.0
     max_point_size: float = 1.0
@@ -120,11 +122,11 @@ class Capabilities:
     alpha_to_coverage: bool = True
     depth_bias_clamp: bool = True
     precise_triangles: bool = True
-    """Whether depth is within 2e-5 of float64 and varyings within the corners' range for triangles however thin, and
-    coverage right however far a triangle reaches beyond the view."""
+    """Whether rasterisation is exact for extreme triangles: depth within 2e-5 of float64 and varyings within
+    the corners' range for any sliver, and correct coverage however far a triangle reaches beyond the view."""
     precise_clipping: bool = True
-    """Whether a point is left out if its centre is out of view, and `PolygonMode.LINE` draws no line where the near or
-    the far plane cuts a triangle."""
+    """Whether clipping is exact: points whose centre is out of view aren't drawn, and `PolygonMode.LINE` draws
+    no edge where the near or far plane cuts a triangle."""
     blend_per_target: bool = True
     wireframe: bool = False
     """Whether triangles can be drawn as their edges: `PolygonMode.LINE`."""
@@ -158,7 +160,7 @@ class Capabilities:
     unrenderable_formats: frozenset[Format] = frozenset()
     """Formats that color targets can't have."""
     unfilterable_formats: frozenset[Format] = frozenset()
-    """Formats of which linear filters read the nearest texel."""
+    """Formats that linear filters sample like nearest ones."""
     unblendable_formats: frozenset[Format] = frozenset()
     """Formats of color targets, besides integers, that draws can't blend with."""
     single_sampled_formats: frozenset[Format] = frozenset()
@@ -169,10 +171,10 @@ class Capabilities:
     """Formats whose images can't be loaded from by a program that also stores to them."""
     unstorable_formats: frozenset[Format] = frozenset()
     """Formats that images can't have."""
-    left_out: tuple[str, ...] = ()
-    """What the driver has, but this device doesn't because of a fault of the driver, each with the reason."""
-    passed_over: tuple[str, ...] = ()
-    """Devices that were tried before this one, each with the reason why it can't be used."""
+    disabled_features: tuple[str, ...] = ()
+    """Features of the driver that are disabled because of a driver fault, each with the reason."""
+    rejected_devices: tuple[str, ...] = ()
+    """Devices that were tried before this one and can't be used, each with the reason."""
 
     @property
     def renders(self) -> bool:
@@ -180,7 +182,7 @@ class Capabilities:
         return self.draws and self.shading
 
 
-class PreparesDraws(Protocol):
+class SupportsPreparedDraws(Protocol):
     """Optional part of the contract: draws and uniform bindings whose arguments are known in advance.
 
     They are the most frequent commands. If each comes down to one call of the platform's API, preparing it saves a
@@ -192,9 +194,15 @@ class PreparesDraws(Protocol):
         It is called only while a program is bound."""
 
     def prepare_draw(
-        self, program: Id, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int,
+        self,
+        program: Id,
+        vertex_array: Id,
+        primitive: Primitive,
+        first: int,
+        count: int,
+        base_vertex: int,
         base_instance: int,
-    ) -> Callable[[int], object]:  # fmt: skip
+    ) -> Callable[[int], object]:
         """Return a function of the number of instances that is equivalent to `Backend.draw`. It is called only
         while `program` is bound and `AlphaTest` is off."""
 
@@ -203,15 +211,15 @@ class PreparesDraws(Protocol):
         context of the process becoming current."""
 
 
-class HoldsContext(Protocol):
+class SupportsCurrentContext(Protocol):
     """Optional part of the contract, for platforms whose calls go to a context that is current on the calling thread,
     and that any other code of the process may replace (OpenGL). These calls aren't commands; no recorder keeps them.
     """
 
     def resume(self) -> bool:
-        """Find out whether other code has made another context current (or none) since this backend was last used. If
-        so, do what `make_current` does and return True. The device calls this wherever the cost doesn't matter, never
-        for a draw.
+        """Detect whether other code has made another context current (or none) since this backend was last
+        used. If so, call `make_current` and return True. The device calls this wherever the cost doesn't
+        matter, never for a draw.
 
         Raises:
             DeviceError: `device-context` if the platform refuses to make the context current.
@@ -230,29 +238,30 @@ class HoldsContext(Protocol):
         latest `Backend.present` there. Do nothing if there is none."""
 
 
-class SharesTextures(Protocol):
+class SupportsTextureSharing(Protocol):
     """Optional part of the contract, for platforms on which other code may use the same textures."""
 
     def name_texture(self, texture: Id) -> int:
         """Return the platform's name of a texture."""
 
     def describe_texture(self, name: int) -> TextureDescriptor | str:
-        """Return what a texture that other code has made is, or why it can't be used."""
+        """Describe a texture that other code has created, or return the reason why it can't be used."""
 
     def adopting_texture(self, name: int) -> AbstractContextManager[None]:
-        """Return a block in which a texture that is created is the one of this name. It isn't destroyed with its id."""
+        """Return a `with` block in which `create_texture` adopts the texture of this name. Destroying its id
+        leaves it alive."""
 
 
-class DatesTimestamps(Protocol):
+class SupportsIssueTimes(Protocol):
     """Optional part of the contract: when the CPU wrote timestamps, on the device's clock, so that the times of CPU and
     GPU can be compared. This call isn't a command; no recorder keeps it."""
 
     def read_issue_time(self, query: Id) -> int | None:
         """Return when the latest `Backend.write_query` of a TIMESTAMP query was called, in nanoseconds on the clock of
-        its answer. Return None until it has an answer; never wait."""
+        its result. Return None until it has a result; never wait."""
 
 
-class PreparesKernels(Protocol):
+class SupportsPreparedKernels(Protocol):
     """Optional part of the contract: code for draws and dispatches that is built before the first of them.
 
     Platforms that build it with the program, or can't without a draw, leave it out.
@@ -263,41 +272,50 @@ class PreparesKernels(Protocol):
         """Whether code is being built in the background, without which draws and dispatches take longer."""
 
     def prepare_kernels(
-        self, program: Id, vertex_array: Id, colors: Sequence[Format], depth: Format | None, samples: int,
+        self,
+        program: Id,
+        vertex_array: Id,
+        colors: Sequence[Format],
+        depth: Format | None,
+        samples: int,
         states: Sequence[StateChange],
-    ) -> Sequence[Future[None]]:  # fmt: skip
+    ) -> Sequence[Future[None]]:
         """Begin to build what draws of `program`, or its dispatches, need; return the ends of the builds, which never
         fail. A compute program has no more arguments: no vertex array, no targets.
 
         Args:
             vertex_array: a vertex array of the program; 0 for none.
             colors: the formats of the color targets; without any target, they aren't known yet.
-            depth: the format of the depth target. samples: those of all targets.
+            depth: the format of the depth target. samples: the number of samples of all targets.
             states: the value of every state type.
         """
 
 
 class PreparedQueries(Protocol):
-    """A group of occlusion queries that are drawn and read together. A row is an index into the group."""
+    """A group of occlusion queries that are drawn and read together."""
 
-    def draw(self, vertex_array: Id, primitive: Primitive, draws: NDArray[np.void], rows: NDArray[np.int64]) -> None:
-        """Draw and count: for each run of equal `rows`, the equivalent of `Backend.begin_query`, one `Backend.draw`
-        per element of `draws` (`rhi.DRAW` or, without indices, `rhi.DRAW_UNINDEXED`) and `Backend.end_query`. Each row
-        occurs in one run only; there is at least one draw. COUNTER queries count these draws, too."""
+    def draw(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[np.void], query_indices: NDArray[np.int64]
+    ) -> None:
+        """Draw and count: for each run of equal `query_indices`, the equivalent of `Backend.begin_query`, one
+        `Backend.draw` per element of `draws` (`rhi.DRAW` or, without indices, `rhi.DRAW_UNINDEXED`) and
+        `Backend.end_query`. Each query occurs in one run only; there is at least one draw. COUNTER queries count these
+        draws, too."""
 
     def draw_conditional(
-        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, rows: NDArray[np.int64]
+        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, query_indices: NDArray[np.int64]
     ) -> None:
-        """Draw on condition: for each run of equal `rows`, the equivalent of `Backend.begin_conditional` of its query,
-        one `Backend.draw_indirect` of its draws and `Backend.end_conditional`. The draws lie one after the other at
-        `offset` of `buffer`, one for each of `rows`, which the latest `draw` has used; there is at least one."""
+        """Draw on condition: for each run of equal `query_indices`, the equivalent of `Backend.begin_conditional` of
+        its query, one `Backend.draw_indirect` of its draws and `Backend.end_conditional`. The draws lie one after the
+        other at `offset` of `buffer`, one for each of `query_indices`, which the latest `draw` has used; there is at
+        least one."""
 
-    def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
-        """Return the samples that passed, for rows of the latest `draw` and in their order, as a new array. Return
-        None while any answer is missing; never wait."""
+    def read(self, query_indices: NDArray[np.int64]) -> NDArray[np.int64] | None:
+        """Return the samples that passed, for queries of the latest `draw` and in their order, as a new array. Return
+        None while any result is missing; never wait."""
 
 
-class ClipsDraws(Protocol):
+class SupportsClippedDraws(Protocol):
     """Optional part of the contract: many draws in rectangles of their own, for platforms that can save the cost of a
     change of states for each."""
 
@@ -309,7 +327,7 @@ class ClipsDraws(Protocol):
         There is at least one draw. Not for QUADS."""
 
 
-class PreparesQueries(Protocol):
+class SupportsPreparedQueries(Protocol):
     """Optional part of the contract: many queries in one call, for platforms on which each query has a fixed cost."""
 
     def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
@@ -317,7 +335,7 @@ class PreparesQueries(Protocol):
         destroyed."""
 
 
-class FillsBuffers(Protocol):
+class SupportsFilledBuffers(Protocol):
     """Optional part of the contract: buffers that begin with their contents instead of zeros that a write replaces."""
 
     def create_filled_buffer(self, buffer: BufferId, descriptor: BufferDescriptor, data: BytesLike) -> None:
@@ -357,7 +375,7 @@ class Backend(Protocol):
         it."""
 
     def create_query(self, query: QueryId, kind: QueryKind) -> None:
-        """Create a query. It has no answer before its first use."""
+        """Create a query. It has no result before its first use."""
 
     def destroy(self, resource: Id) -> None:
         """Destroy a resource of any kind. Called only when the GPU has finished using it."""
@@ -389,9 +407,16 @@ class Backend(Protocol):
         is float32; with `stencil`, the stencil part as uint8. Not for multi-sampled textures."""
 
     def copy_texture(
-        self, source: TextureId, source_level: int, source_region: Region, target: TextureId, target_level: int,
-        x: int, y: int, layer: int,
-    ) -> None:  # fmt: skip
+        self,
+        source: TextureId,
+        source_level: int,
+        source_region: Region,
+        target: TextureId,
+        target_level: int,
+        x: int,
+        y: int,
+        layer: int,
+    ) -> None:
         """Copy texels between textures of equal format, or within one. The regions don't overlap."""
 
     def copy_texture_to_buffer(
@@ -443,17 +468,30 @@ class Backend(Protocol):
     # -- work --------------------------------------------------------------------------------------------
 
     def draw(
-        self, vertex_array: VertexArrayId, primitive: Primitive, first: int, count: int, instances: int,
-        base_vertex: int, base_instance: int,
-    ) -> None:  # fmt: skip
+        self,
+        vertex_array: VertexArrayId,
+        primitive: Primitive,
+        first: int,
+        count: int,
+        instances: int,
+        base_vertex: int,
+        base_instance: int,
+    ) -> None:
         """Draw. `first` and `count` are in indices if the vertex array has an index buffer, else in vertices. QUADS
         draw each group of 4 vertices (or indices) as the triangles 0 1 2 and 0 2 3. The largest value of the index
         format restarts a strip."""
 
     def draw_indirect(
-        self, vertex_array: VertexArrayId, primitive: Primitive, buffer: BufferId, offset: int, draws: int, stride: int,
-        count_buffer: BufferId, count_offset: int,
-    ) -> None:  # fmt: skip
+        self,
+        vertex_array: VertexArrayId,
+        primitive: Primitive,
+        buffer: BufferId,
+        offset: int,
+        draws: int,
+        stride: int,
+        count_buffer: BufferId,
+        count_offset: int,
+    ) -> None:
         """Draw up to `draws` times with arguments that are read from `buffer` during execution. Each draw is a record
         of 5 32-bit words: `DRAW` with an index buffer, `DRAW_UNINDEXED` without. With a `count_buffer` (0: none) the
         number of draws is the smaller of `draws` and the uint32 at `count_offset`. Not for QUADS."""
@@ -480,13 +518,13 @@ class Backend(Protocol):
         """Begin counting samples for an OCCLUSION query. One query is open at a time."""
 
     def end_query(self, query: QueryId) -> None:
-        """End counting. The answer becomes available some time later."""
+        """End counting. The result becomes available some time later."""
 
     def write_query(self, query: QueryId) -> None:
         """Write the running counter (COUNTER) or the time (TIMESTAMP) at this point of the stream."""
 
     def read_query(self, query: QueryId) -> int | None:
-        """Return the latest answer in samples or nanoseconds, or None while it isn't available; never wait."""
+        """Return the latest result in samples or nanoseconds, or None while it isn't available; never wait."""
 
     def begin_conditional(self, query: QueryId, inverted: bool) -> None:
         """Skip draws until `end_conditional` if the query counted no sample (`inverted`: if it counted any). The

@@ -122,7 +122,8 @@ def _fields(bits: NDArray[np.uint8], start: int, count: int) -> NDArray[np.int32
 
 
 def _decode_colors(blocks: NDArray[np.uint8], has_alpha: bool) -> NDArray[np.uint8]:
-    """Decode the colors of BC1, (n, 16, 4). With alpha, an order of the two colors stands for a transparent one."""
+    """Decode the colors of BC1, (n, 16, 4). With alpha, the order of the two end colors says whether a texel
+    may be transparent."""
     bits = _bits(blocks)
     palette = np.zeros((len(blocks), 4, 4), np.uint8)
     palette[..., 3] = 255
@@ -214,7 +215,7 @@ def _partitions(subsets: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
 
 
 def _indices(bits: NDArray[np.uint8], start: int, count: int, anchors: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Return 16 indices of `count` bits, (n, 16); those of anchors are one bit shorter."""
+    """Return 16 indices of `count` bits, (n, 16); the indices of anchors are one bit shorter."""
     sizes = count - anchors.astype(np.int64)
     starts = start + np.cumsum(sizes, axis=1) - sizes
     result = np.zeros(sizes.shape, np.int32)
@@ -262,9 +263,9 @@ def _decode_bc7(blocks: NDArray[np.uint8]) -> NDArray[np.uint8]:
     texels = np.zeros((len(blocks), 16, 4), np.uint8)  # a reserved mode is transparent black
     lowest = blocks[:, 0] & -blocks[:, 0].astype(np.int16)
     for number, mode in enumerate(_BC7_MODES):
-        chosen = np.flatnonzero(lowest == 1 << number)
-        if len(chosen):
-            texels[chosen] = _decode_bc7_mode(_bits(blocks[chosen]), mode, number + 1)
+        block_indices = np.flatnonzero(lowest == 1 << number)
+        if len(block_indices):
+            texels[block_indices] = _decode_bc7_mode(_bits(blocks[block_indices]), mode, number + 1)
     return texels
 
 
@@ -301,8 +302,9 @@ def _decode_bc7_mode(bits: NDArray[np.uint8], mode: _Bc7Mode, start: int) -> NDA
         ]
         swapped = selection[:, None] == 1
         color_weights, alpha_weights = (
-            np.where(swapped, second, color_weights), np.where(swapped, color_weights, second),
-        )  # fmt: skip
+            np.where(swapped, second, color_weights),
+            np.where(swapped, color_weights, second),
+        )
     own = ends[np.arange(len(bits))[:, None], subset_of[partition]]  # (n, 16, 2, 4)
     weights = np.stack([color_weights] * 3 + [alpha_weights], axis=-1)
     texels = _mix(own[:, :, 0], own[:, :, 1], weights)
@@ -407,10 +409,10 @@ def _decode_floats(blocks: NDArray[np.uint8], signed: bool) -> NDArray[np.float1
     texels = np.zeros((len(blocks), 16, 4), np.uint16)  # a reserved mode is black
     number = np.where(blocks[:, 0] & 2, blocks[:, 0] & 31, blocks[:, 0] & 1)
     for each, mode in _FLOAT_MODES.items():
-        chosen = np.flatnonzero(number == each)
-        if len(chosen):
+        block_indices = np.flatnonzero(number == each)
+        if len(block_indices):
             start = 2 if each < 2 else 5
-            texels[chosen, :, :3] = _decode_float_mode(_bits(blocks[chosen]), mode, start, signed)
+            texels[block_indices, :, :3] = _decode_float_mode(_bits(blocks[block_indices]), mode, start, signed)
     texels[..., 3] = 0x3C00
     return texels.view(np.float16)
 

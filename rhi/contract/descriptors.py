@@ -17,7 +17,7 @@ import numpy as np
 from rhi.contract.blocks import CompressedFormat
 from rhi.contract.formats import Choice, Format, IndexFormat
 from rhi.contract.states import Comparison
-from rhi.errors.arguments import Fields
+from rhi.errors.arguments import FieldChecker
 
 Id: TypeAlias = int
 """The name of a resource. The device assigns it and never uses it again; 0 means none."""
@@ -164,13 +164,13 @@ class SamplerDescriptor:
     max_anisotropy: float = 1.0
 
     def __post_init__(self) -> None:
-        fields = Fields(self)
+        fields = FieldChecker(self)
         fields.choices(Filter, "minify", "magnify")
         fields.choices_or_none(Filter, "mip")
         fields.choices(Wrap, "wrap_u", "wrap_v", "wrap_w")
         fields.colors("border")
         fields.choices_or_none(Comparison, "compare")
-        fields.numbers("max_anisotropy", least=1)
+        fields.numbers("max_anisotropy", minimum=1)
 
     @property
     def uses_border(self) -> bool:
@@ -190,7 +190,7 @@ class Region:
     layers: int = 1
 
     def __post_init__(self) -> None:
-        Fields(self).wholes("x", "y", "width", "height", "layer", "layers")
+        FieldChecker(self).integers("x", "y", "width", "height", "layer", "layers")
 
 
 # -- vertex arrays ---------------------------------------------------------------------------------------
@@ -239,7 +239,7 @@ class VertexFormat(Choice):
 
 @dataclass(frozen=True, slots=True)
 class VertexAttribute:
-    """The place of the attribute `location` in each element of its stream: `offset` bytes in, as `format`."""
+    """The attribute `location` of a vertex: `offset` bytes into each element of its stream, in this `format`."""
 
     location: int
     format: VertexFormat
@@ -341,8 +341,8 @@ class Binding:
     """A binding of a program. `slot` counts from 0 for each kind.
 
     `type` is the type that must be bound: the host type of a uniform or storage element, or a texture or image type.
-    `size` is the size of one element in bytes. `writes` and `reads` say what the program does with its memory; `reads`
-    may be True for what isn't read.
+    `size` is the size of one element in bytes. `writes` and `reads` say what the program does with its memory;
+    `reads` may be True for memory that isn't read.
     """
 
     name: str
@@ -415,16 +415,16 @@ class ProgramDescriptor:
 
     Attributes:
         emit: a function of (language, stage) that returns the `StageText` of a stage. Languages are "glsl" (4.30);
-            "opencl16" (OpenCL C for 16 lanes, see `rhi.shading.opencl.stages`), for compute stages also "opencl1",
-            "opencl4" and "opencl8"; for compute stages "numpy", a Python module; "vulkan" (GLSL 4.50 for Vulkan) and
-            "spirv", its `binary`; "wgsl"; and those of `rhi.shading.register_language`.
+            "opencl16" (OpenCL C for 16 lanes, see `rhi.shading.opencl.opencl_stages`), for compute stages also
+            "opencl1", "opencl4" and "opencl8"; for compute stages "numpy", a Python module; "vulkan" (GLSL 4.50 for
+            Vulkan) and "spirv", its `binary`; "wgsl"; and those of `rhi.shading.register_language`.
         work_group: size of a work-group in invocations.
         varyings: the varyings that the fragment stage reads, and the point size, in the order of their words.
         shared_bytes: memory that a work-group shares, in bytes.
         checked: whether the stages report faults on OpenCL and NumPy (`rhi.shading.ir.faults`).
         flushes_denormals: whether numbers below 2^-126 may be treated as 0, which OpenGL may always do.
         point_size: the name of the varying that is the size of points, "" if there is none.
-        reads_point_coordinates: whether the fragment stage reads its place inside a point.
+        reads_point_coordinates: whether the fragment stage reads its coordinates inside a point.
         reads_draw_index: whether the vertex stage reads the index of the draw.
         vertex_writes: whether the vertex stage writes memory.
     """
@@ -450,7 +450,7 @@ class ProgramDescriptor:
     vertex_writes: bool = False
 
     def __post_init__(self) -> None:
-        fields = Fields(self)
+        fields = FieldChecker(self)
         fields.text("name", self.name)
         fields.text("point_size", self.point_size)
         fields.members("stages", self.stages, frozenset, Stage)
@@ -464,10 +464,17 @@ class ProgramDescriptor:
         if not callable(self.emit):
             fields.fail("emit", self.emit, "a function of language and stage that returns a StageText")
         fields.flags(
-            "writes_memory", "discards", "early_depth", "writes_depth", "checked", "flushes_denormals",
-            "reads_point_coordinates", "reads_draw_index", "vertex_writes",
-        )  # fmt: skip
-        fields.wholes("shared_bytes", least=0)
+            "writes_memory",
+            "discards",
+            "early_depth",
+            "writes_depth",
+            "checked",
+            "flushes_denormals",
+            "reads_point_coordinates",
+            "reads_draw_index",
+            "vertex_writes",
+        )
+        fields.integers("shared_bytes", minimum=0)
 
 
 DRAW: Final = np.dtype(

@@ -1,4 +1,4 @@
-"""What a device leaves out because of a fault of its driver, which is known by name and version."""
+"""Driver faults, known by name and version, and the features that they disable."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ _REASON: Final = (
 )
 
 
-def limit_anisotropy(device: str, driver: str, most: float) -> tuple[float, tuple[str, ...]]:
-    """Return the anisotropy that a driver may be asked for, out of `most`, and why if that is less.
+def limit_anisotropy(device: str, driver: str, max_anisotropy: float) -> tuple[float, tuple[str, ...]]:
+    """Return the anisotropy that is safe to request of a driver, and the reason if it is below `max_anisotropy`.
 
     llvmpipe walks over all texels below a pixel, of the last level if the pixel covers the texture more than once: its
     time has no bound, and nothing in a sampler's state sets one.
     """
-    walks = most > 1.0 and "llvmpipe" in device and _WALKS.search(driver) is not None
-    return (1.0, (_REASON,)) if walks and os.environ.get(_OPT_IN, "0") in ("", "0") else (most, ())
+    walks = max_anisotropy > 1.0 and "llvmpipe" in device and _WALKS.search(driver) is not None
+    return (1.0, (_REASON,)) if walks and os.environ.get(_OPT_IN, "0") in ("", "0") else (max_anisotropy, ())
 
 
 def is_fourth_uniform_faulty(device: str) -> bool:
-    """Return whether no stage may read its fourth uniform buffer.
+    """Whether a driver's fault breaks the fourth uniform buffer of a stage.
 
     Mesa 22.3's lavapipe keeps the uniforms that conditions depend on in a table of 4 for each of 32 buffers, but steps
     through it by 32. Those of a stage's fourth buffer, the fifth row, are written over the counts that follow the
@@ -35,5 +35,5 @@ def is_fourth_uniform_faulty(device: str) -> bool:
 
 
 def list_block_faults(device: str) -> tuple[str, ...]:
-    """Return why a device's compressed textures can't be used, if they can't."""
+    """Yield the reasons why a device's compressed textures can't be used."""
     return (_ZEROS,) if "SwiftShader" in device else ()

@@ -11,17 +11,21 @@ from itertools import islice
 from typing import Final
 
 from rhi.contract.descriptors import ProgramDescriptor, Stage, StageText
-from rhi.errors import CallSite, ShaderError
+from rhi.errors import ShaderError
+from rhi.errors.call_sites import CallSite
 from rhi.errors.rules import SHADER_DRIVER
 
-SHOWN: Final = 10
+MAX_MESSAGES: Final = 10
 """Number of messages that are shown."""
 
 
 def make_driver_error(
-    descriptor: ProgramDescriptor, stage: Stage | None, source: StageText, messages: Iterable[tuple[str, int]],
+    descriptor: ProgramDescriptor,
+    stage: Stage | None,
+    source: StageText,
+    messages: Iterable[tuple[str, int]],
     language: str,
-) -> ShaderError:  # fmt: skip
+) -> ShaderError:
     """Return the error for a program that a driver rejected.
 
     Args:
@@ -36,7 +40,7 @@ def make_driver_error(
     lines = source.text.split("\n")
     rows: list[str] = []
     site = None
-    for message, number in islice(messages, SHOWN):
+    for message, number in islice(messages, MAX_MESSAGES):
         rows.append(message)
         if not 1 <= number <= len(lines):
             continue

@@ -1,8 +1,8 @@
 """Texel and index formats.
 
-- A `Format` has channels of one kind, and the NumPy dtype that `Texture.read` and `Texture.write` use. Its row is
-  where a format is described: whatever else knows of formats is derived from the parts of the row. A port adds what
-  only its API knows, a name.
+- A `Format` has channels of one kind, and the NumPy dtype that `Texture.read` and `Texture.write` use.
+  Everything else that depends on formats is derived from these parts. A port adds
+  only its API's name of the format.
 - In a packed format all channels of a texel share one number, the first channel in its lowest bits. Arrays have one
   number per texel, as stored; `rhi.contract.texels` packs and unpacks them.
 - Depth formats read back as float32, however they are stored; stencil reads back as uint8.
@@ -38,8 +38,9 @@ class ChannelKind(enum.Enum):
 class Format(Choice):
     """A texel format: (channels, kind, NumPy dtype of one channel, bytes of a stored texel).
 
-    The parts are also attributes: `channels`, `kind`, `dtype` and `texel_bytes`. Packed formats also name the bits of
-    each channel; their `dtype` is that of a texel. Depth formats in fixed point name the bits of a depth.
+    The parts are also attributes: `channels`, `kind`, `dtype` and `texel_bytes`. Packed formats also name the
+    bits of each channel, and their `dtype` is the dtype of a whole texel. Fixed-point depth formats name the bits
+    of a depth.
 
     Attributes:
         depth_steps: the integer that represents depth 1 in a fixed-point depth format; 0 for other formats.
@@ -93,9 +94,14 @@ class Format(Choice):
     depth_steps: int
 
     def __init__(
-        self, channels: int, kind: ChannelKind, dtype: str, texel_bytes: int, packed: tuple[int, ...] = (),
+        self,
+        channels: int,
+        kind: ChannelKind,
+        dtype: str,
+        texel_bytes: int,
+        packed: tuple[int, ...] = (),
         depth_bits: int = 0,
-    ) -> None:  # fmt: skip
+    ) -> None:
         # Enum would make two formats of equal parts aliases, so __new__ below numbers them.
         self.channels = channels
         self.kind = kind

@@ -1,8 +1,8 @@
 """Types that CPU and device share, and their layout in memory.
 
 - A type describes a value (`VectorType(FLOAT, 3)`), a `Layout` its place in memory: std140 for uniform blocks, std430
-  for storage buffers and vertices, PACKED for data without padding. `place` gives offsets and strides (OpenGL 4.3,
-  section 7.6.2.2), `dtype_of` the equivalent NumPy dtype, padding included.
+  for storage buffers and vertices, PACKED for data without padding. `memory_layout` gives offsets and strides
+  (OpenGL 4.3, section 7.6.2.2), `dtype_of` the equivalent NumPy dtype, padding included.
 - Matrices are stored row by row, as in NumPy, so a matrix `M` that is uploaded unchanged gives `M @ v` in a shader.
   Rows are padded like vectors: a `mat3` is float32 (3, 4) with an unused column.
 - `compare_layouts` prints two dtypes side by side, to explain why an array can't be uploaded.
@@ -21,7 +21,7 @@ from rhi.contract.formats import Choice
 
 
 class Layout(Choice):
-    """Rules by which the parts of a type are placed in memory."""
+    """The rules of a memory layout: alignment and padding of a type's parts."""
 
     STD140 = "std140"
     STD430 = "std430"
@@ -106,7 +106,7 @@ HostType: TypeAlias = ScalarType | VectorType | MatrixType | ArrayType | StructT
 
 
 @dataclass(frozen=True, slots=True)
-class Placement:
+class MemoryLayout:
     """Size, alignment, stride and offsets of a type in memory, in bytes.
 
     `stride` is the distance between the elements of an array or the rows of a matrix, 0 for other types. `offsets` has
@@ -125,7 +125,7 @@ def round_up(value: int, alignment: int) -> int:
 
 
 def is_host_shareable(type: HostType) -> bool:
-    """Return whether a type has a layout in memory, which is the case if it contains no bool and isn't empty."""
+    """Whether a type has a layout in memory: it contains no bool and isn't empty."""
     match type:
         case ScalarType():
             return type is not BOOL
@@ -140,7 +140,7 @@ def is_host_shareable(type: HostType) -> bool:
 
 
 @lru_cache(maxsize=4096)
-def place(type: HostType, layout: Layout) -> Placement:
+def memory_layout(type: HostType, layout: Layout) -> MemoryLayout:
     """Return size, alignment, stride and offsets of `type` in `layout`.
 
     Raises:
@@ -151,32 +151,34 @@ def place(type: HostType, layout: Layout) -> Placement:
         case ScalarType():
             if type is BOOL:
                 raise TypeError("a bool has no layout in memory; use a uint")
-            return Placement(4, 4)
+            return MemoryLayout(4, 4)
         case VectorType(scalar=scalar, size=size):
             if scalar is BOOL:
                 raise TypeError("a vector of bools has no layout in memory; use a vector of uint")
-            return Placement(4 * size, 4 if packed else 8 if size == 2 else 16)
+            return MemoryLayout(4 * size, 4 if packed else 8 if size == 2 else 16)
         case MatrixType(size=size):
-            rows = place(ArrayType(VectorType(FLOAT, size), size), layout)
-            return Placement(rows.size, rows.alignment, rows.stride)
+            rows = memory_layout(ArrayType(VectorType(FLOAT, size), size), layout)
+            return MemoryLayout(rows.size, rows.alignment, rows.stride)
         case ArrayType(element=element, length=length):
-            part = place(element, layout)
+            part = memory_layout(element, layout)
             alignment = round_up(part.alignment, 16) if rounded else part.alignment
             stride = round_up(part.size, alignment)
-            return Placement(stride * length, alignment, stride)
+            return MemoryLayout(stride * length, alignment, stride)
         case StructType(fields=fields):
-            end, alignment, offsets = 0, 16 if rounded else 4, []
+            end = 0
+            alignment = 16 if rounded else 4
+            offsets = []
             for field in fields:
-                part = place(field.type, layout)
+                part = memory_layout(field.type, layout)
                 offset = round_up(end, part.alignment)
                 offsets.append(offset)
                 end, alignment = offset + part.size, max(alignment, part.alignment)
-            return Placement(round_up(end, alignment), alignment, 0, tuple(offsets))
+            return MemoryLayout(round_up(end, alignment), alignment, 0, tuple(offsets))
 
 
 def stride_of(type: HostType, layout: Layout) -> int:
-    """Return the bytes from one element to the next in an array of `type`, such as a storage buffer."""
-    return place(ArrayType(type, 1), layout).stride
+    """The stride in bytes of an array of `type`, as in a storage buffer."""
+    return memory_layout(ArrayType(type, 1), layout).stride
 
 
 def shape_of(type: HostType) -> tuple[int, ...]:
@@ -200,7 +202,7 @@ def dtype_of(type: HostType, layout: Layout) -> np.dtype[Any]:
     its padded rows or elements have more columns than the natural shape (a `mat3` is float32 (3, 4), a std140 array
     of n floats is float32 (n, 4)).
     """
-    placement = place(type, layout)
+    placement = memory_layout(type, layout)
     match type:
         case ScalarType(code=code):
             return np.dtype("<" + code)
@@ -236,9 +238,9 @@ def _padded_dtype(element: HostType, layout: Layout, stride: int) -> np.dtype[An
     return np.dtype(("<" + scalar.code, (stride // 4,)))
 
 
-def scalar_places(type: HostType, layout: Layout, start: int = 0) -> Iterator[tuple[int, str]]:
+def scalar_offsets(type: HostType, layout: Layout, start: int = 0) -> Iterator[tuple[int, str]]:
     """Yield (byte offset, NumPy code) for each scalar of a value, in order and without padding."""
-    placement = place(type, layout)
+    placement = memory_layout(type, layout)
     match type:
         case ScalarType(code=code):
             yield start, code
@@ -249,17 +251,17 @@ def scalar_places(type: HostType, layout: Layout, start: int = 0) -> Iterator[tu
             yield from ((row + 4 * column, FLOAT.code) for row in rows for column in range(size))
         case ArrayType(element=element, length=length):
             for i in range(length):
-                yield from scalar_places(element, layout, start + i * placement.stride)
+                yield from scalar_offsets(element, layout, start + i * placement.stride)
         case StructType(fields=fields):
             for field, offset in zip(fields, placement.offsets, strict=True):
-                yield from scalar_places(field.type, layout, start + offset)
+                yield from scalar_offsets(field.type, layout, start + offset)
 
 
 # -- comparing ---------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class FieldLayout:
     """A row of a layout table: a field with its byte offset and NumPy type."""
 
     name: str
@@ -267,11 +269,11 @@ class Row:
     type: str
 
 
-def describe_layout(dtype: np.dtype[Any], prefix: str = "", start: int = 0) -> Iterator[Row]:
+def describe_layout(dtype: np.dtype[Any], prefix: str = "", start: int = 0) -> Iterator[FieldLayout]:
     """Yield the fields of a dtype with their offsets from its start. Fields of nested structs have dotted names."""
     base, shape = dtype.subdtype if dtype.subdtype is not None else (dtype, dtype.shape)
     if base.names is None:
-        yield Row(prefix or "(element)", start, base.name + (str(list(shape)) if shape else ""))
+        yield FieldLayout(prefix or "(element)", start, base.name + (str(list(shape)) if shape else ""))
         return
     if shape:
         prefix += str(list(shape))
@@ -280,28 +282,29 @@ def describe_layout(dtype: np.dtype[Any], prefix: str = "", start: int = 0) -> I
         yield from describe_layout(field, f"{prefix}.{name}" if prefix else name, start + offset)
 
 
-def accepts(wanted: np.dtype[Any], given: np.dtype[Any]) -> bool:
-    """Return whether memory of dtype `given` can be read as `wanted`: elements have the same size, and each wanted
-    field is present with the same name, type and offset. Additional fields, such as named padding, are allowed."""
-    if wanted == given:
+def accepts(expected: np.dtype[Any], actual: np.dtype[Any]) -> bool:
+    """Whether memory of dtype `actual` can be read as `expected`: elements have the same size, and each
+    expected field is present with the same name, type and offset. Additional fields, such as named padding, are
+    allowed."""
+    if expected == actual:
         return True
-    if wanted.names is None or given.names is None or wanted.itemsize != given.itemsize:
+    if expected.names is None or actual.names is None or expected.itemsize != actual.itemsize:
         return False
-    return set(describe_layout(wanted)) <= set(describe_layout(given))
+    return set(describe_layout(expected)) <= set(describe_layout(actual))
 
 
-def compare_layouts(wanted: np.dtype[Any], given: np.dtype[Any]) -> str:
+def compare_layouts(expected: np.dtype[Any], actual: np.dtype[Any]) -> str:
     """Return a table of two layouts side by side: field, offset and type, with a mark where they differ."""
-    left = {row.name: row for row in describe_layout(wanted)}
-    right = {row.name: row for row in describe_layout(given)}
-    table = [("field", "offset", "wanted", "offset", "given", "")]
+    left = {row.name: row for row in describe_layout(expected)}
+    right = {row.name: row for row in describe_layout(actual)}
+    table = [("field", "offset", "expected", "offset", "actual", "")]
     for name in [*left, *(name for name in right if name not in left)]:
         a, b = left.get(name), right.get(name)
         differs = [
             what
             for what, wrong in (
                 ("missing", b is None),
-                ("not wanted", a is None),
+                ("not expected", a is None),
                 ("offset", a is not None and b is not None and a.offset != b.offset),
                 ("type", a is not None and b is not None and a.type != b.type),
             )
@@ -309,8 +312,8 @@ def compare_layouts(wanted: np.dtype[Any], given: np.dtype[Any]) -> str:
         ]
         cells = [(str(row.offset), row.type) if row is not None else ("-", "-") for row in (a, b)]
         table.append((name, *cells[0], *cells[1], "<- " + ", ".join(differs) if differs else ""))
-    size = "<- size" if wanted.itemsize != given.itemsize else ""
-    table.append(("(bytes)", str(wanted.itemsize), "", str(given.itemsize), "", size))
+    size = "<- size" if expected.itemsize != actual.itemsize else ""
+    table.append(("(bytes)", str(expected.itemsize), "", str(actual.itemsize), "", size))
     widths = [max(len(row[column]) for row in table) for column in range(6)]
     return "\n".join(
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in table

@@ -1,9 +1,9 @@
-"""The rules of descriptors, states and arguments of commands, each said once: what is wrong, and what a device lacks.
+"""The rules of descriptors, states and commands' arguments, each stated once.
 
-A function yields the faults of what it is given. Its caller takes the first one only: a later rule may rely on an
-earlier one. The front end refuses a call with it (`Core.require`). Traces, whose commands no front end has seen, are
-checked by the same functions: as they are loaded, with the limits of no device in particular (`ANY_DEVICE`), and before
-they are replayed with those of one.
+A function yields the faults of its arguments. Callers take only the first fault, since a rule may rely on
+earlier ones. The front end refuses a call with it (`Core.require`). The same functions check traces, whose
+commands no front end has seen: with unlimited capabilities (`ANY_DEVICE`) when a trace is loaded, and with a
+device's limits before it is replayed.
 """
 
 from __future__ import annotations
@@ -52,18 +52,40 @@ Faults = Iterator[Fault]
 
 _MANY: Final = 1 << 16
 MAX_ROW_BYTES: Final = (1 << 31) - 1
-"""The largest distance between rows of a copy: drivers take 32 bits. The size of a buffer doesn't bound one row's."""
+"""Largest row pitch of a copy in bytes: drivers take 32 bits. A copy of one row may have any pitch, whatever
+the buffer's size."""
 
 ANY_DEVICE: Final = Capabilities(
-    "any", "", "", max_texture_size=_MANY, max_texture_layers=_MANY, sample_counts=(1, 2, 4, 8, 16, 32),
-    max_vertex_attributes=_MANY, max_uniform_bytes=1 << 40, max_storage_bytes=1 << 40, max_uniform_slots=1 << 10,
-    max_storage_slots=1 << 10, max_texture_slots=1 << 10, max_image_slots=1 << 10, max_work_group=(_MANY,) * 3,
-    max_work_group_invocations=1 << 40, max_dispatch=((1 << 32) - 1,) * 3, max_shared_bytes=1 << 40,
-    max_anisotropy=float("inf"), max_point_size=float("inf"), max_line_width=float("inf"), uniform_alignment=1,
-    storage_alignment=1, copy_offset_alignment=1, sample_counter=True, alpha_test=True, wireframe=True,
-    texture_buffer_copies=True, compressed_formats=frozenset(CompressedFormat),
-)  # fmt: skip
-"""The limits of no device in particular. Of the states that only one platform has, it has none."""
+    "any",
+    "",
+    "",
+    max_texture_size=_MANY,
+    max_texture_layers=_MANY,
+    sample_counts=(1, 2, 4, 8, 16, 32),
+    max_vertex_attributes=_MANY,
+    max_uniform_bytes=1 << 40,
+    max_storage_bytes=1 << 40,
+    max_uniform_slots=1 << 10,
+    max_storage_slots=1 << 10,
+    max_texture_slots=1 << 10,
+    max_image_slots=1 << 10,
+    max_work_group=(_MANY,) * 3,
+    max_work_group_invocations=1 << 40,
+    max_dispatch=((1 << 32) - 1,) * 3,
+    max_shared_bytes=1 << 40,
+    max_anisotropy=float("inf"),
+    max_point_size=float("inf"),
+    max_line_width=float("inf"),
+    uniform_alignment=1,
+    storage_alignment=1,
+    copy_offset_alignment=1,
+    sample_counter=True,
+    alpha_test=True,
+    wireframe=True,
+    texture_buffer_copies=True,
+    compressed_formats=frozenset(CompressedFormat),
+)
+"""Capabilities without limits and without platform states, for checks before a device is known."""
 
 
 # -- textures ------------------------------------------------------------------------------------------------
@@ -83,22 +105,24 @@ def full_levels(width: int, height: int, depth: int = 1) -> int:
 def texture_faults(descriptor: TextureDescriptor, limits: Capabilities) -> Faults:
     """Yield what is wrong with a texture to be created."""
     width, height = descriptor.size
-    kind, layers, samples = descriptor.kind, descriptor.layers, descriptor.samples
+    kind = descriptor.kind
+    layers = descriptor.layers
+    samples = descriptor.samples
     if not (0 < width <= limits.max_texture_size and 0 < height <= limits.max_texture_size):
         yield Fault(rules.TEXTURE_SIZE, f"{width}×{height}", f"1 to {limits.max_texture_size} each way")
     if descriptor.format in limits.unsupported_formats:
         yield Fault(rules.DEVICE_CAPABILITY, descriptor.format.name, "not among capabilities.unsupported_formats")
-    least, most = {TextureKind.D2: (1, 1), TextureKind.CUBE: (6, 6)}.get(kind, (1, limits.max_texture_layers))
-    if not least <= layers <= most:
-        yield Fault(rules.TEXTURE_SIZE, f"{layers} layers of {kind.name}", f"{least} to {most}")
+    minimum, maximum = {TextureKind.D2: (1, 1), TextureKind.CUBE: (6, 6)}.get(kind, (1, limits.max_texture_layers))
+    if not minimum <= layers <= maximum:
+        yield Fault(rules.TEXTURE_SIZE, f"{layers} layers of {kind.name}", f"{minimum} to {maximum}")
     if layers > limits.max_texture_layers:
         allowed = f"up to capabilities.max_texture_layers, {limits.max_texture_layers}"
         yield Fault(rules.DEVICE_CAPABILITY, f"{layers} layers of {kind.name}", allowed)
     if kind is TextureKind.CUBE and width != height:
         yield Fault(rules.TEXTURE_SIZE, f"a cube of {width}×{height}", "square faces")
-    most = full_levels(width, height, layers if kind is TextureKind.D3 else 1)
-    if not 1 <= descriptor.levels <= most:
-        yield Fault(rules.TEXTURE_LEVELS, f"{descriptor.levels} levels", f"1 to {most}")
+    maximum = full_levels(width, height, layers if kind is TextureKind.D3 else 1)
+    if not 1 <= descriptor.levels <= maximum:
+        yield Fault(rules.TEXTURE_LEVELS, f"{descriptor.levels} levels", f"1 to {maximum}")
     if samples not in limits.sample_counts:
         yield Fault(rules.TEXTURE_SAMPLES, f"{samples} samples", f"{', '.join(map(str, limits.sample_counts))} samples")
     if samples > 1 and descriptor.format in limits.single_sampled_formats:
@@ -130,8 +154,8 @@ def compressed_faults(descriptor: TextureDescriptor) -> Faults:
 def sampler_faults(descriptor: SamplerDescriptor, limits: Capabilities) -> Faults:
     """Yield what a device lacks for a sampler."""
     if descriptor.max_anisotropy > limits.max_anisotropy:
-        most = f"up to capabilities.max_anisotropy, {limits.max_anisotropy:g}"
-        yield Fault(rules.DEVICE_CAPABILITY, f"max_anisotropy={descriptor.max_anisotropy:g}", most)
+        maximum = f"up to capabilities.max_anisotropy, {limits.max_anisotropy:g}"
+        yield Fault(rules.DEVICE_CAPABILITY, f"max_anisotropy={descriptor.max_anisotropy:g}", maximum)
     if descriptor.uses_border and not limits.border_colors:
         yield Fault(rules.DEVICE_CAPABILITY, str(Wrap.BORDER), "needs capabilities.border_colors")
 
@@ -163,7 +187,7 @@ def region_faults(texture: TextureDescriptor, level: int, region: Region) -> Fau
 
 
 def plain_faults(texture: TextureDescriptor) -> Faults:
-    """Yield that a texture is compressed, and so is only written and sampled."""
+    """Yield a fault if a texture is compressed: such textures are only written and sampled."""
     if texture.compressed is not None:
         yield Fault(
             rules.TEXTURE_FORMAT, texture.compressed.name, "a format without compression", "sample it in a shader"
@@ -171,13 +195,13 @@ def plain_faults(texture: TextureDescriptor) -> Faults:
 
 
 def single_sample_faults(texture: TextureDescriptor) -> Faults:
-    """Yield that a texture has several samples."""
+    """Yield a fault if a texture is multi-sampled."""
     if texture.samples != 1:
         yield Fault(rules.TEXTURE_SAMPLES, f"{texture.samples} samples", "1", "resolve it first: texture.resolve_to(…)")
 
 
 def written_faults(texture: TextureDescriptor) -> Faults:
-    """Yield why texels of a texture can't be written but by draws."""
+    """Yield why texels of a texture can't be written by the CPU or by copies."""
     if texture.format.is_depth:
         yield Fault(rules.TEXTURE_FORMAT, texture.format.name, "a color format", "depth is written by a render pass")
 
@@ -192,9 +216,14 @@ def read_faults(texture: TextureDescriptor, level: int, region: Region, stencil:
 
 
 def texture_copy_faults(
-    source: TextureDescriptor, level: int, region: Region, target: TextureDescriptor, target_level: int, end: Region,
+    source: TextureDescriptor,
+    level: int,
+    region: Region,
+    target: TextureDescriptor,
+    target_level: int,
+    end: Region,
     same: bool,
-) -> Faults:  # fmt: skip
+) -> Faults:
     """Yield what is wrong with a copy between textures, or within one (`same`)."""
     yield from plain_faults(source)
     yield from plain_faults(target)
@@ -209,25 +238,30 @@ def texture_copy_faults(
 
 
 def row_faults(
-    texture: TextureDescriptor, level: int, region: Region, offset: int, row_bytes: int, size: int,
+    texture: TextureDescriptor,
+    level: int,
+    region: Region,
+    offset: int,
+    row_bytes: int,
+    size: int,
     limits: Capabilities,
-) -> Faults:  # fmt: skip
-    """Yield what is wrong with the place of a region's rows in a buffer of `size` bytes."""
+) -> Faults:
+    """Yield what is wrong with the offset and pitch of a region's rows in a buffer of `size` bytes."""
     texel = texture.format.transfer_bytes
     yield from plain_faults(texture)
     if not limits.texture_buffer_copies:
         yield Fault(rules.DEVICE_CAPABILITY, texture.format.name, "needs capabilities.texture_buffer_copies")
     yield from region_faults(texture, level, region)
     yield from single_sample_faults(texture)
-    least, step = region.width * texel, max(texel, limits.copy_row_alignment)
-    if row_bytes < least or row_bytes % step:
-        yield Fault(rules.BUFFER_ALIGNMENT, f"row_bytes={row_bytes}", f"a multiple of {step}, {least} or more")
+    minimum, step = region.width * texel, max(texel, limits.copy_row_alignment)
+    if row_bytes < minimum or row_bytes % step:
+        yield Fault(rules.BUFFER_ALIGNMENT, f"row_bytes={row_bytes}", f"a multiple of {step}, {minimum} or more")
     if row_bytes > MAX_ROW_BYTES:
         yield Fault(rules.BUFFER_ALIGNMENT, f"row_bytes={row_bytes}", f"at most {MAX_ROW_BYTES}")
     step = max(texel, limits.copy_offset_alignment)
     if offset % step:
         yield Fault(rules.BUFFER_ALIGNMENT, f"offset={offset}", f"a multiple of {step}")
-    used = (region.height * region.layers - 1) * row_bytes + least
+    used = (region.height * region.layers - 1) * row_bytes + minimum
     if offset < 0 or offset + used > size:
         yield Fault(rules.BUFFER_RANGE, f"{used} bytes at {offset}", f"within {size} bytes")
 
@@ -282,24 +316,27 @@ def buffer_copy_faults(
         yield Fault(rules.BUFFER_OVERLAP, f"{offset} to {target_offset}, {size} bytes")
 
 
-def range_faults(kind: BindingKind, offset: int, size: int, least: int, limits: Capabilities) -> Faults:
-    """Yield why a range of a buffer can't be bound as uniform or storage of `least` bytes."""
+def range_faults(kind: BindingKind, offset: int, size: int, minimum: int, limits: Capabilities) -> Faults:
+    """Yield why a range of a buffer can't be bound as uniform or storage of `minimum` bytes."""
     uniform = kind is BindingKind.UNIFORM
-    most = limits.max_uniform_bytes if uniform else limits.max_storage_bytes
+    maximum = limits.max_uniform_bytes if uniform else limits.max_storage_bytes
     alignment = limits.uniform_alignment if uniform else limits.storage_alignment
-    if not least <= size <= most or offset % alignment:
+    if not minimum <= size <= maximum or offset % alignment:
         yield Fault(
-            rules.BINDING_SIZE, f"{size} bytes at {offset}", f"{least} to {most} bytes at a multiple of {alignment}"
+            rules.BINDING_SIZE,
+            f"{size} bytes at {offset}",
+            f"{minimum} to {maximum} bytes at a multiple of {alignment}",
         )
 
 
 MAX_ELEMENTS: Final = (1 << 31) - 1
-"""The most vertices, instances or indices of a draw."""
+"""Largest number of vertices, instances or indices of a draw."""
 MAX_STRIDE: Final = 1 << 14
 
 
 class ElementCounts(NamedTuple):
-    """How many elements a draw can read of the buffers of a vertex array; `MAX_ELEMENTS` if it reads none."""
+    """Numbers of elements that a draw can read from a vertex array's buffers; `MAX_ELEMENTS` where it reads no
+    buffer."""
 
     vertices: int
     instances: int
@@ -307,22 +344,23 @@ class ElementCounts(NamedTuple):
 
 
 def count_elements(descriptor: VertexArrayDescriptor, sizes: Callable[[BufferId], int]) -> ElementCounts:
-    """Return how many vertices, instances and indices lie in the buffers of a vertex array, given their `sizes`."""
-    least = {False: MAX_ELEMENTS, True: MAX_ELEMENTS}
+    """Count the vertices, instances and indices in the buffers of a vertex array, given the buffers' `sizes` in
+    bytes."""
+    minimum = {False: MAX_ELEMENTS, True: MAX_ELEMENTS}
     for stream in descriptor.streams:
         room = sizes(stream.buffer) - stream.offset
         for attribute in stream.attributes:
             rest = room - attribute.offset - attribute.format.size
             count = 0 if rest < 0 else rest // stream.stride + 1 if stream.stride else MAX_ELEMENTS
-            least[stream.per_instance] = min(least[stream.per_instance], count)
+            minimum[stream.per_instance] = min(minimum[stream.per_instance], count)
     indices = MAX_ELEMENTS
     if descriptor.index_buffer:
         indices = sizes(descriptor.index_buffer) // descriptor.index_format.size
-    return ElementCounts(least[False], least[True], indices)
+    return ElementCounts(minimum[False], minimum[True], indices)
 
 
 def vertex_array_faults(descriptor: VertexArrayDescriptor, sizes: Callable[[BufferId], int]) -> Faults:
-    """Yield what is wrong with the places of attributes in buffers of these `sizes`."""
+    """Yield what is wrong with the offsets of attributes in buffers of these `sizes`, in bytes."""
     for stream in descriptor.streams:
         if not 0 <= stream.stride <= MAX_STRIDE:
             yield Fault(rules.MESH_DATA, f"stride {stream.stride}", f"0 to {MAX_STRIDE}")
@@ -350,9 +388,9 @@ def draw_faults(
         yield Fault(rules.DRAW_COUNT, given, f"numbers from 0 to {MAX_ELEMENTS}, a base vertex up to {MAX_ELEMENTS}")
     if not (count and instances):
         return
-    most = elements.indices if indexed else elements.vertices
-    if first + count > most:
-        yield Fault(rules.MESH_RANGE, f"first {first}, count {count}", f"within {most} elements")
+    maximum = elements.indices if indexed else elements.vertices
+    if first + count > maximum:
+        yield Fault(rules.MESH_RANGE, f"first {first}, count {count}", f"within {maximum} elements")
     if base_instance + instances > elements.instances:
         given = f"{instances} instances from {base_instance}"
         yield Fault(rules.MESH_RANGE, given, f"within {elements.instances} of the mesh's data per instance")
@@ -362,7 +400,7 @@ def draw_faults(
 
 
 def indirect_faults(draws: int, offset: int, stride: int, count_offset: int, size: int) -> Faults:
-    """Yield what is wrong with the places of draws in a buffer of `size` bytes, and of their number in another."""
+    """Yield what is wrong with the offset and stride of indirect draws in a buffer of `size` bytes."""
     if draws < 1 or offset < 0 or offset + (draws - 1) * stride + DRAW.itemsize > size:
         given = f"{draws} draws from byte {offset}, {stride} apart"
         yield Fault(rules.INDIRECT_RANGE, given, f"1 draw or more within {size} bytes")
@@ -372,7 +410,7 @@ def indirect_faults(draws: int, offset: int, stride: int, count_offset: int, siz
 
 
 def count_faults(offset: int, size: int, limits: Capabilities) -> Faults:
-    """Yield why the number of draws can't be read at a place in a buffer of `size` bytes."""
+    """Yield why the number of draws can't be read at an offset of a buffer of `size` bytes."""
     if not limits.indirect_count:
         yield Fault(rules.DEVICE_CAPABILITY, "a count from a buffer", "needs capabilities.indirect_count")
     if not 0 <= offset <= size - 4:
@@ -380,19 +418,19 @@ def count_faults(offset: int, size: int, limits: Capabilities) -> Faults:
 
 
 def indirect_dispatch_faults(offset: int, size: int) -> Faults:
-    """Yield what is wrong with the place of a dispatch's groups in a buffer of `size` bytes."""
+    """Yield what is wrong with the offset of an indirect dispatch's arguments in a buffer of `size` bytes."""
     if offset < 0 or offset % 4 or offset + 12 > size:
         yield Fault(rules.INDIRECT_RANGE, f"byte {offset}", f"a multiple of 4 up to {size - 12}")
 
 
-def dispatch_faults(groups: Sequence[int | None], shown: str, limits: Capabilities) -> Faults:
+def dispatch_faults(groups: Sequence[int | None], groups_text: str, limits: Capabilities) -> Faults:
     """Yield why a dispatch can't have these groups; None is no whole number."""
-    most = limits.max_dispatch
-    fits = len(groups) == 3 and all(n is not None and 0 <= n <= m for n, m in zip(groups, most, strict=True))
+    maximum = limits.max_dispatch
+    fits = len(groups) == 3 and all(n is not None and 0 <= n <= m for n, m in zip(groups, maximum, strict=True))
     if not fits:
-        yield Fault(rules.DISPATCH_SIZE, shown, f"1 to 3 whole numbers from 0 to {most}")
+        yield Fault(rules.DISPATCH_SIZE, groups_text, f"1 to 3 whole numbers from 0 to {maximum}")
     if prod(n or 0 for n in groups) > limits.max_dispatch_groups:
-        yield Fault(rules.DISPATCH_SIZE, shown, f"at most {limits.max_dispatch_groups} in all")
+        yield Fault(rules.DISPATCH_SIZE, groups_text, f"at most {limits.max_dispatch_groups} in all")
 
 
 def query_faults(kind: QueryKind, limits: Capabilities) -> Faults:
@@ -424,10 +462,10 @@ def program_faults(descriptor: ProgramDescriptor, limits: Capabilities) -> Fault
         BindingKind.TEXTURE: limits.max_texture_slots,
         BindingKind.IMAGE: limits.max_image_slots,
     }
-    for kind, most in room.items():
+    for kind, maximum in room.items():
         used = sum(binding.kind is kind for binding in descriptor.bindings)
-        if used > most:
-            yield Fault(rules.DEVICE_CAPABILITY, f"{used} {kind.value} bindings", f"at most {most}")
+        if used > maximum:
+            yield Fault(rules.DEVICE_CAPABILITY, f"{used} {kind.value} bindings", f"at most {maximum}")
     if (descriptor.point_size or descriptor.reads_point_coordinates) and limits.max_point_size <= 1.0:
         given = "a point size" if descriptor.point_size else "point_coordinate()"
         yield Fault(rules.DEVICE_CAPABILITY, given, "needs capabilities.max_point_size")
@@ -448,7 +486,7 @@ def program_faults(descriptor: ProgramDescriptor, limits: Capabilities) -> Fault
     if Stage.COMPUTE in descriptor.stages:
         x, y, z = group = descriptor.work_group
         total = limits.max_work_group_invocations
-        fits = all(0 < n <= most for n, most in zip(group, limits.max_work_group, strict=True))
+        fits = all(0 < n <= maximum for n, maximum in zip(group, limits.max_work_group, strict=True))
         if not limits.compute or not fits or x * y * z > total:
             yield Fault(rules.DEVICE_CAPABILITY, f"work-group {x}×{y}×{z}", f"{limits.max_work_group}, {total} in all")
         if descriptor.shared_bytes > limits.max_shared_bytes:
@@ -472,9 +510,9 @@ def vertex_faults(streams: Sequence[VertexStream], limits: Capabilities) -> Faul
     """Yield why vertices can't be read as they lie in memory."""
     step = limits.vertex_alignment
     for stream in streams:
-        places = [stream.stride, stream.offset, *(attribute.offset for attribute in stream.attributes)]
-        if any(place % step for place in places):
-            given = f"vertices of {stream.stride} bytes, with fields at {', '.join(map(str, places[2:]))}"
+        offsets = [stream.stride, stream.offset, *(attribute.offset for attribute in stream.attributes)]
+        if any(offset % step for offset in offsets):
+            given = f"vertices of {stream.stride} bytes, with fields at {', '.join(map(str, offsets[2:]))}"
             tip = "add fields that fill it up, or align the dtype: np.dtype(…, align=True)"
             yield Fault(rules.DEVICE_CAPABILITY, given, f"multiples of capabilities.vertex_alignment, {step}", tip)
 
@@ -487,7 +525,7 @@ def _per_face(state: Any) -> bool:
     return bool(state.front != state.back)
 
 
-_NEEDS: Final[dict[type, tuple[str, Callable[[Any], bool]]]] = {
+_REQUIRED_CAPABILITIES: Final[dict[type, tuple[str, Callable[[Any], bool]]]] = {
     states.AlphaTest: ("alpha_test", _differs),
     states.AlphaFunction: ("alpha_test", _differs),
     states.AlphaReference: ("alpha_test", _differs),
@@ -500,7 +538,7 @@ _NEEDS: Final[dict[type, tuple[str, Callable[[Any], bool]]]] = {
     states.PolygonOffset: ("depth_bias_clamp", lambda state: state.clamp != 0.0),
     states.PolygonMode: ("wireframe", _differs),
 }
-"""The capabilities that states need, and which of their values do: not defaults, nor what every device has."""
+"""For each state type, the capability that it needs, and which of its values need it."""
 
 
 def state_faults(state: Any, limits: Capabilities) -> Faults:
@@ -508,12 +546,12 @@ def state_faults(state: Any, limits: Capabilities) -> Faults:
     if isinstance(state, states.PlatformState) and type(state) not in limits.platform_states:
         have = ", ".join(sorted(each.__name__ for each in limits.platform_states)) or "none"
         yield Fault(rules.PLATFORM_STATE, f"{state.full_name} of {state.platform()!r}", f"this device's own: {have}")
-    needs = _NEEDS.get(type(state))
+    needs = _REQUIRED_CAPABILITIES.get(type(state))
     if needs is not None and not getattr(limits, needs[0]) and needs[1](state):
         yield Fault(rules.STATE_CAPABILITY, repr(state), f"needs capabilities.{needs[0]}")
     if isinstance(state, states.LineWidth) and state.width > limits.max_line_width:
-        most = f"up to capabilities.max_line_width, {limits.max_line_width:g}"
-        yield Fault(rules.STATE_CAPABILITY, repr(state), most)
+        maximum = f"up to capabilities.max_line_width, {limits.max_line_width:g}"
+        yield Fault(rules.STATE_CAPABILITY, repr(state), maximum)
 
 
 def target_bytes(formats: Iterable[Format]) -> int:
@@ -531,7 +569,7 @@ def target_bytes(formats: Iterable[Format]) -> int:
 
 
 def pass_faults(descriptor: PassDescriptor, textures: Mapping[Id, TextureDescriptor], limits: Capabilities) -> Faults:
-    """Yield what is wrong with a render pass whose attachments, levels and layers of `textures`, exist."""
+    """Yield what is wrong with a render pass. Its attachments name existing levels and layers of `textures`."""
     colors, depth = descriptor.colors, descriptor.depth
     targets: list[Attachment | DepthAttachment] = [*colors, *([] if depth is None else [depth])]
     used = [textures[target.texture] for target in targets]
@@ -553,8 +591,8 @@ def pass_faults(descriptor: PassDescriptor, textures: Mapping[Id, TextureDescrip
         yield Fault(rules.PASS_TARGET, f"{used[-1].format.name} as depth target", "a depth format")
     sizes = {texture.level_size(target.level) for texture, target in zip(used, targets, strict=True)}
     if sizes != {descriptor.size}:
-        shown = ", ".join(f"{w}×{h}" for w, h in sorted({*sizes, descriptor.size}))
-        yield Fault(rules.PASS_SIZE, shown, "one size")
+        size_list = ", ".join(f"{w}×{h}" for w, h in sorted({*sizes, descriptor.size}))
+        yield Fault(rules.PASS_SIZE, size_list, "one size")
     samples = {texture.samples for texture in used}
     if samples != {descriptor.samples}:
         yield Fault(rules.PASS_SAMPLES, f"samples {sorted({*samples, descriptor.samples})}", "one number of samples")

@@ -1,7 +1,7 @@
 """Occlusion queries for an array of draws, executed one by one.
 
 Every backend can do this. It is also the reference for backends that execute many queries at once
-(`rhi.contract.backend.PreparesQueries`).
+(`rhi.contract.backend.SupportsPreparedQueries`).
 """
 
 from __future__ import annotations
@@ -23,46 +23,48 @@ class PlainQueries:
         self._backend = backend
         self._queries = queries
 
-    def draw(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]) -> None:
+    def draw(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], query_indices: NDArray[np.int64]
+    ) -> None:
         """Draw and count; see `rhi.contract.backend.PreparedQueries.draw`."""
         backend, queries = self._backend, self._queries
         draw, current = backend.draw, -1
         try:
-            for row, arguments in zip(rows.tolist(), list_draws(draws), strict=True):
-                if row != current:
+            for query_index, arguments in zip(query_indices.tolist(), list_draws(draws), strict=True):
+                if query_index != current:
                     if current >= 0:
                         ended, current = current, -1
                         backend.end_query(queries[ended])
-                    backend.begin_query(queries[row])
-                    current = row
+                    backend.begin_query(queries[query_index])
+                    current = query_index
                 draw(vertex_array, primitive, *arguments)
         finally:
             if current >= 0:
                 backend.end_query(queries[current])
 
     def draw_conditional(
-        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, rows: NDArray[np.int64]
+        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, query_indices: NDArray[np.int64]
     ) -> None:
         """Draw on condition; see `rhi.contract.backend.PreparedQueries.draw_conditional`."""
         backend, queries = self._backend, self._queries
         size = DRAW.itemsize
-        for row, begin, end in list_runs(rows):
-            backend.begin_conditional(queries[row], False)
+        for query_index, begin, end in list_runs(query_indices):
+            backend.begin_conditional(queries[query_index], False)
             try:
                 backend.draw_indirect(vertex_array, primitive, buffer, offset + begin * size, end - begin, size, 0, 0)
             finally:
                 backend.end_conditional()
 
-    def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
-        """Return the samples of each row, or None; see `rhi.contract.backend.PreparedQueries.read`."""
+    def read(self, query_indices: NDArray[np.int64]) -> NDArray[np.int64] | None:
+        """Return the samples of each query, or None; see `rhi.contract.backend.PreparedQueries.read`."""
         read, queries = self._backend.read_query, self._queries
-        answers = np.empty(len(rows), np.int64)
-        for place, row in reversed(list(enumerate(rows.tolist()))):  # the latest answers arrive last
-            samples = read(queries[row])
+        results = np.empty(len(query_indices), np.int64)
+        for index, query_index in reversed(list(enumerate(query_indices.tolist()))):  # the latest results arrive last
+            samples = read(queries[query_index])
             if samples is None:
                 return None
-            answers[place] = samples
-        return answers
+            results[index] = samples
+        return results
 
 
 def list_draws(draws: NDArray[Any]) -> Iterator[tuple[int, int, int, int, int]]:
@@ -75,7 +77,7 @@ def list_draws(draws: NDArray[Any]) -> Iterator[tuple[int, int, int, int, int]]:
     return zip(first, count, instances, base_vertex, base_instance, strict=True)
 
 
-def list_runs(rows: NDArray[np.int64]) -> Iterator[tuple[int, int, int]]:
-    """Yield the row, begin and end of each run of equal rows, of which there is at least one."""
-    begins = np.flatnonzero(np.diff(rows, prepend=-1))
-    return zip(rows[begins].tolist(), begins.tolist(), [*begins[1:].tolist(), len(rows)], strict=True)
+def list_runs(query_indices: NDArray[np.int64]) -> Iterator[tuple[int, int, int]]:
+    """Yield the query index, begin and end of each run of equal indices. There is at least one run."""
+    begins = np.flatnonzero(np.diff(query_indices, prepend=-1))
+    return zip(query_indices[begins].tolist(), begins.tolist(), [*begins[1:].tolist(), len(query_indices)], strict=True)

@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, Self, TypeAl
 from weakref import WeakValueDictionary
 
 from rhi.contract.formats import Choice
-from rhi.errors.arguments import Fields
+from rhi.errors.arguments import FieldChecker
 from rhi.errors.rules import STATE_VALUE
 
 MAX_TARGETS: Final = 8
 MAX_VIEWPORT_SIZE: Final = 16_384
 MAX_VIEWPORT_OFFSET: Final = 32_767
-"""The largest viewport that every platform maps exactly; beyond it each would clamp in a way of its own."""
+"""Largest |x| and |y| of a viewport in texels. Beyond it, platforms clamp differently."""
 
 
 class Comparison(Choice):
@@ -170,11 +170,11 @@ class AlphaReference(_Value):
     value: float = 0.5
 
     def __post_init__(self) -> None:
-        Fields(self, STATE_VALUE).numbers("value", least=0, most=1)
+        FieldChecker(self, STATE_VALUE).numbers("value", minimum=0, maximum=1)
 
 
 class _OfTarget(_Value):
-    """A state of one color target, its last field, or of all."""
+    """Base class of states that exist per color target. `target`, the last field, selects one; None means all."""
 
     __slots__ = ()
 
@@ -200,9 +200,9 @@ class ColorWrite(_OfTarget):
     OFF: ClassVar[ColorWrite]
 
     def __post_init__(self) -> None:
-        fields = Fields(self, STATE_VALUE)
+        fields = FieldChecker(self, STATE_VALUE)
         fields.flags("red", "green", "blue", "alpha")
-        fields.wholes_or_none("target", least=0, most=MAX_TARGETS - 1)
+        fields.integers_or_none("target", minimum=0, maximum=MAX_TARGETS - 1)
 
 
 ColorWrite.ON = ColorWrite()
@@ -260,12 +260,12 @@ class BlendFunction(_OfTarget):
     MULTIPLY: ClassVar[BlendFunction]
 
     def __post_init__(self) -> None:
-        fields = Fields(self, STATE_VALUE)
+        fields = FieldChecker(self, STATE_VALUE)
         fields.choices(BlendFactor, "source", "destination")
         fields.choices(BlendOperation, "operation")
         fields.choices_or_none(BlendFactor, "source_alpha", "destination_alpha")
         fields.choices_or_none(BlendOperation, "operation_alpha")
-        fields.wholes_or_none("target", least=0, most=MAX_TARGETS - 1)
+        fields.integers_or_none("target", minimum=0, maximum=MAX_TARGETS - 1)
 
     @property
     def is_off(self) -> bool:
@@ -302,7 +302,7 @@ class BlendColor(_Value):
     alpha: float = 0.0
 
     def __post_init__(self) -> None:
-        Fields(self, STATE_VALUE).numbers("red", "green", "blue", "alpha")
+        FieldChecker(self, STATE_VALUE).numbers("red", "green", "blue", "alpha")
 
 
 class StencilOperation(Choice):
@@ -326,7 +326,7 @@ class _StencilFace(_Value):
     both_pass: StencilOperation = StencilOperation.KEEP
 
     def __post_init__(self) -> None:
-        fields = Fields(self, STATE_VALUE)
+        fields = FieldChecker(self, STATE_VALUE)
         fields.choices(Comparison, "function")
         fields.choices(StencilOperation, "stencil_fail", "depth_fail", "both_pass")
 
@@ -350,7 +350,7 @@ class _StencilBytes(_Value):
     back: int
 
     def __post_init__(self) -> None:
-        Fields(self, STATE_VALUE).wholes("front", "back", least=0, most=255)
+        FieldChecker(self, STATE_VALUE).integers("front", "back", minimum=0, maximum=255)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -395,10 +395,10 @@ class Viewport(_Value):
     TARGET: ClassVar[Viewport]
 
     def __post_init__(self) -> None:
-        fields = Fields(self, STATE_VALUE)
-        fields.numbers("x", "y", least=-MAX_VIEWPORT_OFFSET, most=MAX_VIEWPORT_OFFSET)
-        fields.numbers("width", "height", least=0, most=MAX_VIEWPORT_SIZE)
-        fields.numbers("near", "far", least=0, most=1)
+        fields = FieldChecker(self, STATE_VALUE)
+        fields.numbers("x", "y", minimum=-MAX_VIEWPORT_OFFSET, maximum=MAX_VIEWPORT_OFFSET)
+        fields.numbers("width", "height", minimum=0, maximum=MAX_VIEWPORT_SIZE)
+        fields.numbers("near", "far", minimum=0, maximum=1)
 
 
 Viewport.TARGET = Viewport()
@@ -419,9 +419,9 @@ class Scissor(_Value):
     OFF: ClassVar[Scissor]
 
     def __post_init__(self) -> None:
-        fields = Fields(self, STATE_VALUE)
-        fields.wholes("x", "y", least=-(1 << 30), most=1 << 30)
-        fields.wholes("width", "height", least=0, most=1 << 30)
+        fields = FieldChecker(self, STATE_VALUE)
+        fields.integers("x", "y", minimum=-(1 << 30), maximum=1 << 30)
+        fields.integers("width", "height", minimum=0, maximum=1 << 30)
 
 
 Scissor.OFF = Scissor()
@@ -435,7 +435,7 @@ class DepthBias(_Value):
     units: float = 0.0
 
     def __post_init__(self) -> None:
-        Fields(self, STATE_VALUE).numbers("units")
+        FieldChecker(self, STATE_VALUE).numbers("units")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -447,7 +447,7 @@ class PolygonOffset(_Value):
     clamp: float = 0.0
 
     def __post_init__(self) -> None:
-        Fields(self, STATE_VALUE).numbers("slope", "clamp")
+        FieldChecker(self, STATE_VALUE).numbers("slope", "clamp")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -461,7 +461,7 @@ class LineWidth(_Value):
     width: float = 1.0
 
     def __post_init__(self) -> None:
-        Fields(self, STATE_VALUE).numbers("width", least=1)
+        FieldChecker(self, STATE_VALUE).numbers("width", minimum=1)
 
 
 class PlatformState(Choice):
@@ -484,7 +484,7 @@ class PlatformState(Choice):
 
     @classmethod
     def default(cls) -> PlatformState:
-        """Return the value outside all scopes."""
+        """The value outside all scopes."""
         return next(iter(cls))
 
 
@@ -543,7 +543,7 @@ DEFAULTS: Final[dict[type, State]] = {
     LineWidth: LineWidth(),
     PolygonMode: PolygonMode.FILL,
 }
-"""The value of each state outside all scopes, except those of single platforms, each of which has its own default."""
+"""The value of each state outside all scopes. Platform states have their own defaults."""
 
 STATE_TYPES: Final[tuple[type, ...]] = (*DEFAULTS, PlatformState)
 PER_TARGET: Final = (ColorWrite, BlendFunction)

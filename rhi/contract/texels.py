@@ -22,8 +22,8 @@ _STRIP: Final = 256  # rows of a level that are filtered at once, to bound the f
 
 
 def encode(format: Format, values: NDArray[np.float64]) -> NDArray[np.generic]:
-    """Return (…, channels) linear values as the format stores them: (…, components) of its dtype. The last axis must
-    fit the format's channels."""
+    """Encode linear values (…, channels) as a format stores them: (…, components) of its dtype. The last axis
+    must fit the format's channels."""
     kind = format.kind
     if format.is_packed:
         return pack(format, _encode_channels(format, np.asarray(values, np.float64)))
@@ -68,7 +68,9 @@ def unpack(format: Format, texels: NDArray[np.generic]) -> NDArray[np.generic]:
     all floats of 11 and 10 bits. Texels of other formats are returned as they are."""
     if not format.is_packed:
         return texels
-    words, start, parts = np.asarray(texels)[..., 0].astype(np.uint32), 0, []
+    words = np.asarray(texels)[..., 0].astype(np.uint32)
+    start = 0
+    parts = []
     for bits in format.channel_bits:
         parts.append((words >> np.uint32(start)) & np.uint32((1 << bits) - 1))
         start += bits
@@ -133,10 +135,12 @@ def halve(format: Format, level: NDArray[np.generic], layers: int) -> NDArray[np
                 for rows, row_weights in _taps(start, stop, height, shape[1]):
                     values = decode(format, level[taps[0], rows])
                     weighted = sum(
-                        (values[:, columns] * column_weights[None, :, None]
-                         for columns, column_weights in _taps(0, shape[2], width, shape[2])),
+                        (
+                            values[:, columns] * column_weights[None, :, None]
+                            for columns, column_weights in _taps(0, shape[2], width, shape[2])
+                        ),
                         np.float64(0.0),
-                    )  # fmt: skip
+                    )
                     mean = mean + weights[0] * row_weights[:, None, None] * weighted
             result[layer, start:stop] = encode(format, np.asarray(mean))
     return result

@@ -1,4 +1,4 @@
-"""Whether a folder of the cache is the user's own, and checksums that nobody else can make up.
+"""Trust in cached files: whether a folder is the user's own, and checksums that only the user can make.
 
 Compiled kernels are machine code, and texts of shaders are Python: whoever can write them, or have others' taken for
 them, runs code as the user. So a folder that belongs to somebody else, or that others may write, isn't used; and the
@@ -23,7 +23,7 @@ except ImportError:  # not on Windows, where PoCL's users are few
 
 ENVIRONMENT: Final = "RHI_CACHE_KEY"
 FOLDER: Final = "RHI_CACHE"
-LEAST: Final = 32 << 20
+MIN_FREE_BYTES: Final = 32 << 20
 """Bytes that must be free: PoCL fails to build where its folder is full."""
 _KEY_BYTES: Final = 32
 
@@ -33,12 +33,12 @@ def user_cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME", "") or os.path.expanduser("~/.cache")) / "rhi"
 
 
-def find_folder(name: str) -> Path:
+def cache_folder(name: str) -> Path:
     """Return the folder of this name in the one that `RHI_CACHE` names, or in the user's cache. It may not exist."""
     return Path(os.environ.get(FOLDER, "") or user_cache()).absolute() / name
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def write_atomically(path: Path, content: bytes) -> None:
     """Write a file that others never see in part.
 
     Raises:
@@ -49,8 +49,8 @@ def write_whole(path: Path, content: bytes) -> None:
     fresh.replace(path)
 
 
-def find_fault(folder: Path) -> str:
-    """Return why a folder that exists isn't used, or "" if it is the user's own, and has room."""
+def distrust_reason(folder: Path) -> str:
+    """The reason why an existing folder isn't used; "" if it is the user's own and has room."""
     status = folder.stat()
     if hasattr(os, "geteuid"):
         if status.st_uid not in (os.geteuid(), 0):
@@ -60,7 +60,7 @@ def find_fault(folder: Path) -> str:
     from shutil import disk_usage  # seldom, as below: most programs keep nothing
 
     free = disk_usage(folder).free
-    if free < LEAST:
+    if free < MIN_FREE_BYTES:
         return f"only {free / 1e6:.1f} MB are free there"
     return "" if read_key() else f"no key can be kept in {user_cache()}"
 
@@ -92,7 +92,7 @@ def read_key() -> bytes:
 
 
 def sign(secret: bytes, content: bytes, *names: str) -> str:
-    """Return a content's checksum under the names that it is for."""
+    """Return the keyed checksum of a file's content, for the names under which it may be used."""
     from hashlib import blake2b
 
     digest = blake2b(digest_size=16, key=secret)

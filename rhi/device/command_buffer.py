@@ -29,13 +29,14 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.commands.ops import CLOSES, WIDTHS, Op
+from rhi.commands.ops import END_OPS, WIDTHS, Op
 from rhi.commands.recorder import CommandWriter, Recorder
-from rhi.commands.stream import CommandStream, find_site
+from rhi.commands.stream import CommandStream, call_site_at
 from rhi.contract.descriptors import BufferDescriptor, Id, Region
 from rhi.contract.states import AlphaTest, default_values
+from rhi.device.core.arena import Arena
 from rhi.device.core.core import Core
-from rhi.device.core.interrupts import HeldInterrupts
+from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.core.state_cache import StateVector
 from rhi.device.encoder import Encoder, check_mesh
 from rhi.device.queries.occlusion import Conditional, OcclusionQuery, QueryScope
@@ -46,15 +47,19 @@ from rhi.device.resources.buffers import Buffer, StorageBuffer, check_buffer
 from rhi.device.resources.meshes import Drawable
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
-from rhi.device.transient import Arena, TransientMemory
-from rhi.errors import RhiError, find_user_frame, rules
-from rhi.errors.arguments import Arguments
+from rhi.device.transient import TransientMemory
+from rhi.errors import RhiError, rules
+from rhi.errors.arguments import ArgumentChecker
+from rhi.errors.call_sites import find_user_frame
 
 PreparedCall = tuple[Callable[..., object], tuple[Any, ...]]
 
-_EMPTY, _RECORDING, _READY, _INVALID = "not recorded", "being recorded", "recorded", "invalid after an error"
+_EMPTY = "not recorded"
+_RECORDING = "being recorded"
+_READY = "recorded"
+_INVALID = "invalid after an error"
 _DEFAULTS: Final = StateVector(default_values())
-_NEED_STATES: Final = frozenset({Op.DRAW, Op.DRAW_INDIRECT})
+_DRAW_OPS: Final = frozenset({Op.DRAW, Op.DRAW_INDIRECT})
 
 
 class CommandBuffer(Encoder):
@@ -75,9 +80,13 @@ class CommandBuffer(Encoder):
         self._state = _EMPTY
         self._programs: dict[Program[...], RecordedProgram] = {}
         self._calls: list[PreparedCall] | None = None
-        self._first_change: int | None = None  # the command that sets the states of the first draw
+        self._first_change: int | None = None  # index of the first command that sets states, if no draw comes before it
+        self._draws_with_defaults = False  # whether the first draw comes before any change of states
         self._destroyed_uses: dict[Id, str] = {}
-        self._draws = self._dispatches = self._queries = self._later_changes = 0
+        self._draws = 0
+        self._dispatches = 0
+        self._queries = 0
+        self._later_changes = 0
         self._owned: list[Id] = []
         device.timeline.hold(self, self._owned)
         device.timeline.watch(self)
@@ -89,7 +98,8 @@ class CommandBuffer(Encoder):
 
     @property
     def is_stale(self) -> bool:
-        """Whether something that it uses was destroyed since, or exchanged by a `Reloader`: `submit` refuses it."""
+        """Whether a resource it uses was destroyed, or a program was exchanged by a `Reloader`; `submit` then
+        refuses it."""
         return bool(self._destroyed_uses)
 
     def __len__(self) -> int:
@@ -132,20 +142,20 @@ class CommandBuffer(Encoder):
         statistics = core.statistics()
         self._draws, self._dispatches = statistics.draws, statistics.dispatches
         self._queries = statistics.queries
-        self._first_change = self._find_first_change()
+        self._note_first_states()
         self._state = _READY
 
-    def _find_first_change(self) -> int | None:
-        """Return the number of the first command that sets states, -1 if a draw comes before any, None without
-        either."""
+    def _note_first_states(self) -> None:
+        """Note where the states of the first draw come from: a change before it, or the defaults."""
         stream = self.stream
-        for number in range(len(stream)):
-            op = stream.entry(number)[0]
-            if op in _NEED_STATES:
-                return -1
+        for index in range(len(stream)):
+            op = stream.entry(index)[0]
+            if op in _DRAW_OPS:
+                self._draws_with_defaults = True
+                return
             if op is Op.SET_STATES:
-                return number
-        return None
+                self._first_change = index
+                return
 
     def _draw(self, program: Program[...], mesh: Drawable, instances: int = 1, /, **bindings: Any) -> None:
         """Draw `mesh` with `program`; see `Encoder.draw`."""
@@ -164,7 +174,7 @@ class CommandBuffer(Encoder):
     def query(self, query: OcclusionQuery) -> RecordedQuery:
         """Record a query: `with commands.query(query):` counts the visible samples of the draws inside.
 
-        Each submission counts anew; the answer is that of the latest one.
+        Each submission counts anew; the query has the result of the latest submission.
         """
         return RecordedQuery(self._recorder, query)
 
@@ -175,12 +185,12 @@ class CommandBuffer(Encoder):
                 rules.QUERY_STATE, call, "the same query set twice in a command buffer", "each set once"
             )
 
-    def _mark_rows_drawn(self, queries: QuerySet, rows: NDArray[np.int64]) -> None:
-        self._recorder.queries[queries.id] = partial(queries.mark_rows_submitted, rows)
-        self._recorder.counted_rows[queries.id] = rows
+    def _mark_queries_drawn(self, queries: QuerySet, query_indices: NDArray[np.int64]) -> None:
+        self._recorder.queries[queries.id] = partial(queries.mark_indices_submitted, query_indices)
+        self._recorder.counted_queries[queries.id] = query_indices
 
-    def _find_counted(self, queries: QuerySet, call: str) -> NDArray[np.int64]:
-        counted = self._recorder.counted_rows.get(queries.id)
+    def _get_counted_queries(self, queries: QuerySet, call: str) -> NDArray[np.int64]:
+        counted = self._recorder.counted_queries.get(queries.id)
         if counted is None:
             given = "a query set that this command buffer hasn't used in draw_counted"
             self._recorder.refuse(rules.QUERY_STATE, call, given, "one that it has used before")
@@ -195,37 +205,62 @@ class CommandBuffer(Encoder):
 
     def clear(self, buffer: Buffer | StorageBuffer[Any], value: int = 0) -> None:
         """Record a `Buffer.clear`."""
-        check = Arguments("commands.clear", self._recorder.refuse)
+        check = ArgumentChecker("commands.clear", self._recorder.refuse)
         check_buffer(check, "buffer", buffer)._clear(self._recorder, value)
 
     def copy_buffer(
-        self, source: Buffer | StorageBuffer[Any], target: Buffer | StorageBuffer[Any], *, size: int | None = None,
-        offset: int = 0, target_offset: int = 0,
-    ) -> None:  # fmt: skip
+        self,
+        source: Buffer | StorageBuffer[Any],
+        target: Buffer | StorageBuffer[Any],
+        *,
+        size: int | None = None,
+        offset: int = 0,
+        target_offset: int = 0,
+    ) -> None:
         """Record a `Buffer.copy_to`."""
-        check = Arguments("commands.copy_buffer", self._recorder.refuse)
+        check = ArgumentChecker("commands.copy_buffer", self._recorder.refuse)
         check_buffer(check, "source", source)._copy(self._recorder, target, size, offset, target_offset)
 
     def copy_texture(
-        self, source: Texture, target: Texture, *, level: int = 0, region: Region | None = None,
-        target_level: int = 0, x: int = 0, y: int = 0, layer: int = 0,
-    ) -> None:  # fmt: skip
+        self,
+        source: Texture,
+        target: Texture,
+        *,
+        level: int = 0,
+        region: Region | None = None,
+        target_level: int = 0,
+        x: int = 0,
+        y: int = 0,
+        layer: int = 0,
+    ) -> None:
         """Record a `Texture.copy_to`."""
         self._check_texture("commands.copy_texture", "source", source)
         source._copy(self._recorder, target, level, region, target_level, x, y, layer)
 
     def copy_texture_to_buffer(
-        self, source: Texture, target: Buffer | StorageBuffer[Any], *, level: int = 0, region: Region | None = None,
-        offset: int = 0, row_bytes: int | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        source: Texture,
+        target: Buffer | StorageBuffer[Any],
+        *,
+        level: int = 0,
+        region: Region | None = None,
+        offset: int = 0,
+        row_bytes: int | None = None,
+    ) -> None:
         """Record a `Texture.copy_to_buffer`."""
         self._check_texture("commands.copy_texture_to_buffer", "source", source)
         source._copy_to_buffer(self._recorder, target, level, region, offset, row_bytes)
 
     def copy_buffer_to_texture(
-        self, source: Buffer | StorageBuffer[Any], target: Texture, *, offset: int = 0, row_bytes: int | None = None,
-        level: int = 0, region: Region | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        source: Buffer | StorageBuffer[Any],
+        target: Texture,
+        *,
+        offset: int = 0,
+        row_bytes: int | None = None,
+        level: int = 0,
+        region: Region | None = None,
+    ) -> None:
         """Record a `Texture.copy_from_buffer`."""
         self._check_texture("commands.copy_buffer_to_texture", "target", target)
         target._copy_from_buffer(self._recorder, source, level, region, offset, row_bytes)
@@ -241,7 +276,7 @@ class CommandBuffer(Encoder):
         texture._generate_mipmaps(self._recorder)
 
     def _check_texture(self, call: str, name: str, texture: Texture) -> None:
-        Arguments(call, self._recorder.refuse).instance(name, texture, Texture, "a Texture")
+        ArgumentChecker(call, self._recorder.refuse).instance(name, texture, Texture, "a Texture")
 
     def _resolve_program(self, program: object, call: str) -> Program[...]:
         core = self._recorder
@@ -252,16 +287,16 @@ class CommandBuffer(Encoder):
             core.refuse(rules.RESOURCE_FOREIGN, call, repr(program))
         own = self._programs.get(program)
         if own is None:
-            own = self._programs[program] = RecordedProgram(core, program)
+            own = self._programs[program] = RecordedProgram(core, self._transient.uniforms, program)
         return own
 
     # -- execution ---------------------------------------------------------------------------------------
 
     def note_retired(self, resource: Id) -> None:
-        """Keep the line that destroyed a resource of this buffer; called by `Timeline`."""
+        """Note the line that destroyed a resource of this buffer; called by `Timeline`."""
         if resource in self._recorder.uses and resource not in self._destroyed_uses:
             frame = find_user_frame()
-            self._destroyed_uses[resource] = str(find_site(frame.f_code, frame.f_lasti)) if frame is not None else ""
+            self._destroyed_uses[resource] = str(call_site_at(frame.f_code, frame.f_lasti)) if frame is not None else ""
 
     def execute(self) -> None:
         """Execute the recorded commands; called by `Device.submit`, which has checked them."""
@@ -271,13 +306,13 @@ class CommandBuffer(Encoder):
             self._calls = self._prepare_calls()
             device.counters.recorded_commands += len(self)
         device.program = None
-        if self._first_change == -1:
+        if self._draws_with_defaults:
             device.send_states(_DEFAULTS)
         calls = iter(self._calls)
         try:
             for call, arguments in calls:
                 call(*arguments)
-            if self._first_change is not None:
+            if self._first_change is not None or self._draws_with_defaults:
                 device.adopt_states(core.states.hardware.values)
         except BaseException as error:
             self._clean_up(len(self._calls) - length_hint(calls) - 1, not isinstance(error, RhiError))
@@ -297,39 +332,41 @@ class CommandBuffer(Encoder):
 
         If a creation fails, the next submission tries it again.
         """
-        core, device, arena = self._recorder, self._recorder.device, self._arena
+        core = self._recorder
+        device = self._recorder.device
+        arena = self._arena
         if arena.data:
             if arena.buffer not in self._owned:
                 descriptor = BufferDescriptor(len(arena.data), label="command buffer")
-                with HeldInterrupts():
+                with DeferredInterrupts():
                     device.create(device.backend.create_buffer, arena.buffer, descriptor)
                     self._owned.append(arena.buffer)
             device.backend.write_buffer(arena.buffer, 0, bytes(arena.data))
             device.upload_bytes += len(arena.data)
         for vertex_array, vertices in core.own_arrays.items():
             if vertex_array not in self._owned:
-                with HeldInterrupts():
+                with DeferredInterrupts():
                     device.create(device.backend.create_vertex_array, vertex_array, vertices)
                     self._owned.append(vertex_array)
         for key in list(core.vertex_arrays):
             (program, data), (vertex_array, vertices) = key, core.vertex_arrays[key]
-            with HeldInterrupts():
+            with DeferredInterrupts():
                 device.create(device.backend.create_vertex_array, vertex_array, vertices)
-                data.keep_vertex_array(program, program.id, vertex_array)
+                data.cache_vertex_array(program, program.id, vertex_array)
                 del core.vertex_arrays[key]
 
     def _prepare_calls(self) -> list[PreparedCall]:
-        """Return the commands as calls with their arguments. The first change of states is made from what the hardware
-        has then, to the same states."""
+        """Return the commands as calls with their arguments. The first change of states starts from the
+        hardware's states at execution and leads to the recorded ones."""
         device, stream = self._recorder.device, self.stream
         calls = self._prepare_commands()
         self._later_changes = self._recorder.states.hardware_changes
         first = self._first_change
-        if first is not None and first >= 0:
+        if first is not None:
             (changes,) = stream[first].values
             self._later_changes -= len(changes)
-            wanted = StateVector(tuple(stream.context(first + 1).states.values()))
-            calls[first] = device.send_states, (wanted,)
+            vector = StateVector(tuple(stream.context(first + 1).states.values()))
+            calls[first] = device.send_states, (vector,)
         return calls
 
     def _prepare_commands(self) -> list[PreparedCall]:
@@ -375,21 +412,22 @@ class CommandBuffer(Encoder):
         return calls
 
     def _clean_up(self, done: int, interrupted: bool) -> None:
-        """Close whatever the first `done` commands have opened, after the next one has failed. If that one was
-        interrupted, it may have been executed."""
+        """Close the scopes that the first `done` commands opened, after the next command has failed. If that
+        command was interrupted, it may have been executed."""
         device, stream = self._recorder.device, self.stream
-        if interrupted and done < len(stream) and stream[done].op in CLOSES:
+        if interrupted and done < len(stream) and stream[done].op in END_OPS:
             done += 1
         opened: list[tuple[Op, tuple[Any, ...]]] = []
         for command in stream[:done]:
-            if command.op in CLOSES:
-                opened.append((CLOSES[command.op], command.values))
+            if command.op in END_OPS:
+                opened.append((END_OPS[command.op], command.values))
             elif opened and command.op is opened[-1][0]:
                 opened.pop()
         for op, values in reversed(opened):
             with suppress(RhiError):  # fails again on a lost device
                 getattr(device.backend, op.method)(*(values if op is Op.END_QUERY else ()))
-        if self._first_change is not None and done > self._first_change:
+        sets_states = self._first_change is not None and done > self._first_change
+        if sets_states or self._draws_with_defaults:
             device.adopt_states(tuple(stream.context(done).states.values()))
         if interrupted:
             device.states.lose_hardware()
@@ -405,7 +443,7 @@ class RecordedQuery(QueryScope):
         call = "commands.query"
         core.check_open()
         allowed = "an OcclusionQuery from device.occlusion_query()"
-        Arguments(call, core.refuse).instance("query", query, OcclusionQuery, allowed)
+        ArgumentChecker(call, core.refuse).instance("query", query, OcclusionQuery, allowed)
         query.check_usable(core.device, call)
         self._core = core
         self._query = query
@@ -441,7 +479,7 @@ class RecordedQuery(QueryScope):
 
 
 class _RecordedConditional(Conditional):
-    """A condition on the answer that a query will have at execution."""
+    """A condition on the result that a query has at execution."""
 
     __slots__ = ()
     _core: RecordingCore
@@ -473,7 +511,7 @@ def check_submissions(buffers: Iterable[CommandBuffer], device: Core) -> None:
             )
         for resource, site in buffer._destroyed_uses.items():
             use = core.uses[resource]
-            recorded = find_site(use.code, use.offset)
+            recorded = call_site_at(use.code, use.offset)
             given = f"{use.name}, destroyed at {site}, used by a command recorded at {recorded}"
             core.refuse(rules.RESOURCE_DESTROYED, call, given, "", "record the commands anew")
         for use in core.uses.values() if device.locked else ():

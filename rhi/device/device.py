@@ -43,7 +43,7 @@ from rhi.device.core.state_cache import StateCache
 from rhi.device.encoder import Encoder
 from rhi.device.preparation import DrawPlan, Preparation, prepare
 from rhi.device.queries.occlusion import OcclusionQuery
-from rhi.device.queries.sets import MAX_ROWS, QuerySet
+from rhi.device.queries.sets import MAX_QUERIES, QuerySet
 from rhi.device.queries.timers import TimerNode, Timers
 from rhi.device.resources.buffers import (
     Buffer,
@@ -59,15 +59,15 @@ from rhi.device.resources.programs import Program, ProgramTable
 from rhi.device.resources.textures import Sampler, Texture
 from rhi.device.transient import TransientMemory
 from rhi.errors import rules
-from rhi.errors.arguments import Arguments, as_whole
+from rhi.errors.arguments import ArgumentChecker, to_integer
 from rhi.shading import Precision, Shader, Struct
 from rhi.shading.language.shader import list_bindings
 
 LOGGER: Final = logging.getLogger("rhi.device")
 SLOW_WAIT: Final = 0.25
-"""Seconds that the CPU waits for the device between two calls of `present`, after which its shaders are looked at."""
-UNTOLD_FRAMES: Final = 3
-"""How many such frames there must be: in the first ones a driver may build kernels."""
+"""A frame is slow if the CPU waits longer than this for the device, in seconds (`_log_precision`)."""
+FRAMES_BEFORE_PRECISION_LOG: Final = 3
+"""Number of slow frames before `_log_precision` warns. In the first ones a driver may build kernels."""
 
 P = ParamSpec("P")
 S = TypeVar("S", bound=Struct)
@@ -77,7 +77,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def _creates(method: F) -> F:
-    """Let a method create all of its resources or, if it is refused, fails or is interrupted, none (`Creation`)."""
+    """Decorate a method to create all of its resources or, if it is refused, fails or is interrupted, none
+    (`Creation`)."""
 
     @wraps(method)
     def create(self: Device, /, *arguments: Any, **named: Any) -> Any:
@@ -110,15 +111,16 @@ class Device(Encoder):
         core = (ValidatingCore if validation else Core)(backend, states, refusals)
         super().__init__(core, Timers(core, timing and capabilities.timestamps), TransientMemory(core))
         self._programs = ProgramTable(core.timeline, precision)
-        self._frames_until_told = UNTOLD_FRAMES
+        self._frames_until_precision_log = FRAMES_BEFORE_PRECISION_LOG
         self._frames: deque[int] = deque()
         self._frames_in_flight = frames_in_flight
-        core.scopes.keeps_lines = validation
+        core.scopes.records_lines = validation
 
     # -- life --------------------------------------------------------------------------------------------
 
     def __enter__(self) -> Self:
-        """Close the device at the end of the block. One that no thread owns becomes this one's (`make_current`)."""
+        """Close the device at the end of the block. A device without a thread first becomes this thread's
+        (`make_current`)."""
         if self._core.thread == NO_THREAD:
             self.make_current()
         self._core.check_open()
@@ -137,7 +139,7 @@ class Device(Encoder):
                 would hide. `device-thread` on another thread; the device stays open.
         """
         core = self._core
-        quiet = Arguments("device.close", core.refuse).flag("quiet", quiet)
+        quiet = ArgumentChecker("device.close", core.refuse).flag("quiet", quiet)
         if core.closed or core.thread == FORKED:  # then it is the parent's
             return
         if core.thread == NO_THREAD:
@@ -146,7 +148,7 @@ class Device(Encoder):
         core.resume()
         core.closed = True
         core.program = None
-        core.scopes.end_unheld()
+        core.scopes.end_unreferenced()
         surrounding = core.scopes.describe_open()
         core.scopes.close()
         self._backend.close()
@@ -155,8 +157,8 @@ class Device(Encoder):
         if surrounding:
             core.refuse(rules.SCOPE_OPEN, "device.close", f"a call inside {surrounding}", "no open scope")
         if core.locked:
-            shown = ", ".join(repr(owner) for owner in core.locked)
-            core.refuse(rules.LOCK_OPEN, "device.close", f"open locks of {shown}", "none", "lock in a `with` block")
+            names = ", ".join(repr(owner) for owner in core.locked)
+            core.refuse(rules.LOCK_OPEN, "device.close", f"open locks of {names}", "none", "lock in a `with` block")
 
     def make_current(self) -> None:
         """Make the device ready for calls on this thread, after other code may have used the platform.
@@ -199,7 +201,7 @@ class Device(Encoder):
 
     @property
     def precision(self) -> Precision:
-        """The precision of shaders that say none themselves, where the platform has a choice."""
+        """The precision of shaders that don't state one, where the platform has a choice."""
         return self._programs.precision
 
     @property
@@ -238,7 +240,7 @@ class Device(Encoder):
             ValidationError: `device-capability` if the backend is not a `kind`.
         """
         if not isinstance(kind, type):
-            Arguments("device.backend_as", self._core.refuse).fail("kind", kind, "the class of a backend")
+            ArgumentChecker("device.backend_as", self._core.refuse).fail("kind", kind, "the class of a backend")
         backend: object = self._backend
         while not isinstance(backend, kind) and hasattr(backend, "backend"):
             backend = backend.backend
@@ -263,24 +265,24 @@ class Device(Encoder):
         label: str = "",
     ) -> Buffer:
         """Create a buffer: a number of zeroed elements of `dtype` (default: bytes), or a copy of an array."""
-        check = Arguments("device.buffer", self._core.refuse)
+        check = ArgumentChecker("device.buffer", self._core.refuse)
         if usage is BufferUsage.READBACK:
             check.fail("usage", usage, "STATIC or STREAM", "use read_async")
-        wanted = None
+        requested = None
         if dtype is not None:
             try:  # NumPy takes the dtype of any object that has one
                 kinds: Any = (np.dtype, type, str, list, tuple, dict)
-                wanted = np.dtype(check.instance("dtype", dtype, kinds, "a NumPy dtype"))
+                requested = np.dtype(check.instance("dtype", dtype, kinds, "a NumPy dtype"))
             except (TypeError, ValueError) as error:
                 self._core.refuse(rules.BUFFER_DTYPE, check.call, f"dtype={dtype!r}", f"a NumPy dtype ({error})")
-        count = as_whole(source)
+        count = to_integer(source)
         if count is not None:
-            return Buffer(self._core, count, wanted or np.dtype(np.uint8), usage, label)
+            return Buffer(self._core, count, requested or np.dtype(np.uint8), usage, label)
         array = check.array("source", source)
         if not array.ndim and array.dtype.names is None:
             check.fail("source", source, "a number of elements, or an array")
-        if wanted is not None and array.dtype != wanted:
-            self._core.refuse(rules.BUFFER_DTYPE, check.call, str(array.dtype), str(wanted))
+        if requested is not None and array.dtype != requested:
+            self._core.refuse(rules.BUFFER_DTYPE, check.call, str(array.dtype), str(requested))
         return Buffer(self._core, array.size, array.dtype, usage, label, array)
 
     @overload
@@ -313,7 +315,7 @@ class Device(Encoder):
                 fit: whole ones are never rounded, floats never become whole.
         """
         core = self._core
-        check = Arguments("device.storage", core.refuse)
+        check = ArgumentChecker("device.storage", core.refuse)
         dtype = storage_dtype(check, element)
         check.text("label", label)
         if isinstance(source, Buffer):
@@ -322,14 +324,14 @@ class Device(Encoder):
             if source.size < dtype.itemsize:
                 core.refuse(rules.BUFFER_SIZE, check.call, f"{source!r}", f"at least {dtype.itemsize} bytes")
             return StorageBuffer(source, element, dtype)
-        count, array = as_whole(source), None
+        count, array = to_integer(source), None
         if count is None:
             array = match_layout(core, check.array("source", source), dtype, check.call, element)
             if not array.ndim and array.dtype.names is None:
                 check.fail("source", source, "a number of elements, an array, or a Buffer")
             count = array.size // int(np.prod(dtype.shape, initial=1))
         name = label or f"{getattr(element, '__name__', element)}[]"
-        return StorageBuffer(Buffer(core, count, dtype, label=name, contents=array), element, dtype)
+        return StorageBuffer(Buffer(core, count, dtype, label=name, data=array), element, dtype)
 
     @_creates
     def texture(
@@ -357,7 +359,7 @@ class Device(Encoder):
         An array for a compressed format is (rows, columns, bytes), or with layers in front: blocks of 4×4 texels. A
         device that lacks the format (`capabilities.compressed_formats`) gets them decoded, in 2 to 8 times the memory.
         """
-        check = Arguments("device.texture", self._core.refuse)
+        check = ArgumentChecker("device.texture", self._core.refuse)
         if not isinstance(source, (tuple, list, np.ndarray)) and hasattr(source, "__array_interface__"):
             source = as_texels(source)
         if format is None and isinstance(source, np.ndarray):
@@ -369,9 +371,9 @@ class Device(Encoder):
         compressed = format if isinstance(format, CompressedFormat) else None
         format = compressed.decoded if compressed is not None else check.choice("format", format, Format)
         check.choice("kind", kind, TextureKind)
-        layers = check.whole_or_none("layers", layers)
-        levels = check.whole_or_none("levels", levels)
-        samples = check.whole("samples", samples)
+        layers = check.integer_or_none("layers", layers)
+        levels = check.integer_or_none("levels", levels)
+        samples = check.integer("samples", samples)
         check.text("label", label)
         data = None
         if isinstance(source, np.ndarray):
@@ -385,7 +387,7 @@ class Device(Encoder):
                 height, width = BLOCK * height, BLOCK * width
             layers = (data.shape[0] if data.ndim == 4 else 1) if layers is None else layers
         else:
-            size = tuple(as_whole(n) for n in source) if isinstance(source, (tuple, list)) else ()
+            size = tuple(to_integer(n) for n in source) if isinstance(source, (tuple, list)) else ()
             if len(size) != 2 or None in size:
                 self._core.refuse(
                     rules.TEXTURE_SIZE,
@@ -408,35 +410,36 @@ class Device(Encoder):
 
     @_creates
     def adopt_texture(self, native: Any, *, label: str = "") -> Texture:
-        """Return a texture that other code has made, for the device to read and to draw to; it stays the other code's.
+        """Adopt a texture that other code has created: the device reads it and draws to it, the other code
+        still owns it.
 
         Both use the same memory. The other code's device must be the one that this device was created beside
         (`rhi.create_device("gl", context=…)`).
 
         Args:
-            native: OpenGL's name of the texture, or an object that has one as `glo`, as those of moderngl.
+            native: OpenGL's name of the texture, or an object with the name in `glo`, such as moderngl's textures.
 
         Raises:
-            ValidationError: `device-capability` if this device stands alone, `device-argument` for what is no texture
-                of a known format.
+            ValidationError: `device-capability` if this device stands alone, `device-argument` if `native` is
+                no texture of a known format.
         """
-        check = Arguments("device.adopt_texture", self._core.refuse)
-        sharing = self._core.find_sharing(check.call)
-        name = check.whole("native", getattr(native, "glo", native), 1, (1 << 32) - 1)
+        check = ArgumentChecker("device.adopt_texture", self._core.refuse)
+        sharing = self._core.require_texture_sharing(check.call)
+        name = check.integer("native", getattr(native, "glo", native), 1, (1 << 32) - 1)
         check.text("label", label)
-        found = sharing.describe_texture(name)
-        if isinstance(found, str):
-            check.fail("native", found, "a texture with one sample, of a format of rhi.Format")
+        descriptor = sharing.describe_texture(name)
+        if isinstance(descriptor, str):
+            check.fail("native", descriptor, "a texture with one sample, of a format of rhi.Format")
         with sharing.adopting_texture(name):
-            return Texture(self._core, replace(found, label=label))
+            return Texture(self._core, replace(descriptor, label=label))
 
     def native_texture(self, texture: Texture) -> int:
         """Return OpenGL's name of a texture, for the code that this device was created beside.
 
         Its first row is the top one. It may be used after `device.present`, until the texture is destroyed.
         """
-        check = Arguments("device.native_texture", self._core.refuse)
-        sharing = self._core.find_sharing(check.call)
+        check = ArgumentChecker("device.native_texture", self._core.refuse)
+        sharing = self._core.require_texture_sharing(check.call)
         check.instance("texture", texture, Texture, "a Texture")
         self._core.check_usable(texture, check.call)
         return sharing.name_texture(texture.id)
@@ -444,7 +447,7 @@ class Device(Encoder):
     def sampler(self, descriptor: SamplerDescriptor) -> Sampler:
         """Create a sampler, to read textures through: `texture.sampled(sampler)`."""
         self._core.check_open()
-        check = Arguments("device.sampler", self._core.refuse)
+        check = ArgumentChecker("device.sampler", self._core.refuse)
         check.instance("descriptor", descriptor, SamplerDescriptor, "an rhi.SamplerDescriptor")
         return Sampler(self._core.sampler(descriptor), descriptor)
 
@@ -469,7 +472,7 @@ class Device(Encoder):
         Raises:
             ValidationError: `mesh-data` (not structured, empty, NaN), `mesh-index` (out of range).
         """
-        check = Arguments("device.mesh", self._core.refuse)
+        check = ArgumentChecker("device.mesh", self._core.refuse)
         check.choice("primitive", primitive, Primitive)
         check.text("label", label)
         data = MeshData(self._core, vertices, indices, instances, label)
@@ -489,7 +492,7 @@ class Device(Encoder):
         """
         self._core.check_open()
         if not isinstance(shader, ProgramDescriptor) and not (isinstance(shader, type) and issubclass(shader, Shader)):
-            Arguments("device.program", self._core.refuse).fail(
+            ArgumentChecker("device.program", self._core.refuse).fail(
                 "shader", shader, "a class derived from Shader, or a ProgramDescriptor"
             )
         program = self._programs.find(shader)
@@ -498,11 +501,11 @@ class Device(Encoder):
     @_creates
     def _create_program(self, shader: Any) -> Program[...]:
         if isinstance(shader, ProgramDescriptor):
-            program: Program[...] = Program(self._core, shader)
+            program: Program[...] = Program(self._core, self._transient.uniforms, shader)
         else:
             with self._core.refusals:
                 descriptor = self._programs.compile(shader)
-            program = Program(self._core, descriptor, list_bindings(shader))
+            program = Program(self._core, self._transient.uniforms, descriptor, list_bindings(shader))
         self._programs.add(shader, program)
         return program
 
@@ -519,25 +522,33 @@ class Device(Encoder):
 
     @overload
     def prepare(
-        self, program: Program[...], mesh: Mesh | None = None, *, targets: Sequence[Texture | Format] = (),
+        self,
+        program: Program[...],
+        mesh: Mesh | None = None,
+        *,
+        targets: Sequence[Texture | Format] = (),
         states: Sequence[State] = (),
-    ) -> Preparation: ...  # fmt: skip
+    ) -> Preparation: ...
 
     @overload
     def prepare(self, program: Sequence[DrawPlan]) -> Preparation: ...
 
     def prepare(
-        self, program: Any, mesh: Mesh | None = None, *, targets: Sequence[Texture | Format] = (),
+        self,
+        program: Any,
+        mesh: Mesh | None = None,
+        *,
+        targets: Sequence[Texture | Format] = (),
         states: Sequence[State] = (),
-    ) -> Preparation:  # fmt: skip
-        """Begin to build what draws and dispatches need on this platform, so that no frame has to wait for it or run
+    ) -> Preparation:
+        """Begin to compile the platform's code for draws and dispatches, so that no frame waits for it or runs
         slower.
 
         Args:
-            program: the program, or a list of `DrawPlan`, each of which stands for the arguments.
-            mesh: a mesh like those that it will draw.
-            targets: the textures that it will draw into, or their formats.
-            states: the states that it will be drawn with, on top of the scopes that are open now.
+            program: the program, or a list of `DrawPlan`s, which replace all arguments.
+            mesh: a mesh with the vertex layout of the later draws.
+            targets: the targets of the later draws, or their formats.
+            states: the states of the later draws, on top of the scopes that are open now.
 
         Returns:
             A future with `progress`; `result()` waits. Draws needn't wait for it.
@@ -547,14 +558,14 @@ class Device(Encoder):
         """
         plans = [DrawPlan(program, mesh, targets, states)] if isinstance(program, Program) else program
         self._core.check_ready()
-        check = Arguments("device.prepare", self._core.refuse)
+        check = ArgumentChecker("device.prepare", self._core.refuse)
         allowed = "a Program from device.program(…), or a list of rhi.DrawPlan"
         return prepare(self._core, check.instance("program", plans, (list, tuple), allowed))
 
     @property
     def is_building(self) -> bool:
-        """Whether the platform is building code in the background, without which draws and dispatches take longer.
-        Times that are measured meanwhile say little of those later."""
+        """Whether the platform is compiling code in the background. Until then draws and dispatches are slower,
+        and measured times aren't representative."""
         return bool(getattr(self._core.backend, "is_building", False))
 
     def record(self, *, label: str = "") -> CommandBuffer:
@@ -564,7 +575,7 @@ class Device(Encoder):
         per buffer. `label` is put on all of its commands.
         """
         self._core.check_open()
-        Arguments("device.record", self._core.refuse).text("label", label)
+        ArgumentChecker("device.record", self._core.refuse).text("label", label)
         return CommandBuffer(self._core, label)
 
     def submit(self, *buffers: CommandBuffer) -> None:
@@ -604,8 +615,8 @@ class Device(Encoder):
     def wait(self, value: int, seconds: float | None = None) -> bool:
         """Block until the GPU has reached `value`, for at most `seconds`; return whether it has."""
         self._core.check_ready()
-        check = Arguments("device.wait", self._core.refuse)
-        value = check.whole("value", value)
+        check = ArgumentChecker("device.wait", self._core.refuse)
+        value = check.integer("value", value)
         if seconds is not None:
             seconds = check.number("seconds", seconds, 0)
         reached = self._core.timeline.wait(value, seconds)
@@ -620,14 +631,14 @@ class Device(Encoder):
     @_creates
     def occlusion_query(self, *, emulated: bool = False) -> OcclusionQuery:
         """Create a counter of visible samples; `emulated` requests the thesis's emulation (4.4.2)."""
-        check = Arguments("device.occlusion_query", self._core.refuse)
+        check = ArgumentChecker("device.occlusion_query", self._core.refuse)
         return OcclusionQuery(self._core, check.flag("emulated", emulated))
 
     @_creates
     def query_set(self, size: int, *, emulated: bool = False) -> QuerySet:
         """Create `size` counters of visible samples, used together in one call: `device.draw_counted(…, queries)`."""
-        check = Arguments("device.query_set", self._core.refuse)
-        return QuerySet(self._core, check.whole("size", size, 0, MAX_ROWS), check.flag("emulated", emulated))
+        check = ArgumentChecker("device.query_set", self._core.refuse)
+        return QuerySet(self._core, check.integer("size", size, 0, MAX_QUERIES), check.flag("emulated", emulated))
 
     @property
     def timing(self) -> bool:
@@ -637,7 +648,7 @@ class Device(Encoder):
     @timing.setter
     def timing(self, on: bool) -> None:
         self._core.check_thread("device.timing")
-        on = Arguments("device.timing", self._core.refuse).flag("on", on)
+        on = ArgumentChecker("device.timing", self._core.refuse).flag("on", on)
         if on and not self._core.capabilities.timestamps:
             self._core.refuse(rules.DEVICE_CAPABILITY, "device.timing", "True", "needs capabilities.timestamps")
         self._timers.enabled = on
@@ -669,7 +680,7 @@ class Device(Encoder):
         if scopes._index or scopes._cut:  # seldom
             scopes.refuse_open("device.present")
         if image is not None:
-            check = Arguments("device.present", core.refuse)
+            check = ArgumentChecker("device.present", core.refuse)
             check.instance("image", image, Texture, "a Texture, or None")
             core.check_usable(image, check.call)
         core.backend.present(image.id if image is not None else 0)
@@ -680,18 +691,22 @@ class Device(Encoder):
             core.timeline.collect()
         core.hand_back()
         waited, core.timeline.waited = core.timeline.waited, 0.0
-        if waited > SLOW_WAIT and self._frames_until_told:
-            self._tell_precision(waited)
+        if waited > SLOW_WAIT and self._frames_until_precision_log:
+            self._log_precision(waited)
 
-    def _tell_precision(self, seconds: float) -> None:
-        """Say once, after some frames that the CPU has waited for, which shaders compute exactly what FAST computes
-        with fewer instructions. How much faster they would be isn't known without drawing the frame in both."""
-        self._frames_until_told -= 1
+    def _log_precision(self, seconds: float) -> None:
+        """Warn once, after some slow frames, which shaders would need fewer instructions with `Precision.FAST`.
+        Only drawing the frame with both precisions shows how much faster they would be."""
+        self._frames_until_precision_log -= 1
         shaders = [shader for shader, _ in self._programs.items() if isinstance(shader, type)]
-        exact = {shader.__qualname__: names for shader in shaders if (names := self._programs.find_exact(shader))}
-        if exact and not self._frames_until_told:
-            shown = "; ".join(f"{name} ({', '.join(names)})" for name, names in exact.items())
+        exact = {
+            shader.__qualname__: names for shader in shaders if (names := self._programs.list_exact_functions(shader))
+        }
+        if exact and not self._frames_until_precision_log:
+            function_names = "; ".join(f"{name} ({', '.join(names)})" for name, names in exact.items())
             LOGGER.warning(
                 "the CPU waited %.2f s for the device in a frame. Shaders that compute with Precision.EXACT what FAST "
-                "computes with fewer instructions: %s. RHI_PRECISION=fast shows what that saves", seconds, shown,
-            )  # fmt: skip
+                "computes with fewer instructions: %s. RHI_PRECISION=fast shows what that saves",
+                seconds,
+                function_names,
+            )

@@ -22,7 +22,7 @@ from rhi.device.core.state_cache import StateScope, ValidatedScope
 from rhi.device.immediate import Immediate
 from rhi.device.passes import Clear, RenderPass, RenderTarget
 from rhi.device.queries.occlusion import Conditional, OcclusionQuery
-from rhi.device.queries.sets import QuerySet, find_runs
+from rhi.device.queries.sets import QuerySet, run_starts
 from rhi.device.queries.timers import EventScope, Timers
 from rhi.device.resources.buffers import Buffer, StorageBuffer, check_buffer
 from rhi.device.resources.meshes import Drawable, Mesh, check_clips, check_draws
@@ -30,7 +30,7 @@ from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
 from rhi.device.transient import TransientMemory
 from rhi.errors import rules
-from rhi.errors.arguments import Arguments, Fields, as_whole
+from rhi.errors.arguments import ArgumentChecker, FieldChecker, to_integer
 
 P = ParamSpec("P")
 _ONES: Final = (1, 1, 1)
@@ -53,11 +53,11 @@ class IndirectDraws:
     count_offset: int = 0
 
     def __post_init__(self) -> None:
-        fields = Fields(self)
+        fields = FieldChecker(self)
         check_buffer(fields, "buffer", self.buffer)
         if self.count is not None:
             check_buffer(fields, "count", self.count)
-        fields.wholes("draws", "offset", "stride", "count_offset")
+        fields.integers("draws", "offset", "stride", "count_offset")
 
 
 class Encoder:
@@ -100,7 +100,9 @@ class Encoder:
     def states(self, *states: State) -> StateScope:
         """Create a scope of states: `with device.states(CullMode.NONE, DepthWrite.OFF):`; restored at its end."""
         scope = self._scope_type()  # as `StateCache.scope`, without its call
-        scope.cache, scope.states, scope.before = self._states, states, None
+        scope.cache = self._states
+        scope.states = states
+        scope.before = None
         return scope
 
     def event(self, label: str) -> EventScope:
@@ -157,7 +159,7 @@ class Encoder:
         *args: P.args,
         **bindings: P.kwargs,
     ) -> None:
-        """Draw parts of `mesh`, each inside a rectangle, in one call: the draw lists of an interface.
+        """Draw parts of `mesh`, each clipped to a rectangle, in one call: the draw lists of a user interface.
 
         Each rectangle takes the place of the `Scissor` that is set around the call.
 
@@ -174,8 +176,8 @@ class Encoder:
         own, array = self._check_draws(program, mesh, draws, call)
         rectangles = check_clips(self._core, clips, len(array), call)
         vertex_array = self._bind_draws(own, mesh, bindings)
-        shown = (rectangles[:, 2:] > 0).all(1) & (array["count"] > 0) & (array["instances"] > 0)
-        array, rectangles = array[shown], rectangles[shown]
+        visible = (rectangles[:, 2:] > 0).all(1) & (array["count"] > 0) & (array["instances"] > 0)
+        array, rectangles = array[visible], rectangles[visible]
         if len(array):
             self._core.draw_clipped(vertex_array, mesh.primitive, array, rectangles)
             self._core.draws += len(array)
@@ -186,7 +188,7 @@ class Encoder:
         mesh: Drawable,
         draws: NDArray[Any],
         queries: QuerySet,
-        rows: NDArray[Any] | Sequence[int] | None = None,
+        query_indices: NDArray[Any] | Sequence[int] | None = None,
         /,
         *args: P.args,
         **bindings: P.kwargs,
@@ -196,25 +198,25 @@ class Encoder:
         Args:
             draws: (n,) as for `draw_many`, of any primitive. Shaders tell them apart by `instance_index()`; their
                 `draw_index()` is 0.
-            queries: the query set that counts the draws; all of its earlier answers are discarded.
-            rows: (n,) integers, the row of `queries` that counts each draw; by default row i counts draw i. A row may
-                count several consecutive draws.
+            queries: the query set that counts the draws; all of its earlier results are discarded.
+            query_indices: (n,) integers, the query of the set that counts each draw; by default query i counts draw i.
+                A query may count several consecutive draws.
 
         Raises:
-            ValidationError: `query-rows`, `query-nested` inside another query, and the errors of `draw` and
+            ValidationError: `query-indices`, `query-nested` inside another query, and the errors of `draw` and
                 `draw_many`; nothing is drawn, bound or discarded then.
         """
         call = f"{self.NAME}.draw_counted"
         own, array = self._check_draws(program, mesh, draws, call)
-        check = Arguments(call, self._core.refuse)
+        check = ArgumentChecker(call, self._core.refuse)
         check.instance("queries", queries, QuerySet, "a QuerySet from device.query_set(…)")
         self._check_query_set(queries, call)
-        each = queries.check_rows(rows, len(array), call)
+        each = queries.check_query_indices(query_indices, len(array), call)
         vertex_array = self._bind_draws(own, mesh, bindings)
         core = self._core
         counted = queries.draw(core, vertex_array, mesh.primitive, array, each)
         core.draws += len(array)
-        self._mark_rows_drawn(queries, counted)
+        self._mark_queries_drawn(queries, counted)
 
     def draw_conditional(
         self,
@@ -222,31 +224,31 @@ class Encoder:
         mesh: Drawable,
         draws: NDArray[Any],
         queries: QuerySet,
-        rows: NDArray[Any] | Sequence[int] | None = None,
+        query_indices: NDArray[Any] | Sequence[int] | None = None,
         /,
         *args: P.args,
         **bindings: P.kwargs,
     ) -> None:
-        """Draw parts of `mesh`, each on condition that a row of a query set counted a sample, in one call.
+        """Draw parts of `mesh`, each on condition that a query of a set counted a sample, in one call.
 
         The GPU decides, without a round trip to the CPU, as in `conditional`.
 
         Args:
             draws: (n,) as for `draw_many`. Shaders tell them apart by `instance_index()`; their `draw_index()` counts
-                from 0 within consecutive draws of one row.
+                from 0 within consecutive draws of one query.
             queries: a query set that `draw_counted` has used.
-            rows: (n,) integers, the row that decides about each draw; by default row i decides about draw i. On
-                most devices each run of draws with the same row is one conditional draw.
+            query_indices: (n,) integers, the query that decides about each draw; by default query i decides about draw
+                i. On most devices each run of draws with the same query is one conditional draw.
 
         Raises:
-            ValidationError: `query-rows`, also for a row that the latest `draw_counted` didn't use; `query-state` if
-                there was none; `device-capability` for an emulated set; `condition-nested` inside another condition;
+            ValidationError: `query-indices`, also for a query that the latest `draw_counted` didn't use; `query-state`
+                if there was none; `device-capability` for an emulated set; `condition-nested` inside another condition;
                 and the errors of `draw_many`; nothing is drawn or bound then.
         """
         call = f"{self.NAME}.draw_conditional"
         own, array = self._check_draws(program, mesh, draws, call)
         core = self._core
-        check = Arguments(call, core.refuse)
+        check = ArgumentChecker(call, core.refuse)
         check.instance("queries", queries, QuerySet, "a QuerySet from device.query_set(…)")
         core.check_usable(queries, call)
         core.require(call, limits.condition_faults(core.capabilities))
@@ -255,12 +257,12 @@ class Encoder:
         if core.condition_open:
             core.refuse(rules.CONDITION_NESTED, call, "a condition inside another")
         self._refuse_quads(mesh, call)
-        each = queries.check_conditions(rows, len(array), self._find_counted(queries, call), call)
+        each = queries.check_conditions(query_indices, len(array), self._get_counted_queries(queries, call), call)
         vertex_array = self._bind_draws(own, mesh, bindings)
         if not len(array):
             return
         queries.draw_conditional(core, vertex_array, mesh.primitive, *self._upload_draws(array), each)
-        runs = len(find_runs(each))
+        runs = len(run_starts(each))
         core.condition_count += runs
         core.draws += runs
 
@@ -273,7 +275,7 @@ class Encoder:
         return own, check_draws(self._core, mesh, draws, own.descriptor.attributes, call)
 
     def _refuse_quads(self, mesh: Drawable, call: str) -> None:
-        """Refuse quads, whose indices can't be expanded where the GPU reads the arguments of draws."""
+        """Refuse quads: their indices can't be expanded for draws whose arguments the GPU reads."""
         if mesh.primitive is Primitive.QUADS:
             self._core.refuse(rules.DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
 
@@ -284,8 +286,8 @@ class Encoder:
         offset = arguments.write(draws.view(np.uint8).data, draws.nbytes, 4)
         return arguments.buffer, offset
 
-    def _find_counted(self, queries: QuerySet, call: str) -> NDArray[np.int64]:
-        """Return the rows whose answers a condition can use; `query-state` if the set wasn't used."""
+    def _get_counted_queries(self, queries: QuerySet, call: str) -> NDArray[np.int64]:
+        """Return the queries whose results a condition can use; `query-state` if the set wasn't used."""
         queries.check_ended(self._core, call)
         return queries.counted
 
@@ -294,8 +296,8 @@ class Encoder:
         if self._core.open_query is not None:
             self._core.refuse(rules.QUERY_NESTED, call, "draws that are counted inside an open query")
 
-    def _mark_rows_drawn(self, queries: QuerySet, rows: NDArray[np.int64]) -> None:
-        queries.mark_rows_drawn(rows)
+    def _mark_queries_drawn(self, queries: QuerySet, query_indices: NDArray[np.int64]) -> None:
+        queries.mark_drawn(query_indices)
 
     def draw_indirect(
         self,
@@ -311,13 +313,13 @@ class Encoder:
         own = self._resolve_program(program, call)
         check_mesh(self._core, mesh, call)
         core = self._core
-        check = Arguments(call, core.refuse)
+        check = ArgumentChecker(call, core.refuse)
         check.instance("arguments", arguments, IndirectDraws, "an rhi.IndirectDraws")
         buffer = check_buffer(check, "buffer", arguments.buffer)
         count = None if arguments.count is None else check_buffer(check, "count", arguments.count)
         core.check_usable(buffer, call)
-        places = (arguments.draws, arguments.offset, arguments.stride, arguments.count_offset)
-        core.require(call, limits.indirect_faults(*places, buffer.size))
+        numbers = (arguments.draws, arguments.offset, arguments.stride, arguments.count_offset)
+        core.require(call, limits.indirect_faults(*numbers, buffer.size))
         self._refuse_quads(mesh, call)
         if count is not None:
             core.check_usable(count, call)
@@ -347,7 +349,7 @@ class Encoder:
         self._core.check_ready()
         several = isinstance(groups, (tuple, list)) or (isinstance(groups, np.ndarray) and groups.ndim)
         given: Any = groups if several else (groups,)
-        sizes: list[int | None] = [*map(as_whole, given), *_ONES[len(given) :]]
+        sizes: list[int | None] = [*map(to_integer, given), *_ONES[len(given) :]]
         faults = limits.dispatch_faults(sizes if len(given) else (), repr(groups), self._core.capabilities)
         self._core.require(call, faults)
         own.bind(own.check_can_dispatch, None, bindings)
@@ -365,12 +367,13 @@ class Encoder:
         *args: P.args,
         **bindings: P.kwargs,
     ) -> None:
-        """Dispatch as many work-groups as the GPU then reads from three uint32 at byte `offset` of `buffer`."""
+        """Dispatch work-groups whose three counts (uint32) the GPU reads at byte `offset` of `buffer` during
+        execution."""
         call = f"{self.NAME}.dispatch_indirect"
         own = self._resolve_program(program, call)
-        check = Arguments(call, self._core.refuse)
+        check = ArgumentChecker(call, self._core.refuse)
         source = check_buffer(check, "buffer", buffer)
-        offset = check.whole("offset", offset)
+        offset = check.integer("offset", offset)
         self._core.check_ready()
         self._core.check_usable(source, call)
         self._core.require(call, limits.indirect_dispatch_faults(offset, source.size))
@@ -387,7 +390,7 @@ class Encoder:
         """
         call = f"{self.NAME}.immediate"
         own = self._resolve_program(program, call)
-        Arguments(call, self._core.refuse).choice("primitive", primitive, Primitive)
+        ArgumentChecker(call, self._core.refuse).choice("primitive", primitive, Primitive)
         return Immediate(self._transient, own, primitive, bindings)
 
     @property
@@ -412,18 +415,18 @@ class Encoder:
     def _bind_draws(self, program: Program[...], mesh: Drawable, bindings: dict[str, Any]) -> int:
         """Check and bind everything that a draw needs; return the vertex array."""
         program.check_can_draw(mesh)
-        vertex_array = program.find_vertex_array(mesh)
+        vertex_array = program.get_vertex_array(mesh)
         program.bind(_already_checked, mesh, bindings)
         self._core.flush_states()
         return vertex_array
 
 
 def _already_checked(mesh: object) -> None:
-    """Do nothing: the check of a `Program.bind` that was done before."""
+    """Do nothing: the check for a `Program.bind` whose draw was checked before."""
 
 
 def check_mesh(core: Core, mesh: object, call: str, kind: type[Drawable] = Mesh) -> None:
-    """Refuse anything but a `Mesh`: arguments in a buffer can't know where a transient one lies. With `Drawable` as
-    `kind`, refuse anything that no draw can read vertices from."""
+    """Refuse anything but a `Mesh`, or with `kind` `Drawable` anything but a `Mesh` or `TransientMesh`.
+    Indirect draws take a `Mesh` only, since their arguments can't know the offset of a transient mesh."""
     if not isinstance(mesh, kind):
         core.refuse(rules.DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")

@@ -1,13 +1,13 @@
-"""Imports that fall back: a module of shaders that can't be imported is as it was drawn with last.
+"""Imports with a fallback: if a shader module can't be imported, its last text that drew a frame is used.
 
     rhi.install_fallback()       # before modules of shaders are imported
     import shaders
 
-- Python's own loader runs a module's file. If that fails, modules of shaders that have changed get the texts that
-  `Reloader.keep` has kept (`Reloader.put_back`), because the module may miss a name of one of them, and the module is
-  run with its own, if one was kept.
-- The shading language knows which text is in effect (`text_of`). A `Reloader` that watches the module sees that its
-  file has another one, and takes that or says what is wrong with it.
+- Python's own loader runs a module's file. If that fails, changed shader modules get the texts that
+  `Reloader.checkpoint` saved (`Reloader.roll_back`), because the module may miss a name of one of them. Then
+  the module runs with its own saved text, if there is one.
+- The shading language knows which text is in effect (`text_of`). A `Reloader` that watches the module sees that
+  its file has another text, and loads it or reports its error.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from types import ModuleType
 from typing import Any
 
-from rhi.device.reloading import LOGGER, Reloader, read_texts
+from rhi.device.reloading import LOGGER, Reloader, load_checkpoint
 from rhi.shading.language.modules import execute
 from rhi.shading.language.source import SourceFile, exchange_source
 
 
 def install_fallback() -> None:
-    """Let modules that are imported from now on fall back: one that can't be, because it or a module of shaders that it
-    imports has a fault, takes the text that `Reloader.keep` has kept of that, and a warning says so.
+    """Make later imports fall back. If a module can't be imported, because it or a shader module that it
+    imports has a fault, the text that `Reloader.checkpoint` saved of the faulty one is used, with a warning.
 
-    Without such a text the import fails as it would.
+    Without a saved text the import fails as usual.
     """
     sys.meta_path.insert(sys.meta_path.index(PathFinder), FallbackFinder)
 
 
 class FallbackFinder(PathFinder):
-    """Finds what Python's own finder of files does."""
+    """A finder that wraps Python's own file finder."""
 
     @classmethod
     def find_spec(cls, name: str, path: Sequence[str] | None = None, target: Any = None) -> ModuleSpec | None:
-        """Return a module's spec, whose loader falls back if it is a file of Python."""
+        """Return a module's spec; for a Python file its loader is a `FallbackLoader`."""
         spec = super().find_spec(name, path, target)
         if spec is not None and type(spec.loader) is SourceFileLoader:
             spec.loader = FallbackLoader(spec.loader.name, spec.loader.path)
@@ -46,7 +46,7 @@ class FallbackFinder(PathFinder):
 
 
 class FallbackLoader(SourceFileLoader):
-    """Runs a module's file, or if that fails, what was kept."""
+    """Runs a module's file or, if that fails, its saved text."""
 
     def exec_module(self, module: ModuleType) -> None:
         """Run the module."""
@@ -56,8 +56,8 @@ class FallbackLoader(SourceFileLoader):
         except Exception as error:
             vars(module).clear()
             vars(module).update(names)
-            text = read_texts().get(self.path)
-            if not Reloader(on_error=repr).put_back(error) and text is None:
+            text = load_checkpoint().get(self.path)
+            if not Reloader(on_error=repr).roll_back(error) and text is None:
                 raise
             with suppress(Exception):  # the first error counts
                 if text is None:

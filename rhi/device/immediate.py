@@ -15,7 +15,7 @@ from rhi.contract.descriptors import Primitive
 from rhi.device.resources.meshes import Drawable, DrawableData, as_structured, check_finite
 from rhi.device.resources.programs import Program
 from rhi.device.transient import TransientMemory, VertexArrays, pack_vertices, vertex_dtype
-from rhi.errors.arguments import Arguments
+from rhi.errors.arguments import ArgumentChecker
 from rhi.errors.rules import IMMEDIATE_VERTEX, SCOPE_ORDER
 
 if TYPE_CHECKING:
@@ -27,8 +27,18 @@ S = TypeVar("S", bound="Struct")
 class Immediate(Generic[S]):
     """A `with device.immediate(program, Primitive.QUADS, …) as quads:` block; `quads.vertex(position=…)` fills it."""
 
-    __slots__ = ("_arrays", "_attributes", "_bindings", "_dtype", "_instances", "_memory", "_open", "_primitive",
-                 "_program", "_rows")  # fmt: skip
+    __slots__ = (
+        "_arrays",
+        "_attributes",
+        "_bindings",
+        "_dtype",
+        "_instances",
+        "_memory",
+        "_open",
+        "_primitive",
+        "_program",
+        "_vertices",
+    )
 
     def __init__(
         self, memory: TransientMemory, program: Program[...], primitive: Primitive, bindings: dict[str, Any]
@@ -44,7 +54,7 @@ class Immediate(Generic[S]):
         self._attributes = program.descriptor.attributes
         self._dtype = vertex_dtype(self._attributes)
         self._instances: NDArray[Any] | None = None
-        self._rows: list[tuple[Any, ...]] = []
+        self._vertices: list[tuple[Any, ...]] = []
         self._arrays: list[NDArray[Any]] = []
         self._open = False
 
@@ -63,7 +73,7 @@ class Immediate(Generic[S]):
             given = ", ".join(fields) if self._open else "a closed block"
             allowed = ", ".join(names) + " inside the `with` block"
             self._program.core.refuse(IMMEDIATE_VERTEX, "Immediate.vertex", given, allowed)
-        self._rows.append(row)
+        self._vertices.append(row)
 
     def vertices(self, arrays: VertexArrays) -> None:
         """Add many vertices: a structured array with the program's vertex fields, or a dict of arrays by their names.
@@ -86,7 +96,7 @@ class Immediate(Generic[S]):
         """
         core, call = self._program.core, "Immediate.instances"
         self._check_open(call)
-        if self._rows or self._arrays or self._instances is not None:
+        if self._vertices or self._arrays or self._instances is not None:
             given = "other instances before" if self._instances is not None else "vertices before"
             core.refuse(IMMEDIATE_VERTEX, call, given, "instances once, and before the first vertex")
         array = as_structured(core, arrays, IMMEDIATE_VERTEX, call)
@@ -120,7 +130,7 @@ class Immediate(Generic[S]):
             if instances is not None:  # the block may be used again
                 self._attributes = self._program.descriptor.attributes
                 self._dtype = vertex_dtype(self._attributes)
-            self._rows.clear()
+            self._vertices.clear()
             self._arrays.clear()
         if not len(array):
             return
@@ -129,29 +139,29 @@ class Immediate(Generic[S]):
         unplaced = Drawable(DrawableData(core), self._primitive, 0, 0)
         program.bind(program.check_can_draw, unplaced, self._bindings)
         vertices = array if array.dtype.names else None  # without fields only their number counts
-        mesh = self._memory.place_mesh(program, len(array), vertices, None, instances, self._primitive)
+        mesh = self._memory.upload_mesh(program, len(array), vertices, None, instances, self._primitive)
         core.flush_states()
         program.draw_unprepared(mesh, 1 if instances is None else len(instances))
         core.draws += 1
 
     def _collect(self) -> NDArray[Any]:
-        """Return the single vertices added since the latest array; they are kept if one of them is refused."""
+        """Pack the single vertices that were added since the latest array. They stay if one of them is refused."""
         core, call = self._program.core, "Immediate.vertex"
-        check = Arguments(call, core.refuse, IMMEDIATE_VERTEX)
-        array = np.empty(len(self._rows), self._dtype)
-        if not self._rows:
+        check = ArgumentChecker(call, core.refuse, IMMEDIATE_VERTEX)
+        array = np.empty(len(self._vertices), self._dtype)
+        if not self._vertices:
             return array
         for number, name in enumerate(self._dtype.names or ()):
             column = array[name]
-            values = check.array(name, [row[number] for row in self._rows])
+            values = check.array(name, [row[number] for row in self._vertices])
             if values.shape != column.shape or values.dtype.kind not in ("iu" if column.dtype.kind in "iu" else "iuf"):
                 core.refuse(IMMEDIATE_VERTEX, call, f"{name}: {values[-1]!r}", str(self._dtype[name]))
             if column.dtype.kind in "iu" and not _fits(values, column.dtype):
                 core.refuse(IMMEDIATE_VERTEX, call, f"{name}: {values!r}", str(self._dtype[name]))
-            with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused
+            with np.errstate(over="ignore"):  # numbers that are too large become infinite, and are refused
                 column[...] = values
         check_finite(core, array, IMMEDIATE_VERTEX, call)
-        self._rows.clear()
+        self._vertices.clear()
         return array
 
     def _check_open(self, call: str) -> None:

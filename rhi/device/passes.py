@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Attachment, DepthAttachment, PassDescriptor, Vec4
 from rhi.contract.limits import pass_faults
-from rhi.device.core.core import NO_TARGETS, Core, describe_object, lost_pass
+from rhi.device.core.core import NO_TARGETS, Core, describe_object, make_lost_pass_error
 from rhi.device.core.scopes import Scope
 from rhi.device.resources.programs import shader_kind
 from rhi.device.resources.textures import Texture, TextureTarget
 from rhi.errors import DeviceError, rules
-from rhi.errors.arguments import Arguments
+from rhi.errors.arguments import ArgumentChecker
 
 T = TypeVar("T")
 RenderTarget: TypeAlias = Texture | TextureTarget
@@ -48,12 +48,14 @@ class RenderPass(Scope):
     ) -> None:
         self._core = core
         self._lost = False  # whether another context was current at the end of the pass
-        check = Arguments("device.render_pass", core.refuse)
+        check = ArgumentChecker("device.render_pass", core.refuse)
         check.text("label", label)
         if clear_depth is not None:
-            clear_depth = Arguments(check.call, core.refuse, rules.PASS_CLEAR).number("clear_depth", clear_depth)
+            clear_depth = ArgumentChecker(check.call, core.refuse, rules.PASS_CLEAR).number("clear_depth", clear_depth)
         if clear_stencil is not None:
-            clear_stencil = Arguments(check.call, core.refuse, rules.PASS_CLEAR).whole("clear_stencil", clear_stencil)
+            clear_stencil = ArgumentChecker(check.call, core.refuse, rules.PASS_CLEAR).integer(
+                "clear_stencil", clear_stencil
+            )
         colors = [_as_render_target(core, t) for t in _as_list(color)]
         resolves: list[Texture | None] = list(_as_list(resolve)) or [None] * len(colors)
         for texture in resolves:
@@ -97,7 +99,7 @@ class RenderPass(Scope):
     def __enter__(self) -> None:
         core = self._core
         core.check_ready()
-        core.scopes.end_unheld()
+        core.scopes.end_unreferenced()
         if core.render_pass is not None:
             core.refuse(rules.PASS_NESTED, "device.render_pass", "a second pass")
         for texture in (*self._textures, *self._resolves):
@@ -117,7 +119,7 @@ class RenderPass(Scope):
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         core = self._core
         core.check_thread("the end of a render pass")
-        if core.closed or is_finalizing():  # Python ends, and closes generators: drivers are gone or going
+        if core.closed or is_finalizing():  # Python ends and closes generators: drivers may be gone
             core.leave_pass()
             return
         try:
@@ -148,10 +150,13 @@ class RenderPass(Scope):
         index = scopes._index - 1  # from here on nothing may be interrupted before `end_pass`, so it calls nothing
         scopes._data[index] = None
         scopes._index = index
-        core.render_pass, core.targets, core.target_kinds, core.program = None, NO_TARGETS, (), None
+        core.render_pass = None
+        core.targets = NO_TARGETS
+        core.target_kinds = ()
+        core.program = None
         core.backend.end_pass()
         if self._lost and not failed:
-            core.refusals.fail(lost_pass())
+            core.refusals.fail(make_lost_pass_error())
 
 
 def _as_list(value: T | Sequence[T] | Sequence[T | None] | None) -> list[T | None]:
@@ -179,7 +184,7 @@ def _clear_values(core: Core, clear: Clear, count: int) -> list[Vec4 | None]:
     if clear is None:
         return [None] * count
     call = "device.render_pass"
-    check = Arguments(call, core.refuse, rules.PASS_CLEAR)
+    check = ArgumentChecker(call, core.refuse, rules.PASS_CLEAR)
     if not (isinstance(clear, (list, tuple)) or (isinstance(clear, np.ndarray) and clear.ndim)):
         check.fail("clear", clear, _CLEAR)
     parts: list[Any] = list(clear)

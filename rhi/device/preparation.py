@@ -1,7 +1,8 @@
 """Preparation of draws and dispatches before the first frame that needs them: `device.prepare`.
 
 - A platform may build code for each combination of program, vertex layout, formats and states. `Backend`s that can do
-  so ahead of the first draw offer `PreparesKernels`; elsewhere programs and vertex arrays are created and that is all.
+  so ahead of the first draw offer `SupportsPreparedKernels`; elsewhere programs and vertex arrays are created and that
+  is all.
 - All plans are checked before anything begins.
 """
 
@@ -13,7 +14,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import cast
 
-from rhi.contract.backend import PreparesKernels
+from rhi.contract.backend import SupportsPreparedKernels
 from rhi.contract.descriptors import Stage
 from rhi.contract.formats import Format
 from rhi.contract.states import STATE_TYPES, State, StateChange
@@ -22,7 +23,7 @@ from rhi.device.core.state_cache import StateVector
 from rhi.device.resources.meshes import Mesh
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
-from rhi.errors.arguments import Arguments
+from rhi.errors.arguments import ArgumentChecker
 from rhi.errors.rules import DEVICE_ARGUMENT, TEXTURE_SIZE
 
 _CALL = "device.prepare"
@@ -30,13 +31,13 @@ _CALL = "device.prepare"
 
 @dataclass(frozen=True, slots=True)
 class DrawPlan:
-    """A draw, or a dispatch, that is going to come: an element of the list that `device.prepare` takes.
+    """A planned draw or dispatch: an element of the list that `device.prepare` takes.
 
     Attributes:
-        program: the program; one that computes needs nothing else.
-        mesh: a mesh like those that it will draw; None: any, as far as that is possible.
-        targets: the textures that it will draw into, or their formats; none: not known yet.
-        states: the states that it will be drawn with, on top of the scopes that are open now.
+        program: the program. A compute program needs no other field.
+        mesh: a mesh with the vertex layout of the later draws; None: any layout, where that is possible.
+        targets: the targets of the later draws, or their formats; none: not known yet.
+        states: the states of the later draws, on top of the scopes that are open now.
     """
 
     program: Program[...]
@@ -46,9 +47,9 @@ class DrawPlan:
 
 
 class Preparation(Future[None]):
-    """The end of what `device.prepare` has begun, as a future that can't be cancelled. `result()` waits for it.
+    """The future of a `device.prepare`. `result()` waits; it can't be cancelled.
 
-    A preparation never fails: what can't be built ahead is built, or refused, by the draw that needs it.
+    A preparation never fails: code that can't be built ahead is built, or refused, by the draw that needs it.
     """
 
     def __init__(self, parts: Iterable[Future[None]]) -> None:
@@ -64,7 +65,7 @@ class Preparation(Future[None]):
 
     @property
     def progress(self) -> tuple[int, int]:
-        """The number of finished parts, and that of all parts."""
+        """(finished parts, all parts)."""
         return self._finished, self._total
 
     def _count(self, part: Future[None]) -> None:
@@ -76,16 +77,16 @@ class Preparation(Future[None]):
 
 
 def prepare(core: Core, plans: Sequence[DrawPlan]) -> Preparation:
-    """Begin to build what these draws and dispatches need."""
+    """Begin to compile code for these draws and dispatches."""
     core.check_ready()
     checked = [(plan, *_check_plan(core, plan)) for plan in plans]
     parts: dict[Future[None], None] = {}  # several plans may share some
     for plan, colors, depth, samples, vector in checked:
         mesh = plan.mesh if Stage.VERTEX in plan.program.descriptor.stages else None
-        vertex_array = 0 if mesh is None else plan.program.find_vertex_array(mesh)
+        vertex_array = 0 if mesh is None else plan.program.get_vertex_array(mesh)
         if hasattr(core.backend, "prepare_kernels"):
             states = [StateChange(*pair) for pair in zip(STATE_TYPES, vector.values, strict=True)]
-            backend = cast("PreparesKernels", core.backend)
+            backend = cast("SupportsPreparedKernels", core.backend)
             parts |= dict.fromkeys(
                 backend.prepare_kernels(plan.program.id, vertex_array, colors, depth, samples, states)
             )
@@ -94,7 +95,7 @@ def prepare(core: Core, plans: Sequence[DrawPlan]) -> Preparation:
 
 def _check_plan(core: Core, plan: DrawPlan) -> tuple[list[Format], Format | None, int, StateVector]:
     """Refuse a plan that no draw can follow; return the formats of its targets, their samples, and the states."""
-    check = Arguments(_CALL, core.refuse)
+    check = ArgumentChecker(_CALL, core.refuse)
     check.instance("program", plan, DrawPlan, "a program, or a list of rhi.DrawPlan")
     check.instance("program", plan.program, Program, "a Program from device.program(…)")
     check.instance("targets", plan.targets, (list, tuple), "a list of textures and formats")

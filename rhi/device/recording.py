@@ -1,7 +1,7 @@
 """The core and the programs of a command buffer, which take the place of the device's during recording.
 
-- A `RecordingCore` has its own states, bindings and open pass, and uses the device's resources. It keeps which of
-  them are used, and where.
+- A `RecordingCore` has its own states, bindings and open pass, and uses the device's resources. It notes which
+  of them are used, and on which line.
 - A `RecordedProgram` is a program of the device with draw functions of its own (`draw_code`).
 - Nothing here calls the device's backend, so recording may run on any thread: the one that enters its block.
 """
@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from rhi.commands.recorder import CommandWriter
 from rhi.contract.descriptors import Id, VertexArrayDescriptor
 from rhi.device.core.core import Core, Owner, describe_object
+from rhi.device.core.uniform_ring import TransientOwner, UniformRing
 from rhi.device.queries.occlusion import OcclusionQuery
 from rhi.device.resources.draw_code import compile_draw_code
 from rhi.device.resources.meshes import Drawable, Mesh, MeshData
 from rhi.device.resources.programs import Program
-from rhi.device.transient import TransientOwner
-from rhi.errors import find_user_frame
+from rhi.errors.call_sites import find_user_frame
 from rhi.errors.rules import DEVICE_CLOSED, RECORD_STATE, RECORD_TRANSIENT
 
 
@@ -45,18 +45,26 @@ class RecordingCore(Core):
         uses: the resources in use, by id.
         stream: the recorded commands.
         vertex_arrays: vertex arrays that meshes lack for a program, to be created before the first submission.
-        meshes: those that the buffer draws, whose vertex arrays live as long as they do.
+        meshes: the meshes that the buffer draws; their vertex arrays live as long as they do.
         own_arrays: vertex arrays whose vertices lie in the arena.
         conditions: queries that must have ended before the buffer is submitted.
         queries: for each query and query set that the buffer uses, by id, the function that receives the fence of a
             submission.
-        counted_rows: for each query set that the buffer uses, by id, the rows that it counts in.
+        counted_queries: for each query set that the buffer uses, by id, the queries that it counts in.
     """
 
     __slots__ = (
-        "conditions", "counted_rows", "device", "meshes", "own_arrays", "queries", "recording", "stream", "uses",
+        "conditions",
+        "counted_queries",
+        "device",
+        "meshes",
+        "own_arrays",
+        "queries",
+        "recording",
+        "stream",
+        "uses",
         "vertex_arrays",
-    )  # fmt: skip
+    )
     records = True
 
     def __init__(self, device: Core, writer: CommandWriter) -> None:
@@ -73,7 +81,7 @@ class RecordingCore(Core):
         self.own_arrays = writer.vertex_arrays
         self.conditions: list[OcclusionQuery] = []
         self.queries: dict[Id, Callable[[int], None]] = {}
-        self.counted_rows: dict[Id, NDArray[np.int64]] = {}
+        self.counted_queries: dict[Id, NDArray[np.int64]] = {}
 
     def new_id(self) -> Id:
         return self.device.new_id()
@@ -87,7 +95,7 @@ class RecordingCore(Core):
     check_command = check_open
 
     def check_ready(self) -> None:
-        """Refuse what `check_open` does, and calls on another thread than the one that records."""
+        """Refuse calls outside recording, and calls on another thread than the recording one."""
         self.check_open()
         self.check_thread("commands")
 
@@ -102,7 +110,7 @@ class RecordingCore(Core):
         self.note_use(used.id, used)  # type: ignore[attr-defined]
 
     def note_use(self, resource: Id, owner: Owner, name: str = "") -> None:
-        """Keep that a resource is used, and where; `name` is its text in messages."""
+        """Note the use of a resource, with the user's line; `name` is its text in messages."""
         if resource not in self.uses:
             frame = find_user_frame()
             site = (None, -1) if frame is None else (frame.f_code, frame.f_lasti)
@@ -122,8 +130,9 @@ class RecordedProgram(Program[...]):
 
     __slots__ = ("origin", "prepared_draws")
 
-    def __init__(self, core: RecordingCore, origin: Program[...]) -> None:
+    def __init__(self, core: RecordingCore, uniforms: UniformRing, origin: Program[...]) -> None:
         self.core = core
+        self.uniforms = uniforms
         self.origin = origin
         self.id = origin.id
         self.descriptor = origin.descriptor
@@ -137,23 +146,23 @@ class RecordedProgram(Program[...]):
             )
         self._install_code(origin.recorded_code)
 
-    def _keep_draw(self, mesh: Drawable, draw: Callable[[int], object]) -> None:
+    def _cache_draw(self, mesh: Drawable, draw: Callable[[int], object]) -> None:
         self.prepared_draws[mesh] = draw
 
-    def find_vertex_array(self, mesh: Drawable) -> Id:
+    def get_vertex_array(self, mesh: Drawable) -> Id:
         core = self.core
         assert isinstance(core, RecordingCore)
-        known = mesh.vertex_arrays.get(self.origin) or mesh.vertex_arrays.get(self)
+        vertex_array = mesh.vertex_arrays.get(self.origin) or mesh.vertex_arrays.get(self)
         if not isinstance(mesh, Mesh):
-            return known or mesh.create_vertex_array(self.origin, self.id, self.name, self.descriptor.attributes)
+            return vertex_array or mesh.create_vertex_array(self.origin, self.id, self.name, self.descriptor.attributes)
         data = mesh.data
-        if known is None:
+        if vertex_array is None:
             key = (self.origin, data)
             if key not in core.vertex_arrays:
                 descriptor = data.describe_vertex_array(self.id, self.name, self.descriptor.attributes)
                 core.vertex_arrays[key] = core.new_id(), descriptor
-            known = core.vertex_arrays[key][0]
+            vertex_array = core.vertex_arrays[key][0]
         # The vertex array is destroyed with the mesh, even if the mesh's buffers stay.
         core.meshes.add(data)
-        core.note_use(known, data.buffers[0] if data.buffers else self.origin, f"Mesh({data.label!r})")
-        return known
+        core.note_use(vertex_array, data.buffers[0] if data.buffers else self.origin, f"Mesh({data.label!r})")
+        return vertex_array

@@ -4,7 +4,7 @@
   `create(*, validation: bool, …) -> Backend`. A port registers itself by an entry point of its own package;
   nothing here depends on it. Further keyword parameters of the function are options that only this backend has;
   `create_device` passes them on.
-- A backend that is not installed is named by its function, `package.module:function`, as in an entry point.
+- A backend without an entry point is named by its function, `package.module:function`.
 - This is the only module that may treat backends differently: it decides the order in which they are tried, that
   the null device records, and that only its devices may be created in a process that was forked after another device.
 """
@@ -26,10 +26,10 @@ from weakref import WeakSet
 
 from rhi.commands.recorder import Recorder
 from rhi.contract.backend import Backend, Capabilities
-from rhi.device.core.core import ENDING, FORKED, NO_THREAD, stop_thread
+from rhi.device.core.core import ENDING, FORKED, NO_THREAD, block_forever
 from rhi.device.device import Device
 from rhi.errors import DeviceError, RhiError, refuse
-from rhi.errors.arguments import Arguments
+from rhi.errors.arguments import ArgumentChecker
 from rhi.errors.rules import DEVICE_ARGUMENT, DEVICE_DRIVER, DEVICE_FORKED, DEVICE_UNKNOWN
 from rhi.shading import Precision
 
@@ -38,20 +38,21 @@ if TYPE_CHECKING:
 
 GROUP: Final = "rhi.backends"
 PREFERENCE: Final = ("gl",)
-"""Backends that are tried first, in this order, if no name is given; one that doesn't render must be named."""
+"""Backends that are tried first, in this order, if no name is given. A backend that doesn't render must be
+named."""
 
 
 _LONGEST: Final = 5.0  # seconds
 _creating: Final[set[int]] = set()  # threads that create a device
 _is_ending = False
 _devices: Final[WeakSet[Device]] = WeakSet()
-_loaded: Final[set[str]] = set()  # backends whose drivers this process has
-_forked: Final[set[str]] = set()  # those that its parent had when it was forked
+_loaded: Final[set[str]] = set()  # backends whose drivers this process has loaded
+_forked: Final[set[str]] = set()  # backends whose drivers its parent had loaded when it forked
 
 
 @cache
 def _entry_points() -> dict[str, EntryPoint]:
-    from importlib.metadata import entry_points  # a seventh of the time in which this package is imported
+    from importlib.metadata import entry_points  # a lazy import: it takes a seventh of the package's import time
 
     return {point.name: point for point in entry_points(group=GROUP)}
 
@@ -83,7 +84,7 @@ def create_device(
         record: keep every command with the line it came from (`device.stream`); None: only on the null device.
         timing: take timestamps in `device.event` blocks.
         frames_in_flight: how many frames the CPU may be ahead of the GPU.
-        precision: that of shaders which say none themselves, where a backend has a choice (OpenCL); None uses
+        precision: the precision of shaders that don't state one, where a backend has a choice (OpenCL); None uses
             `RHI_PRECISION` from the environment, `fast` or `exact`, or else EXACT.
         options: options of the named backend, which are the keyword parameters of its `create_backend`.
 
@@ -92,13 +93,13 @@ def create_device(
         DeviceError: `device-unknown` if no backend has this name, `device-driver` if its driver
             can't be used, with a tip about what to install.
     """
-    check = Arguments("rhi.create_device")
+    check = ArgumentChecker("rhi.create_device")
     if name is not None:
         check.text("name", name)
     validation, timing = check.flag("validation", validation), check.flag("timing", timing)
     if record is not None:
         record = check.flag("record", record)
-    frames_in_flight = check.whole("frames_in_flight", frames_in_flight, 1)
+    frames_in_flight = check.integer("frames_in_flight", frames_in_flight, 1)
     precision = default_precision() if precision is None else check.choice("precision", precision, Precision)
     name = name or os.environ.get("RHI_BACKEND") or None
     here = get_ident()
@@ -117,7 +118,7 @@ def create_device(
         _devices.add(device)
         device._core.hand_back()  # to other code whose context was current
         if _is_ending and here != main_thread().ident:
-            stop_thread()
+            block_forever()
     finally:
         _creating.discard(here)
     return device
@@ -136,7 +137,8 @@ def default_precision() -> Precision:
 
 
 def _note_fork() -> None:
-    """Mark the devices of the parent, in a process that was just forked: their drivers' threads and locks are gone."""
+    """Mark the parent's devices as unusable, in a process that was just forked: their drivers' threads and
+    locks are gone."""
     _forked.update(_loaded)
     for device in _devices:
         device._core.thread = FORKED
@@ -147,9 +149,8 @@ if hasattr(os, "register_at_fork"):
 
 
 def _stop_daemons() -> None:
-    """Let no daemon thread be in a driver when the interpreter ends, whose C++ code would end the process.
-
-    Their devices' next calls don't return, nor do creations. What lasts is waited for, for `_LONGEST` seconds.
+    """Keep daemon threads out of drivers while the interpreter ends, since a driver's C++ code would abort the
+    process. Their next calls don't return. Calls in progress are waited for, at most `_LONGEST` seconds.
     """
     global _is_ending
     _is_ending = True
@@ -173,11 +174,11 @@ def _stop_daemons() -> None:
 
 
 def _is_stopped(frame: FrameType | None) -> bool:
-    return frame is None or frame.f_code is stop_thread.__code__
+    return frame is None or frame.f_code is block_forever.__code__
 
 
 def _is_inside(frame: FrameType | None) -> bool:
-    """Return whether a thread executes a call of this package that hasn't been stopped."""
+    """Whether a thread is inside a call of this package that hasn't been stopped."""
     if _is_stopped(frame):
         return False
     while frame is not None and not str(frame.f_globals.get("__name__")).startswith("rhi."):
@@ -189,7 +190,7 @@ atexit.register(_stop_daemons)
 
 
 def _create_named(name: str, validation: bool, options: Mapping[str, object]) -> Backend:
-    create = find_function(name)
+    create = load_backend_factory(name)
     if name in _forked:
         raise DeviceError(
             DEVICE_FORKED, f"rhi.create_device({name!r})", f"{name} was used before this process was forked"
@@ -205,7 +206,7 @@ def _create_named(name: str, validation: bool, options: Mapping[str, object]) ->
     return create(validation=validation, **options)
 
 
-def find_function(name: str) -> Callable[..., Backend]:
+def load_backend_factory(name: str) -> Callable[..., Backend]:
     """Return the function that creates the backend of this name; it isn't called.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Hot reload: what was saved while a program runs takes effect between two of its frames.
+"""Hot reload: saved edits of shaders and files take effect between two frames of a running program.
 
     with rhi.Reloader(device) as reloader:
         reloader.watch(shaders, "city.glb", reload=load_scene)
@@ -10,12 +10,13 @@
 - A module of shaders is executed beside the old one and put into the classes that exist (`rhi.shading.language.edits`).
   Programs that it concerns are compiled; those whose texts have changed are created anew, all of them, before the first
   one is exchanged. A `Program` stays the same object: its id changes, and what meshes keep for it is dropped.
-- Anything that fails puts back everything, and the error is reported. The last good program goes on.
-- What compiles may still not draw: a new binding that the program doesn't know. `put_back` undoes the latest update.
-- Files whose edits only go together are exchanged together, if none can be alone.
+- Any failure restores everything, and the error is reported. The last good program goes on.
+- An edit that compiles may still fail to draw, such as a new binding that the program doesn't pass. `roll_back`
+  undoes the latest update.
+- Files whose edits depend on each other are exchanged together, if none can be alone.
 - Command buffers that have recorded an exchanged program can't be submitted again, as if it were destroyed.
-- `keep` keeps the texts that were drawn with in the cache. `put_back` also goes back to these, so that a start that
-  fails is tried again, and `rhi.device.fallback` imports them where a module can't be.
+- `checkpoint` saves the texts of shaders that have drawn a frame in the cache. `roll_back` also goes back to
+  these, so that a start that fails is tried again. `rhi.device.fallback` imports them where a module fails.
 """
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ from typing import Any, Final, Self
 
 from rhi.contract.descriptors import Id, ProgramDescriptor
 from rhi.contract.persistence import PersistentDict
-from rhi.device.core.interrupts import HeldInterrupts
+from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.device import Device
 from rhi.device.resources.programs import Program, ProgramTable
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT, PASS_OPEN, RELOAD_WATCH
-from rhi.shading.compile import compile_shader, forget_compiled, is_made_of, is_same, restore_compiled
+from rhi.shading.compile import compile_shader, depends_on_module, forget_compiled, is_same, restore_compiled
 from rhi.shading.language.edits import Edit, defines_shaders, file_of, text_of
 
 LOGGER: Final = logging.getLogger("rhi.reload")
@@ -49,10 +50,10 @@ class Reloader:
     """Exchanges shaders and files of a running program when they are saved. Use it in a `with` block, or call `close`.
 
     Attributes:
-        devices: those whose programs are exchanged.
+        devices: the devices whose programs are exchanged.
         reloaded: how many modules and files were exchanged.
-        exchanged: how many programs were.
-        errors: those of the files that are at fault, the latest last; a file that is exchanged is taken out.
+        exchanged: how many programs were exchanged.
+        errors: the errors of faulty files, the latest last; a file that is exchanged leaves the list.
     """
 
     def __init__(
@@ -77,10 +78,10 @@ class Reloader:
         self._reloads: dict[Path, Callable[[Path], object]] = {}
         self._modules: dict[Path, ModuleType] = {}
         self._latest: dict[ModuleType, str] = {}  # the texts before the latest update
-        self._is_untried = False
-        self._kept: tuple[int, set[type]] = (0, set())
+        self._has_untried_edits = False
+        self._checkpointed: tuple[int, set[type]] = (0, set())
         self._folders: frozenset[Path] = frozenset()
-        self._known: set[str] | None = None  # the names of imported modules, if all of these are watched
+        self._imported_names: set[str] | None = None  # the names of imported modules, if all of these are watched
         self._imported = 0
         self._lock = threading.Lock()
         self._changed: dict[Path, None] = {}
@@ -89,12 +90,12 @@ class Reloader:
 
     @property
     def error(self) -> Exception | None:
-        """The latest error of a file that is still at fault."""
+        """The latest error of a file that is still faulty."""
         return next(reversed(self.errors.values()), None)
 
     def watch(
         self,
-        *what: ModuleType | str | Path,
+        *sources: ModuleType | str | Path,
         reload: Callable[[Path], object] | None = None,
         missing_ok: bool = False,
     ) -> None:
@@ -109,7 +110,7 @@ class Reloader:
         """
         call = "Reloader.watch"
         reloads, modules = dict(self._reloads), dict(self._modules)
-        for each in what:
+        for each in sources:
             path = Path(file_of(each) if isinstance(each, ModuleType) else each).resolve()
             if not path.is_file() and not (missing_ok and not path.exists() and path.parent.is_dir()):
                 refuse(RELOAD_WATCH, call, f"{each!r}, which is no file")
@@ -125,23 +126,22 @@ class Reloader:
         if fresh:
             with self._lock:
                 self._changed |= {path: None for path, module in fresh if _read(path) != text_of(module)}
-            self._is_untried = bool(_list_untried())
+            self._has_untried_edits = bool(_list_untried_edits())
 
     def watch_shaders(self) -> None:
-        """Watch all modules that define shaders, structs or functions of them, also those that are imported later.
-
-        Left out are the program itself, `__main__`, whose text does more than define things, and `rhi`.
+        """Watch all modules that define shaders, structs or shader functions, also modules that are imported
+        later. It leaves out `rhi` and `__main__`, whose text does more than define things.
 
         Raises:
             ValidationError: `reload-watch`: watchfiles is missing.
         """
-        self._known = set()
-        self._watch_imported(self._known)
+        self._imported_names = set()
+        self._watch_imported(self._imported_names)
 
-    def _watch_imported(self, known: set[str]) -> None:
+    def _watch_imported(self, names: set[str]) -> None:
         self._imported = len(sys.modules)
-        fresh = {name: module for name, module in list(sys.modules.items()) if name not in known}
-        known.update(fresh)
+        fresh = {name: module for name, module in list(sys.modules.items()) if name not in names}
+        names.update(fresh)
         modules = [
             module
             for name, module in fresh.items()
@@ -153,15 +153,15 @@ class Reloader:
     def update(self) -> bool:
         """Exchange what was saved since the last call; return whether anything is new. Call it between two frames.
 
-        That is what was exchanged, and after `watch` a module that isn't as it was drawn with last (`keep`), maybe by
-        an earlier process.
+        New is an exchanged module or file, and after `watch` a module that differs from the text of the last
+        frame (`checkpoint`), maybe of an earlier process.
 
         Raises:
             ValidationError: `pass-open` inside a render pass of a device.
         """
-        if self._known is not None and len(sys.modules) != self._imported:
-            self._watch_imported(self._known)
-        is_untried, self._is_untried = self._is_untried, False
+        if self._imported_names is not None and len(sys.modules) != self._imported:
+            self._watch_imported(self._imported_names)
+        is_untried, self._has_untried_edits = self._has_untried_edits, False
         if not self._changed:  # a file that is noted just now is exchanged next time
             return is_untried
         with self._lock:
@@ -180,31 +180,35 @@ class Reloader:
         self._reload_together()
         return is_untried or self.reloaded != before
 
-    def keep(self) -> None:
-        """Keep the texts of the watched modules that the devices' programs are made of, after a frame was drawn with
-        them. It costs nothing where nothing has changed."""
-        shaders = {shader for shader in _of(device._programs for device in self.devices) if isinstance(shader, type)}
-        if (self.reloaded, shaders) != self._kept:
-            self._kept = self.reloaded, shaders
-            kept = read_texts()
+    def checkpoint(self) -> None:
+        """Save the texts of the watched modules that the devices' programs are made of. Call it after a frame
+        was drawn with them; it is free while nothing has changed."""
+        shaders = {
+            shader
+            for shader in _programmed_shaders(device._programs for device in self.devices)
+            if isinstance(shader, type)
+        }
+        if (self.reloaded, shaders) != self._checkpointed:
+            self._checkpointed = self.reloaded, shaders
+            saved = load_checkpoint()
             for module in self._modules.values():
-                is_kept = kept.get(file_of(module)) == text_of(module)
-                if not is_kept and any(is_made_of(shader, module) for shader in shaders):
-                    kept[file_of(module)] = text_of(module)
-            kept.save()
+                is_kept = saved.get(file_of(module)) == text_of(module)
+                if not is_kept and any(depends_on_module(shader, module) for shader in shaders):
+                    saved[file_of(module)] = text_of(module)
+            saved.save()
 
-    def put_back(self, error: Exception) -> bool:
-        """Give modules their texts before; return whether there are any with which they compile.
+    def roll_back(self, error: Exception) -> bool:
+        """Restore the earlier texts of modules; return whether there were any, and they compile.
 
-        These are the modules that the latest `update` has exchanged, and all modules of shaders that have changed since
-        they were drawn with last (`keep`), whether they are watched or not. It is for a program that compiles, but with
-        which the next frame can't be drawn, and for one that can't be begun: `error`, which is reported as theirs.
+        It restores the modules that the latest `update` exchanged, and all shader modules that have changed
+        since they last drew a frame (`checkpoint`), watched or not. Call it with the `error` of a program that
+        compiles, but can't draw the next frame or can't start; the error is reported as theirs.
 
         Raises:
             ValidationError: `pass-open` inside a render pass of a device.
         """
         self._tables()
-        texts, self._latest = _list_untried() | self._latest, {}
+        texts, self._latest = _list_untried_edits() | self._latest, {}
         with suppress(Exception):  # `error` counts
             self._exchange(texts)
             for module in texts:
@@ -226,31 +230,33 @@ class Reloader:
         tables = self._tables()
         numbers = {name: number for number, name in enumerate(sys.modules)}  # a module comes after those it imports
         edits: list[Edit] = []
-        known: dict[Any, Any] = {}
+        replacements: dict[Any, Any] = {}
         built: list[tuple[ProgramTable, object, Program[...], Id, ProgramDescriptor]] = []
         try:
             for module in sorted(texts, key=lambda each: numbers.get(each.__name__, 0)):
                 edits.append(Edit(module, texts[module]))
-                known |= forget_compiled(edits[-1])
+                replacements |= forget_compiled(edits[-1])
             with ExitStack() as creations:
                 for device in self.devices:
                     creations.enter_context(device._core.creation())
                 for table in tables:
                     for shader, program in table.items():
-                        if not isinstance(shader, type) or shader not in known:
+                        if not isinstance(shader, type) or shader not in replacements:
                             continue
-                        if not is_same(compile_shader(shader), known, shader):
+                        if not is_same(compile_shader(shader), replacements, shader):
                             descriptor = table.compile(shader)
                             built.append((table, shader, program, program.build(descriptor), descriptor))
         except BaseException:
             for edit in reversed(edits):
                 forget_compiled(edit)
                 edit.undo()
-            restore_compiled(known)
+            restore_compiled(replacements)
             raise
         changed = {shader for _, shader, *_ in built}
-        restore_compiled({shader: each for shader, each in known.items() if shader in _of(tables) - changed})
-        with HeldInterrupts():
+        restore_compiled(
+            {shader: each for shader, each in replacements.items() if shader in _programmed_shaders(tables) - changed}
+        )
+        with DeferredInterrupts():
             for table, shader, program, number, descriptor in built:
                 program.exchange(number, descriptor)
                 table.add(shader, program)
@@ -260,7 +266,7 @@ class Reloader:
 
     def close(self) -> None:
         """Stop watching."""
-        self._known = None
+        self._imported_names = None
         self._end_thread()
 
     def __enter__(self) -> Self:
@@ -285,7 +291,7 @@ class Reloader:
             self._latest[module] = before
 
     def _reload_together(self) -> None:
-        """Exchange all modules that are at fault, if they go together."""
+        """Exchange all faulty modules at once, if they work together."""
         faulty = {path: module for path, module in self._modules.items() if path in self.errors}
         if len(faulty) > 1:
             before = {module: text_of(module) for module in faulty.values()}
@@ -309,9 +315,14 @@ class Reloader:
             return
         stop = threading.Event()
         changes = watchfiles.watch(
-            *sorted(folders), stop_event=stop, recursive=False, step=_SETTLE, rust_timeout=100, raise_interrupt=False,
+            *sorted(folders),
+            stop_event=stop,
+            recursive=False,
+            step=_SETTLE,
+            rust_timeout=100,
+            raise_interrupt=False,
             yield_on_timeout=True,
-        )  # fmt: skip
+        )
         try:
             next(changes)  # from now on nothing is missed
         except (OSError, RuntimeError) as error:
@@ -330,14 +341,14 @@ class Reloader:
 
     def _note(self, changes: Iterable[set[tuple[Any, str]]]) -> None:
         for lot in changes:
-            found = [path for path in (Path(name).resolve() for _, name in lot) if path in self._reloads]
-            if found:
+            watched = [path for path in (Path(name).resolve() for _, name in lot) if path in self._reloads]
+            if watched:
                 with self._lock:
-                    self._changed |= dict.fromkeys(path for path in found if path.is_file())
+                    self._changed |= dict.fromkeys(path for path in watched if path.is_file())
                 self._on_save()
 
 
-def _of(tables: Iterable[ProgramTable]) -> set[object]:
+def _programmed_shaders(tables: Iterable[ProgramTable]) -> set[object]:
     return {shader for table in tables for shader, _ in table.items()}
 
 
@@ -347,17 +358,17 @@ def _read(path: Path) -> str:
     return text if text.endswith("\n") else f"{text}\n"
 
 
-def read_texts() -> PersistentDict:
-    """Return the texts that modules of shaders were drawn with last, by the names of their files."""
+def load_checkpoint() -> PersistentDict:
+    """Return the saved texts of shader modules (`Reloader.checkpoint`), by file name."""
     return PersistentDict("texts", 500)
 
 
-def _list_untried() -> dict[ModuleType, str]:
-    """Return the modules of shaders that aren't as they were drawn with last, and their texts then."""
-    kept = read_texts()
+def _list_untried_edits() -> dict[ModuleType, str]:
+    """Return the shader modules that differ from their saved texts, with these texts."""
+    saved = load_checkpoint()
     return {
-        module: kept[file_of(module)]
+        module: saved[file_of(module)]
         for name, module in list(sys.modules.items())
         if name != "__main__" and isinstance(module, ModuleType)
-        if file_of(module) in kept and defines_shaders(module) and text_of(module) != kept[file_of(module)]
+        if file_of(module) in saved and defines_shaders(module) and text_of(module) != saved[file_of(module)]
     }

@@ -3,6 +3,7 @@
 - `TransientMemory` uploads them to rings; its ranges and meshes are valid until the frame is presented.
 - Meshes are checked and read as those of `device.mesh`, by the same functions, and have the same views.
 - A command buffer has transient memory of its own, with the same lifetime: an `Arena` instead of the rings.
+- Programs write the values of their uniform bindings to the same memory, through `uniforms` (`UniformRing`).
 """
 
 from __future__ import annotations
@@ -13,13 +14,14 @@ from typing import Any, Final, NoReturn, TypeAlias, TypeVar, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from typing_extensions import Buffer as BytesLike
 
 from rhi.contract.descriptors import Attribute, Id, Primitive, VertexArrayDescriptor
 from rhi.contract.formats import IndexFormat
+from rhi.device.core.arena import Arena
 from rhi.device.core.core import Core
-from rhi.device.core.interrupts import HeldInterrupts
+from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.core.ring import Ring
+from rhi.device.core.uniform_ring import TransientOwner, UniformRing
 from rhi.device.resources.buffers import as_constants, as_storage, storage_dtype
 from rhi.device.resources.meshes import (
     Drawable,
@@ -28,19 +30,19 @@ from rhi.device.resources.meshes import (
     as_structured,
     attribute_shape,
     describe_streams,
-    find_instance_fields,
+    instance_field_names,
     match_indices,
 )
 from rhi.device.resources.programs import Program, check_program
 from rhi.errors import RhiError
-from rhi.errors.arguments import Arguments, as_whole
+from rhi.errors.arguments import ArgumentChecker, to_integer
 from rhi.errors.rules import IMMEDIATE_VERTEX, MESH_ATTRIBUTE
 from rhi.shading import Struct
 from rhi.shading.language.bindings import StorageRange, UniformRange
 
 T = TypeVar("T")
 MAX_LAYOUTS: Final = 1024
-"""Pairs of a program and a layout of vertices that are kept from frame to frame."""
+"""Largest number of (program, vertex layout) pairs that are cached from frame to frame."""
 
 VertexArrays: TypeAlias = NDArray[Any] | Mapping[str, ArrayLike]
 """Vertices or instances: a structured array, or arrays by attribute name."""
@@ -48,57 +50,25 @@ VertexArrays: TypeAlias = NDArray[Any] | Mapping[str, ArrayLike]
 _VertexArrayKey: TypeAlias = tuple[Id, tuple[StreamSource, ...], Id, IndexFormat]
 
 
-class TransientOwner:
-    """The owner of transient memory, in place of a resource, for the checks of bindings and meshes.
-
-    For constants (with a `buffer`), a new one is created when their ring has grown.
-    """
-
-    __slots__ = ("bind_uniform", "core", "destroyed", "label")
-
-    def __init__(self, core: Core, label: str, buffer: Id = 0) -> None:
-        self.core = core
-        if buffer:
-            self.bind_uniform = core.prepare_uniform(buffer)
-        self.destroyed = False
-        self.label = label
-
-
-class Arena:
-    """Memory that only grows, uploaded to the backend as one buffer at the first execution.
-
-    It has the part of the interface of `Ring` that `TransientMemory` uses.
-    """
-
-    __slots__ = ("buffer", "data", "generation")
-
-    def __init__(self, buffer: Id) -> None:
-        self.buffer = buffer
-        self.generation = 0
-        self.data = bytearray()
-
-    @property
-    def capacity(self) -> int:
-        """Number of bytes allocated."""
-        return len(self.data)
-
-    def write(self, data: BytesLike, size: int, alignment: int) -> int:
-        """Append `size` bytes and return their offset, a multiple of `alignment`."""
-        self.data.extend(bytes(-len(self.data) % alignment))
-        offset = len(self.data)
-        self.data.extend(memoryview(data)[:size])
-        return offset
-
-
 class TransientMemory:
     """Memory for data that is used in only one frame, or only one command buffer.
 
     Attributes:
+        uniforms: the ring for uniform blocks, which also holds the arrays of `storage`.
         arguments: the ring for the arrays of draws of `device.draw_many`.
     """
 
-    __slots__ = ("__weakref__", "_constants", "_core", "_indices", "_layouts", "_mesh_owner", "_owner",
-                 "_owner_generation", "_vertex_arrays", "_vertices", "arguments")  # fmt: skip
+    __slots__ = (
+        "__weakref__",
+        "_core",
+        "_indices",
+        "_layouts",
+        "_mesh_owner",
+        "_vertex_arrays",
+        "_vertices",
+        "arguments",
+        "uniforms",
+    )
 
     def __init__(self, core: Core, capacity: int = 1 << 16, arena: Arena | None = None) -> None:
         """Allocate from rings of initially `capacity` bytes each, or everything from one arena."""
@@ -110,13 +80,11 @@ class TransientMemory:
                 core.frame_rings.append(ring)
                 memories.append(ring)
             core.frame_rings.append(self)
-        self._constants, self._vertices, self._indices, self.arguments = memories
-        core.place_constants = self._place_constants
-        self._owner: TransientOwner | None = None
-        self._owner_generation = 0
+        uniform_memory, self._vertices, self._indices, self.arguments = memories
+        self.uniforms = UniformRing(core, uniform_memory)
         self._mesh_owner = TransientOwner(core, "transient memory")
         self._vertex_arrays: dict[_VertexArrayKey, Id] = {}
-        self._layouts: set[tuple[object, ...]] = set()  # that were found to fit their program
+        self._layouts: set[tuple[object, ...]] = set()  # that fit their program
 
     def __repr__(self) -> str:
         return f"TransientMemory({self.capacity} bytes)"
@@ -124,7 +92,7 @@ class TransientMemory:
     @property
     def capacity(self) -> int:
         """Total size in bytes."""
-        memories = {id(each): each for each in (self._constants, self._vertices, self._indices, self.arguments)}
+        memories = {id(each): each for each in (self.uniforms.memory, self._vertices, self._indices, self.arguments)}
         return sum(memory.capacity for memory in memories.values() if memory.buffer)
 
     @overload
@@ -142,24 +110,12 @@ class TransientMemory:
             if isinstance(value, Struct):
                 data = value.to_bytes()
             else:
-                kind, constants = as_constants(Arguments("transient.uniform"), value)
+                kind, constants = as_constants(ArgumentChecker("transient.uniform"), value)
                 data = constants.to_bytes()
         except RhiError as error:  # also of structs, which may have no layout in memory
             core.refusals.note(error)
             raise
-        return self._place_constants(data, kind)
-
-    def _place_constants(self, data: bytes, kind: object) -> UniformRange[Any]:
-        """Upload the bytes of a uniform block of this type, in a command that was checked."""
-        core, size = self._core, len(data)
-        core.upload_bytes += size
-        offset = self._constants.write(data, size, core.capabilities.uniform_alignment)
-        if self._owner is None or self._constants.generation != self._owner_generation:
-            # The ring has moved to a larger buffer. Ranges of the old one stay valid for this frame; a new owner
-            # makes draws bind the new buffer.
-            self._owner = TransientOwner(core, "transient constants", self._constants.buffer)
-            self._owner_generation = self._constants.generation
-        return UniformRange(self._constants.buffer, offset, size, kind, self._owner)
+        return self.uniforms.push(data, kind)
 
     def storage(self, element: type[T], source: int | ArrayLike) -> StorageRange[T]:
         """Upload an array that the draws and dispatches of this frame read as `Storage[T]`; see `Device.storage`.
@@ -171,15 +127,14 @@ class TransientMemory:
         """
         core = self._core
         core.check_command()
-        check = Arguments("transient.storage", core.refuse)
+        check = ArgumentChecker("transient.storage", core.refuse)
         dtype = storage_dtype(check, element)
         data = as_storage(check, core, element, source, dtype, core.capabilities.max_storage_bytes)
         core.upload_bytes += data.nbytes
-        offset = self._constants.write(
-            data.reshape(-1).view(np.uint8).data, data.nbytes, core.capabilities.storage_alignment
-        )
+        memory = self.uniforms.memory
+        offset = memory.write(data.reshape(-1).view(np.uint8).data, data.nbytes, core.capabilities.storage_alignment)
         count = data.nbytes // dtype.itemsize
-        return StorageRange(self._constants.buffer, offset, data.nbytes, element, count, self._mesh_owner)
+        return StorageRange(memory.buffer, offset, data.nbytes, element, count, self._mesh_owner)
 
     def mesh(
         self,
@@ -204,11 +159,13 @@ class TransientMemory:
         call = "transient.mesh"
         core = self._core
         core.check_command()
-        check = Arguments(call, core.refuse)
+        check = ArgumentChecker(call, core.refuse)
         check_program(core, program, call)
         check.choice("primitive", primitive, Primitive)
-        count = as_whole(vertices)
-        vertex_array = instance_array = index_array = None
+        count = to_integer(vertices)
+        vertex_array = None
+        instance_array = None
+        index_array = None
         if count is None:
             vertex_array = as_structured(core, cast("VertexArrays", vertices), IMMEDIATE_VERTEX, call)
             count = len(vertex_array)
@@ -218,17 +175,23 @@ class TransientMemory:
             instance_array = as_structured(core, instances, IMMEDIATE_VERTEX, call)
         if indices is not None:
             index_array = match_indices(core, indices, count, call)
-        return self.place_mesh(program, count, vertex_array, index_array, instance_array, primitive)
+        return self.upload_mesh(program, count, vertex_array, index_array, instance_array, primitive)
 
-    def place_mesh(
-        self, program: Program[...], vertex_count: int, vertices: NDArray[Any] | None, indices: NDArray[Any] | None,
-        instances: NDArray[Any] | None, primitive: Primitive,
-    ) -> TransientMesh:  # fmt: skip
+    def upload_mesh(
+        self,
+        program: Program[...],
+        vertex_count: int,
+        vertices: NDArray[Any] | None,
+        indices: NDArray[Any] | None,
+        instances: NDArray[Any] | None,
+        primitive: Primitive,
+    ) -> TransientMesh:
         """Upload a mesh whose arrays were checked."""
         core, attributes = self._core, program.descriptor.attributes
         given = [(array, per) for array, per in ((vertices, False), (instances, True)) if array is not None]
         layout = (program.id, *((array.dtype, per_instance) for array, per_instance in given))
-        if layout not in self._layouts:  # before anything is uploaded: do they have the fields that the program reads?
+        if layout not in self._layouts:
+            # Before anything is uploaded: do the arrays have the fields that the program reads?
             parts = [StreamSource(0, array.dtype, per_instance) for array, per_instance in given]
             describe_streams(core, parts, attributes, IMMEDIATE_VERTEX, "transient.mesh")
             self._layouts.add(layout)
@@ -237,24 +200,35 @@ class TransientMemory:
             stride = array.dtype.itemsize
             offset = self._upload(self._vertices, array, stride)
             # Vertices are counted from the start of the ring, so that all meshes of a layout share a vertex array.
-            # Instances would then be, too, and shaders count them: they get one that begins where they begin.
+            # Instances can't be: shaders count them from 0. So their vertex array begins at their own offset.
             if not per_instance:
                 start = offset // stride
             sources.append(
                 StreamSource(self._vertices.buffer, array.dtype, per_instance, offset if per_instance else 0)
             )
-        first, base, index_buffer, index_format = start, 0, 0, IndexFormat.UINT32
+        first = start
+        base = 0
+        index_buffer = 0
+        index_format = IndexFormat.UINT32
         if indices is not None:
             size = indices.dtype.itemsize
             first, base = self._upload(self._indices, indices, size) // size, start
             index_buffer = self._indices.buffer
             index_format = IndexFormat.UINT16 if size == 2 else IndexFormat.UINT32
-        vertex_array = self._find_vertex_array(program, tuple(sources), index_buffer, index_format)
+        vertex_array = self._get_vertex_array(program, tuple(sources), index_buffer, index_format)
         count = vertex_count if indices is None else len(indices)
         data = TransientMeshData(
-            core, (self._mesh_owner,), {program: vertex_array}, vertex_count, find_instance_fields(vertices, instances),
-            0 if instances is None else len(instances), indices is not None, count, first, base,
-        )  # fmt: skip
+            core,
+            (self._mesh_owner,),
+            {program: vertex_array},
+            vertex_count,
+            instance_field_names(vertices, instances),
+            0 if instances is None else len(instances),
+            indices is not None,
+            count,
+            first,
+            base,
+        )
         return TransientMesh(data, primitive, first, count, base)
 
     def _upload(self, memory: Ring | Arena, array: NDArray[Any], alignment: int) -> int:
@@ -262,7 +236,7 @@ class TransientMemory:
         self._core.upload_bytes += array.nbytes
         return memory.write(np.ascontiguousarray(array).view(np.uint8).data, array.nbytes, alignment)
 
-    def _find_vertex_array(
+    def _get_vertex_array(
         self, program: Program[...], sources: tuple[StreamSource, ...], index_buffer: Id, index_format: IndexFormat
     ) -> Id:
         """Return the vertex array for a program that reads these sources, creating it if there is none."""
@@ -272,7 +246,7 @@ class TransientMemory:
             core.check_ready()
             streams = describe_streams(core, sources, program.descriptor.attributes, IMMEDIATE_VERTEX, "transient.mesh")
             descriptor = VertexArrayDescriptor(program.id, streams, index_buffer, index_format)
-            with HeldInterrupts():
+            with DeferredInterrupts():
                 vertex_array = core.new_id()
                 core.create(core.backend.create_vertex_array, vertex_array, descriptor)
                 self._vertex_arrays[key] = vertex_array
@@ -288,8 +262,8 @@ class TransientMemory:
     def mark(self, fence: int) -> None:
         """End the frame: destroy the vertex arrays that no later frame uses, as `Ring.mark` frees the rings' memory.
 
-        They are those of buffers that a grown ring has replaced, and those of instances; and all of them, if there are
-        very many, most of which then belong to programs that are gone.
+        These are the vertex arrays of outgrown buffers and of instances. If there are very many, most belong to
+        destroyed programs, and all are destroyed.
         """
         crowded = len(self._layouts) > MAX_LAYOUTS
         if crowded:
@@ -297,10 +271,12 @@ class TransientMemory:
         current = (self._vertices.buffer, self._indices.buffer, 0)
         for key in list(self._vertex_arrays):
             _, sources, index_buffer, _ = key
-            if crowded or index_buffer not in current[1:] or any(
-                source.buffer != current[0] or source.per_instance for source in sources
-            ):  # fmt: skip
-                with HeldInterrupts():
+            if (
+                crowded
+                or index_buffer not in current[1:]
+                or any(source.buffer != current[0] or source.per_instance for source in sources)
+            ):
+                with DeferredInterrupts():
                     self._core.timeline.retire(self._vertex_arrays.pop(key))
 
 
@@ -324,7 +300,7 @@ class TransientMesh(Drawable):
     def __repr__(self) -> str:
         return f"TransientMesh({self.primitive.name}, {self.first - self.data.first}+{self.count})"
 
-    def place_draws(self, draws: NDArray[Any]) -> NDArray[Any]:
+    def offset_draws(self, draws: NDArray[Any]) -> NDArray[Any]:
         """Return draws as the backend needs them: counted from the start of the frame's memory."""
         placed = draws.copy()
         placed["first"] += self.data.first
@@ -339,7 +315,7 @@ class TransientMesh(Drawable):
         return TransientMesh(data, primitive, data.first + first, count, data.base_vertex + base_vertex, base_instance)
 
     def create_vertex_array(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> NoReturn:
-        """Refuse the draw: transient vertices are matched to one program, and this is another one."""
+        """Refuse the draw: the transient mesh was created for another program."""
         self.core.refuse(
             MESH_ATTRIBUTE,
             f"draw of program {name!r}",
@@ -354,8 +330,9 @@ def vertex_dtype(attributes: tuple[Attribute, ...]) -> np.dtype[Any]:
     fields: list[Any] = []
     for attribute in attributes:
         components, scalar = attribute_shape(attribute)
-        fields.append((attribute.name, codes[scalar], (components,)) if components > 1
-                      else (attribute.name, codes[scalar]))  # fmt: skip
+        fields.append(
+            (attribute.name, codes[scalar], (components,)) if components > 1 else (attribute.name, codes[scalar])
+        )
     return np.dtype(fields)
 
 
@@ -370,7 +347,7 @@ def pack_vertices(
     Raises:
         ValidationError: `immediate-vertex` if a field is missing or has a type that the vertex stage can't read.
     """
-    given = as_structured(core, source, IMMEDIATE_VERTEX, call, least=0)
+    given = as_structured(core, source, IMMEDIATE_VERTEX, call, minimum=0)
     if given.dtype == dtype:
         return np.array(given)
     describe_streams(core, [StreamSource(0, given.dtype, False)], attributes, IMMEDIATE_VERTEX, call)

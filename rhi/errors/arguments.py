@@ -1,11 +1,11 @@
 """The kinds of arguments: what counts as a whole number, a number, a flag, a text, a choice, an array.
 
-- A call checks its arguments where things are made, bound, copied, locked and passed, before any of them has an effect.
-  Draws call nothing of this: they compare what they are given with what was checked before.
+- Calls that create, bind, copy or lock check their arguments before any effect. Draws call nothing of this:
+  they compare arguments by identity with those that were checked before.
 - A whole number is what Python accepts as an index: an `int` or one of NumPy's integers, also as an array without
   dimensions. A number may also be one of Python's or NumPy's floats, and is finite. A bool is neither, and a number is
   not a flag.
-- What passes comes back as Python's own type, so that backends, recorded commands and traces meet no other.
+- Checked values are returned as Python's own types, so that backends, recorded commands and traces meet no others.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _LARGEST: Final = 3.4028235e38
 """The largest 32-bit float, which bounds every number that a shader or a driver receives."""
 
 
-class Arguments:
+class ArgumentChecker:
     """The arguments of one call. Each method returns an argument in its proper type, or refuses it by name.
 
     Attributes:
@@ -44,8 +44,8 @@ class Arguments:
     def __init__(self, call: str, refuse: Callable[..., NoReturn] = refuse, rule: Rule = DEVICE_ARGUMENT) -> None:
         """
         Args:
-            refuse: raises the error: that of the device's `Core`, which keeps it beside the recorded commands, or by
-                default `rhi.errors.refuse`.
+            refuse: raises the error. A device passes its `Core.refuse`, which also records the error; the
+                default is `rhi.errors.refuse`.
         """
         self.call = call
         self.rule = rule
@@ -55,28 +55,30 @@ class Arguments:
         """Refuse an argument."""
         self._refuse(self.rule, self.call, f"{name}={_show(value)}", allowed, tip)
 
-    def whole(self, name: str, value: Any, least: int | None = None, most: int | None = None) -> int:
-        """Return a whole number from `least` to `most` as an int."""
-        number = as_whole(value)
-        if number is None or (least is not None and number < least) or (most is not None and number > most):
+    def integer(self, name: str, value: Any, minimum: int | None = None, maximum: int | None = None) -> int:
+        """Return a whole number from `minimum` to `maximum` as an int."""
+        number = to_integer(value)
+        if number is None or (minimum is not None and number < minimum) or (maximum is not None and number > maximum):
             tip = "whole numbers come from `//`, int(…) or round(…)" if _is_real(value) else ""
-            self.fail(name, value, "a whole number" + _bounds(least, most), tip)
+            self.fail(name, value, "a whole number" + _bounds(minimum, maximum), tip)
         return number
 
-    def whole_or_none(self, name: str, value: Any, least: int | None = None, most: int | None = None) -> int | None:
+    def integer_or_none(
+        self, name: str, value: Any, minimum: int | None = None, maximum: int | None = None
+    ) -> int | None:
         """Return a whole number as an int, or None."""
-        return None if value is None else self.whole(name, value, least, most)
+        return None if value is None else self.integer(name, value, minimum, maximum)
 
-    def number(self, name: str, value: Any, least: float | None = None, most: float | None = None) -> float:
-        """Return a finite number from `least` to `most` as a float; a whole number stays an int."""
+    def number(self, name: str, value: Any, minimum: float | None = None, maximum: float | None = None) -> float:
+        """Return a finite number from `minimum` to `maximum` as a float; a whole number stays an int."""
         number = _as_number(value)
         if (
             number is None
             or not -_LARGEST <= number <= _LARGEST  # false for NaN too
-            or (least is not None and number < least)
-            or (most is not None and number > most)
+            or (minimum is not None and number < minimum)
+            or (maximum is not None and number > maximum)
         ):
-            self.fail(name, value, "a finite number" + _bounds(least, most))
+            self.fail(name, value, "a finite number" + _bounds(minimum, maximum))
         return number
 
     def color(self, name: str, value: Any) -> tuple[float, float, float, float]:
@@ -106,7 +108,7 @@ class Arguments:
         return value
 
     def instance(self, name: str, value: Any, kind: type[T] | tuple[type[T], ...], allowed: str) -> T:
-        """Return an object of one of these classes; `allowed` says which, and where they come from."""
+        """Return an object of one of these classes; `allowed` describes them in the error."""
         if not isinstance(value, kind):
             self.fail(name, value, allowed)
         return value
@@ -120,17 +122,17 @@ class Arguments:
         return value
 
     def array(self, name: str, value: Any) -> NDArray[Any]:
-        """Return whatever NumPy makes an array of. Its dtype and shape are up to the caller."""
+        """Return an array-like as an array. The caller checks its dtype and shape."""
         try:
             return np.asarray(value)
         except (TypeError, ValueError, OverflowError) as error:
             self.fail(name, value, f"an array ({error})")
 
 
-class Fields(Arguments):
+class FieldChecker(ArgumentChecker):
     """The fields of a frozen dataclass that is being created. Each is checked, and kept in its proper type.
 
-    It belongs into `__post_init__`: `Fields(self).wholes("x", "y", least=0)`.
+    Use it in `__post_init__`: `FieldChecker(self).integers("x", "y", minimum=0)`.
     """
 
     __slots__ = ("_value",)
@@ -139,44 +141,46 @@ class Fields(Arguments):
         super().__init__(type(value).__name__, rule=rule)
         self._value = value
 
-    def wholes(self, *names: str, least: int | None = None, most: int | None = None) -> None:
+    def integers(self, *names: str, minimum: int | None = None, maximum: int | None = None) -> None:
         """Make these fields whole numbers."""
         for name in names:
-            self._keep(name, self.whole(name, getattr(self._value, name), least, most))
+            self._set_field(name, self.integer(name, getattr(self._value, name), minimum, maximum))
 
-    def wholes_or_none(self, *names: str, least: int | None = None, most: int | None = None) -> None:
+    def integers_or_none(self, *names: str, minimum: int | None = None, maximum: int | None = None) -> None:
         """Make these fields whole numbers, except those that are None."""
-        self.wholes(*(name for name in names if getattr(self._value, name) is not None), least=least, most=most)
+        self.integers(
+            *(name for name in names if getattr(self._value, name) is not None), minimum=minimum, maximum=maximum
+        )
 
-    def numbers(self, *names: str, least: float | None = None, most: float | None = None) -> None:
+    def numbers(self, *names: str, minimum: float | None = None, maximum: float | None = None) -> None:
         """Make these fields finite numbers."""
         for name in names:
-            self._keep(name, self.number(name, getattr(self._value, name), least, most))
+            self._set_field(name, self.number(name, getattr(self._value, name), minimum, maximum))
 
     def flags(self, *names: str) -> None:
         """Make these fields bools."""
         for name in names:
-            self._keep(name, self.flag(name, getattr(self._value, name)))
+            self._set_field(name, self.flag(name, getattr(self._value, name)))
 
     def choices(self, kind: type[enum.Enum], *names: str) -> None:
-        """Refuse those of these fields that are no members of an enum."""
+        """Refuse fields that are no members of an enum."""
         for name in names:
             self.choice(name, getattr(self._value, name), kind)
 
     def choices_or_none(self, kind: type[enum.Enum], *names: str) -> None:
-        """Refuse those of these fields that are neither members of an enum nor None."""
+        """Refuse fields that are neither members of an enum nor None."""
         self.choices(kind, *(name for name in names if getattr(self._value, name) is not None))
 
     def colors(self, *names: str) -> None:
         """Make these fields tuples of four numbers."""
         for name in names:
-            self._keep(name, self.color(name, getattr(self._value, name)))
+            self._set_field(name, self.color(name, getattr(self._value, name)))
 
-    def _keep(self, name: str, value: object) -> None:
+    def _set_field(self, name: str, value: object) -> None:
         object.__setattr__(self._value, name, value)  # its own __setattr__ refuses everything
 
 
-def as_whole(value: Any) -> int | None:
+def to_integer(value: Any) -> int | None:
     """Return a whole number as an int, None for anything else; a bool is none."""
     if value.__class__ is int:
         return value
@@ -189,10 +193,10 @@ def as_whole(value: Any) -> int | None:
 
 
 def describe_choices(kind: type[enum.Enum]) -> str:
-    """Return the members of an enum as a message shows them; of many, the first."""
+    """Text of an enum's members for a message; of a long enum, the first eight."""
     names = [f"{kind.__name__}.{member.name}" for member in kind]
-    shown = ", ".join(names[:8])
-    return shown if len(names) <= 8 else f"one of the {len(names)} members of {kind.__name__}: {shown}, …"
+    listed = ", ".join(names[:8])
+    return listed if len(names) <= 8 else f"one of the {len(names)} members of {kind.__name__}: {listed}, …"
 
 
 def _is_real(value: object) -> bool:
@@ -213,14 +217,14 @@ def _as_float(value: Any) -> float | None:
 
 def _as_number(value: Any) -> float | None:
     """Return a whole number as an int, another number as a float, None for anything else."""
-    whole = as_whole(value)
-    return _as_float(value) if whole is None else whole
+    integer = to_integer(value)
+    return _as_float(value) if integer is None else integer
 
 
-def _bounds(least: float | None, most: float | None) -> str:
-    if most is None:
-        return "" if least is None else f", {least:g} or more"
-    return f" up to {most:,}" if least is None else f" from {least:,} to {most:,}"
+def _bounds(minimum: float | None, maximum: float | None) -> str:
+    if maximum is None:
+        return "" if minimum is None else f", {minimum:g} or more"
+    return f" up to {maximum:,}" if minimum is None else f" from {minimum:,} to {maximum:,}"
 
 
 def _show(value: object) -> str:

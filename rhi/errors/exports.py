@@ -1,4 +1,4 @@
-"""The public names of a package: those that its `__init__` imports. So each of them stands there once."""
+"""The public names of a package: the names that its `__init__` imports."""
 
 from __future__ import annotations
 

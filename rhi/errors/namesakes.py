@@ -1,7 +1,7 @@
-"""Files of a user's folder that have the name of a package of ours.
+"""Namesakes: files in the user's folder that hide one of our packages.
 
-`python -m` looks into the working folder first, and runs a file of that name there. It may be meant, so it is said, not
-refused. The commands `rhi` and `rhi-renderer` don't look there.
+`python -m` looks into the working folder first, and runs a file of that name there. That may be intended, so it
+causes a warning, no error. The commands `rhi` and `rhi-renderer` don't look there.
 """
 
 from __future__ import annotations

@@ -145,9 +145,10 @@ TRANSIENT_SIZE: Final = Rule(
 # -- command buffers -------------------------------------------------------------------------------------
 
 RECORD_STATE: Final = Rule(
-    "record-state", "the command buffer is not in the state that this call needs",
+    "record-state",
+    "the command buffer is not in the state that this call needs",
     "record inside its `with` block and submit after it",
-)  # fmt: skip
+)
 RECORD_OPEN: Final = Rule(
     "record-open",
     "a command buffer ended while a scope was open",
@@ -176,7 +177,7 @@ CONDITION_NESTED: Final = Rule(
     "draws can depend on only one query at a time",
     "leave the first condition's `with` block",
 )
-QUERY_ROWS: Final = Rule("query-rows", "the rows don't match the draws or the query set")
+QUERY_INDICES: Final = Rule("query-indices", "the query indices don't match the draws or the query set")
 SCOPE_ORDER: Final = Rule("scope-order", "scopes must be left in the reverse order of entry", "use `with`")
 SCOPE_OPEN: Final = Rule(
     "scope-open", "this can't be done while a scope is open", "leave the scope's `with` block first"
@@ -192,9 +193,10 @@ COMMAND_CLEARED: Final = Rule(
     "read it before clear()",
 )
 NULL_SAMPLES: Final = Rule(
-    "null-samples", "nothing was rasterised, so the number of samples that passed is unknown",
+    "null-samples",
+    "nothing was rasterised, so the number of samples that passed is unknown",
     "define the answers with backend.answer_queries(...) or backend.count_samples(...)",
-)  # fmt: skip
+)
 NULL_ANSWER: Final = Rule("null-answer", "not a number of samples")
 
 # -- images ------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rhi.math.projections import Depth, Perspective, Projection, check_camera
-from rhi.math.transforms import Floats, keep
+from rhi.math.transforms import Floats, freeze
 
 
 class FrustumPlane(IntEnum):
@@ -34,7 +34,7 @@ _FACES: Final = {
     Depth.REVERSED: np.array([(1.0, 0, 0, 1), (-1, 0, 0, 1), (0, 1, 0, 1), (0, -1, 0, 1), (0, 0, -1, 1), (0, 0, 1, 0)]),
     Depth.STANDARD: np.array([(1.0, 0, 0, 1), (-1, 0, 0, 1), (0, 1, 0, 1), (0, -1, 0, 1), (0, 0, 1, 0), (0, 0, -1, 1)]),
 }
-"""What the rows of a clip matrix are multiplied by, and added up, to give the planes of its volume."""
+"""Weights of the rows of a clip matrix whose sums are the planes of the frustum."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -58,12 +58,12 @@ class Frustum:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A position, an orientation, and a lens.
+    """A position, an orientation, and a projection.
 
     Attributes:
         position: (3,) float64, world.
         rotation: (3, 3) float64, world directions to view directions; rows are right, up, back.
-        projection: the lens.
+        projection: the map from view space to clip space.
     """
 
     position: Floats
@@ -95,38 +95,38 @@ class Camera:
     @cached_property
     def right(self) -> Floats:
         """The unit vector (3,) to the camera's right."""
-        return keep(np.array(self.rotation[0]))
+        return freeze(np.array(self.rotation[0]))
 
     @cached_property
     def forward(self) -> Floats:
         """The unit vector (3,) along which the camera looks."""
-        return keep(-self.rotation[2])
+        return freeze(-self.rotation[2])
 
     @cached_property
     def view(self) -> Floats:
         """The matrix (4, 4) float64 from world space to view space."""
-        m = self._turn()
+        m = self._rotation_matrix()
         m[:3, 3] = -(self.rotation @ self.position)
-        return keep(m)
+        return freeze(m)
 
     @cached_property
     def view_projection(self) -> Floats:
         """The matrix (4, 4) float64 from world space to clip space."""
-        return keep(self.projection.matrix @ self.view)
+        return freeze(self.projection.matrix @ self.view)
 
     @cached_property
     def relative_view_projection(self) -> NDArray[np.float32]:
         """The matrix (4, 4) float32 that shaders use: from world axes with the eye as origin to clip space."""
-        return keep((self.projection.matrix @ self._turn()).astype(np.float32))
+        return freeze((self.projection.matrix @ self._rotation_matrix()).astype(np.float32))
 
     @cached_property
     def frustum(self) -> Frustum:
         """The visible volume in world space."""
-        planes = Frustum.from_matrix(self.projection.matrix @ self._turn(), self.projection.depth).planes
+        planes = Frustum.from_matrix(self.projection.matrix @ self._rotation_matrix(), self.projection.depth).planes
         planes[:, 3] -= planes[:, :3] @ self.position  # after normalising: no loss far from the origin
-        return Frustum(keep(planes))
+        return Frustum(freeze(planes))
 
-    def _turn(self) -> Floats:
+    def _rotation_matrix(self) -> Floats:
         m = np.zeros((4, 4))
         m[:3, :3] = self.rotation
         m[3, 3] = 1.0
@@ -156,19 +156,19 @@ def orbit(target: ArrayLike, distance: float, yaw: float = 0.0, pitch: float = 0
 
     Args:
         target: (3,), the point.
-        distance: of the eye from it.
-        yaw: the angle of the eye around +Y, in radians; at 0 it is on the side of +Z, at pi / 2 on that of +X.
-        pitch: its angle above the point's height, from -pi / 2 to pi / 2.
+        distance: from the eye to `target`.
+        yaw: the angle of the eye around +Y, in radians; at 0 the eye is towards +Z, at pi / 2 towards +X.
+        pitch: angle of the eye above the horizontal through `target`, in radians, from -pi / 2 to pi / 2.
 
     Raises:
         ValidationError: `camera-bad-value` for a distance that isn't above 0.
     """
     check_camera("orbit(distance=...)", distance, 0.0 < distance < np.inf, "above 0, finite")
-    turned = find_heading(yaw, -pitch)
+    turned = yaw_pitch_rotation(yaw, -pitch)
     return Camera(np.asarray(target, np.float64) + distance * turned[2], turned, Perspective()).view.copy()
 
 
-def find_heading(yaw: float, pitch: float) -> Floats:
+def yaw_pitch_rotation(yaw: float, pitch: float) -> Floats:
     """Return the rotation (3, 3) of a camera without roll, turned to the left by `yaw` around +Y, then upwards by
     `pitch`, in radians: rows are right, up, back."""
     s, c, t, d = sin(yaw), cos(yaw), sin(pitch), cos(pitch)

@@ -1,8 +1,8 @@
-"""Projections: matrices and lenses from view space to clip space, in float64.
+"""Projections from view space to clip space: classes and matrices, in float64.
 
 View space looks along -Z with +Y up. Clip depth runs from 0 to 1, reversed by default: 1 at the near plane and 0 at the
-far one, as the default depth function (GREATER) and a `clear_depth` of 0 expect. Standard depth, near 0 and far 1, is
-there so that its cost in accuracy can be shown. Matrices are row-major, for column vectors: `matrix @ vector`.
+far one, as the default depth function (GREATER) and a `clear_depth` of 0 expect. Standard depth, near 0 and far
+1, exists for comparison: it is less accurate. Matrices are row-major, for column vectors: `matrix @ vector`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from rhi.errors import refuse
 from rhi.errors.rules import CAMERA_VALUE
-from rhi.math.transforms import Floats, keep
+from rhi.math.transforms import Floats, freeze
 
 
 class Depth(Enum):
@@ -29,7 +29,7 @@ class Depth(Enum):
 
 
 class Projection(Protocol):
-    """The lens of a camera, an immutable value."""
+    """The projection of a camera, an immutable value."""
 
     def __hash__(self) -> int: ...
 
@@ -43,13 +43,13 @@ class Projection(Protocol):
         ...
 
     def with_aspect(self, aspect: float) -> Projection:
-        """Return the same lens for an image of width / height = `aspect`."""
+        """Return the same projection for an image of width / height = `aspect`."""
         ...
 
 
 @dataclass(frozen=True)
 class Perspective:
-    """A perspective lens: vertical field of view in radians, distances in metres; `far` may be infinite."""
+    """A perspective projection: vertical field of view in radians, distances in metres; `far` may be infinite."""
 
     fov: float = np.pi / 3
     aspect: float = 16 / 9
@@ -70,21 +70,23 @@ class Perspective:
         focal = 1.0 / np.tan(0.5 * self.fov)
         near, far = self.near, self.far
         m = np.zeros((4, 4))
-        m[0, 0], m[1, 1], m[3, 2] = focal / self.aspect, focal, -1.0
+        m[0, 0] = focal / self.aspect
+        m[1, 1] = focal
+        m[3, 2] = -1.0
         if self.depth is Depth.REVERSED:
             m[2, 2], m[2, 3] = (0.0, near) if np.isinf(far) else (near / (far - near), near * far / (far - near))
         else:
             m[2, 2], m[2, 3] = (-1.0, -near) if np.isinf(far) else (far / (near - far), near * far / (near - far))
-        return keep(m)
+        return freeze(m)
 
     def with_aspect(self, aspect: float) -> Perspective:
-        """Return the same lens for an image of width / height = `aspect`."""
+        """Return the same projection for an image of width / height = `aspect`."""
         return self if aspect == self.aspect else replace(self, aspect=aspect)
 
 
 @dataclass(frozen=True)
 class Orthographic:
-    """A parallel lens: `height` of the image in metres; `near` may be 0 or negative."""
+    """An orthographic projection: `height` of the image in metres; `near` may be 0 or negative."""
 
     height: float
     aspect: float = 16 / 9
@@ -102,10 +104,10 @@ class Orthographic:
     def matrix(self) -> Floats:
         """The matrix (4, 4) float64 from view space to clip space."""
         x, y = 0.5 * (self.height * self.aspect), 0.5 * self.height
-        return keep(_project_box(-x, x, -y, y, self.near, self.far, self.depth))
+        return freeze(_project_box(-x, x, -y, y, self.near, self.far, self.depth))
 
     def with_aspect(self, aspect: float) -> Orthographic:
-        """Return the same lens for an image of width / height = `aspect`."""
+        """Return the same projection for an image of width / height = `aspect`."""
         return self if aspect == self.aspect else replace(self, aspect=aspect)
 
 
@@ -118,7 +120,7 @@ def perspective(
         fov: the vertical field of view, in radians.
         aspect: width / height of the image.
         near: the distance of the near plane.
-        far: that of the far plane; it may be infinite.
+        far: the distance of the far plane; it may be infinite.
         depth: the direction of clip depth.
 
     Raises:
@@ -136,21 +138,21 @@ def orthographic(
     far: float = 1.0,
     depth: Depth = Depth.REVERSED,
 ) -> Floats:
-    """Return the (4, 4) matrix of a parallel projection of the box between these planes.
+    """Return the (4, 4) matrix of an orthographic projection of the box between these planes.
 
     `orthographic(0, width, height, 0)` is for 2D: positions in pixels from the top left corner.
 
     Args:
         left: the edge of the image in view space; two opposite edges may change sides.
-        right: the edge across.
+        right: the right edge.
         bottom: the lower edge.
         top: the upper edge.
         near: the distance of the near plane; it may be negative.
-        far: that of the far plane.
+        far: the distance of the far plane.
         depth: the direction of clip depth.
 
     Raises:
-        ValidationError: `camera-bad-value` for values that aren't finite, and edges or planes in one place.
+        ValidationError: `camera-bad-value` for values that aren't finite, and for two equal edges or planes.
     """
     for name, low, high in (("right", left, right), ("top", bottom, top), ("far", near, far)):
         fine = bool(np.isfinite([low, high]).all()) and low != high
@@ -160,7 +162,9 @@ def orthographic(
 
 def _project_box(left: float, right: float, bottom: float, top: float, near: float, far: float, depth: Depth) -> Floats:
     m = np.zeros((4, 4))
-    m[0, 0], m[1, 1], m[3, 3] = 2.0 / (right - left), 2.0 / (top - bottom), 1.0
+    m[0, 0] = 2.0 / (right - left)
+    m[1, 1] = 2.0 / (top - bottom)
+    m[3, 3] = 1.0
     m[0, 3], m[1, 3] = 0.0 - (right + left) / (right - left), 0.0 - (top + bottom) / (top - bottom)
     length = far - near
     if depth is Depth.REVERSED:
@@ -170,19 +174,19 @@ def _project_box(left: float, right: float, bottom: float, top: float, near: flo
     return m
 
 
-def is_parallel(lens: Projection) -> bool:
-    """Return whether a projection is parallel (orthographic)."""
-    return bool(lens.matrix[3, 3] != 0.0)
+def is_parallel(projection: Projection) -> bool:
+    """Whether a projection is orthographic."""
+    return bool(projection.matrix[3, 3] != 0.0)
 
 
-def find_distance(matrix: Floats, depth: float) -> float:
-    """Return the distance along the view at which the matrix (4, 4) of a projection gives a clip depth; it may be
+def distance_at_depth(matrix: Floats, depth: float) -> float:
+    """Distance along the view at which a projection's matrix (4, 4) gives this clip depth; it may be
     infinite."""
     below = float(matrix[2, 2] - matrix[3, 2] * depth)
     return float(matrix[2, 3] - matrix[3, 3] * depth) / below if below else np.inf
 
 
-def check_camera(call: str, value: object, fine: bool, allowed: str, tip: str = "") -> None:
-    """Refuse a value of a camera that isn't fine."""
-    if not fine:
+def check_camera(call: str, value: object, is_valid: bool, allowed: str, tip: str = "") -> None:
+    """Refuse an invalid value of a camera or projection."""
+    if not is_valid:
         refuse(CAMERA_VALUE, call, value, allowed, tip)

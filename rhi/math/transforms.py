@@ -16,8 +16,8 @@ Floats: TypeAlias = NDArray[np.float64]
 A = TypeVar("A", bound=NDArray[Any])
 
 
-def keep(array: A) -> A:
-    """Return an array, which can't be written to any more."""
+def freeze(array: A) -> A:
+    """Make an array read-only, and return it."""
     array.setflags(write=False)
     return array
 
@@ -59,7 +59,7 @@ def multiply(left: ArrayLike, right: ArrayLike) -> Floats:
 
 
 def is_affine(matrices: Floats) -> bool:
-    """Return whether all `matrices` (..., 4, 4) are finite and have the last row 0 0 0 1."""
+    """Whether all `matrices` (..., 4, 4) are finite and have the last row 0 0 0 1."""
     return bool(np.isfinite(matrices).all() and (matrices[..., 3, :] == (0.0, 0.0, 0.0, 1.0)).all())
 
 

@@ -46,18 +46,19 @@ if _TYPE_CHECKING:
     from rhi.shading.evaluation.compute import run_compute as run_compute
     from rhi.shading.evaluation.stages import run_fragment as run_fragment
     from rhi.shading.evaluation.stages import run_vertex as run_vertex
+    from rhi.shading.numpy.host_textures import HostTexture as HostTexture
     from rhi.shading.numpy.kernel import NumpyKernel as NumpyKernel
-    from rhi.shading.numpy.textures import HostTexture as HostTexture
 
 _LATER = {
-    "HostTexture": "numpy.textures",
+    "HostTexture": "numpy.host_textures",
     "NumpyKernel": "numpy.kernel",
     "evaluate": "evaluation.compute",
     "run_compute": "evaluation.compute",
     "run_fragment": "evaluation.stages",
     "run_vertex": "evaluation.stages",
 }
-"""Modules that are imported when they are asked for: few programs need them, and they take as long as all the rest."""
+"""Names whose modules are imported on first use: few programs need them, and they would double the import
+time."""
 
 
 def __getattr__(name: str) -> _Any:

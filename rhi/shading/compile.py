@@ -1,8 +1,9 @@
 """The compiler of shader classes: from a class to the `ProgramDescriptor` that backends create programs from.
 
 - `compile_shader` parses and checks a class once. The texts of its stages are written when a backend requests them.
-- A compute stage is also lowered to lane code at once, because only lane code knows the uniformity of values, which
-  decides about barriers and races.
+- A compute stage is lowered to lane code for devices that run lane code. Only lane code knows the uniformity of values,
+  which decides about barriers and races. Where the typed tree doesn't show that a stage keeps those rules
+  (`rhi.shading.parser.group_rules`), it is therefore lowered at once, so that every device refuses the same shaders.
 """
 
 from __future__ import annotations
@@ -14,17 +15,19 @@ from dataclasses import fields, replace
 from types import ModuleType
 
 from rhi.contract.descriptors import Binding, BindingKind, ProgramDescriptor, Stage, StageText
-from rhi.contract.layout import Layout, StructType, place, stride_of
-from rhi.errors import ShaderError, ShaderErrors, find_call_site
+from rhi.contract.layout import Layout, StructType, memory_layout, stride_of
+from rhi.errors import ShaderError, ShaderErrors
+from rhi.errors.call_sites import find_call_site
 from rhi.shading.emitters import WIDTHS, ShaderCode, make_depth_error
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Precision
 from rhi.shading.language.edits import Edit, file_of
-from rhi.shading.language.shader import Declaration, Shader, StorageClass, find_work_group
+from rhi.shading.language.shader import Declaration, Shader, StorageClass, work_group_size
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.types import VOID, ImageType, StorageType
+from rhi.shading.parser.group_rules import may_break_group_rules
 from rhi.shading.parser.interface import (
     attributes_read,
     check_fragment_input,
@@ -36,11 +39,11 @@ from rhi.shading.parser.interface import (
 )
 from rhi.shading.parser.signatures import Callee, find_method
 from rhi.shading.parser.stage import parse_stage
-from rhi.shading.parser.unused import find_unused, warn_of_unused
+from rhi.shading.parser.unused import collect_unused_bindings, warn_of_unused
 
 _compiled: weakref.WeakKeyDictionary[type[Shader], tuple[ProgramDescriptor, ShaderCode]] = weakref.WeakKeyDictionary()
 
-Compiled = Mapping[type[Shader], tuple[ProgramDescriptor, ShaderCode]]
+CompiledShaders = Mapping[type[Shader], tuple[ProgramDescriptor, ShaderCode]]
 """Shader classes with the descriptors and code that they compile to."""
 
 
@@ -53,62 +56,65 @@ def compile_shader(shader: type[Shader], *, strict: bool = False) -> ProgramDesc
     A binding that no method uses is a `ShaderWarning`, once; with `strict` it is an error.
 
     Raises:
-        ShaderError: the shader breaks rules of `rhi.shading.language.rules`; the error shows the line of each place.
+        ShaderError: the shader breaks rules of `rhi.shading.language.rules`; the error shows each line that
+        breaks one.
     """
-    known = _compiled.get(shader)
-    if known is None:
+    compiled = _compiled.get(shader)
+    if compiled is None:
         try:
-            known = _compile(shader)
-        except ShaderError as error:  # it shows the line, which the compiler's own traceback would bury
+            compiled = _compile(shader)
+        except ShaderError as error:  # the error shows the line; the compiler's traceback would bury it
             raise error.with_traceback(None) from error.__cause__
         except RecursionError:
             raise make_depth_error(shader.__qualname__) from None
-    unused = known[1].unused
+    unused = compiled[1].unused
     if unused and strict:
         ShaderErrors(unused).check()
     if shader not in _compiled:
         warn_of_unused(unused)
-        _compiled[shader] = known
-    return known[0]
+        _compiled[shader] = compiled
+    return compiled[0]
 
 
-def describe_in(shader: type[Shader], precision: Precision) -> ProgramDescriptor:
-    """Return what `compile_shader` does, in this precision if the shader and its bases say none themselves."""
+def describe_with_precision(shader: type[Shader], precision: Precision) -> ProgramDescriptor:
+    """Compile a shader like `compile_shader`, in this precision unless the shader or a base sets its own."""
     exact = compile_shader(shader)
     own = any("precision" in vars(base) for base in shader.__mro__[: shader.__mro__.index(Shader)])
     if own or precision is shader.precision:
         return exact
-    code = _compiled[shader][1].in_precision(precision)
+    code = _compiled[shader][1].with_other_precision(precision)
     return replace(exact, emit=code.emit, flushes_denormals=precision is Precision.FAST)
 
 
-def find_exact(shader: type[Shader]) -> list[str]:
-    """Return the functions of a compiled shader that FAST would compute with fewer instructions, in texts that were
-    written and that depend on the precision; "divide" is division."""
-    known = _compiled.get(shader)
-    return known[1].find_exact() if known is not None else []
+def list_exact_functions(shader: type[Shader]) -> list[str]:
+    """Return the built-ins of a compiled shader that `Precision.FAST` would compute with fewer instructions.
+
+    Only texts that were written in OpenCL C count; the name "divide" stands for division."""
+    compiled = _compiled.get(shader)
+    return compiled[1].list_exact_functions() if compiled is not None else []
 
 
-def forget_compiled(edit: Edit) -> Compiled:
-    """Let the shaders that a module's edit may concern be compiled again; return what was known of them.
+def forget_compiled(edit: Edit) -> CompiledShaders:
+    """Discard and return the compiled shaders that a module's edit may concern; they are compiled again on
+    demand.
 
     These are the classes of the module and those derived from them, those that call its functions or use structs that
     it changed, and those of modules that have imported it.
     """
-    found = {
-        each: known for each, known in _compiled.items() if _is_concerned(each, known[1], edit.module, edit.structs)
+    concerned = {
+        each: code for each, code in _compiled.items() if _is_concerned(each, code[1], edit.module, edit.structs)
     }
-    for shader in found:
+    for shader in concerned:
         del _compiled[shader]
-    return found
+    return concerned
 
 
-def restore_compiled(known: Compiled) -> None:
-    """Take back what `forget_compiled` has returned: the edit was undone."""
-    _compiled.update(known)
+def restore_compiled(compiled: CompiledShaders) -> None:
+    """Restore compiled shaders that `forget_compiled` has returned, because the edit was undone."""
+    _compiled.update(compiled)
 
 
-def is_made_of(shader: type[Shader], module: ModuleType) -> bool:
+def depends_on_module(shader: type[Shader], module: ModuleType) -> bool:
     """Return whether a compiled shader has classes, functions or structs of a module, or a base has imported it."""
     own = [value for value in vars(module).values() if getattr(value, "__module__", "") == module.__name__]
     structs = {value.shading_type for value in own if isinstance(value, type) and issubclass(value, Struct)}
@@ -127,26 +133,26 @@ def _is_concerned(shader: type[Shader], code: ShaderCode, module: ModuleType, st
     )
 
 
-def is_same(one: ProgramDescriptor, known: Compiled, shader: type[Shader]) -> bool:
-    """Return whether a newly compiled program is the known one: its texts, as far as they were written, and its
-    interface."""
-    before, code = known[shader]
-    if any(getattr(one, name) != getattr(before, name) for name in _COMPARED):
+def is_same(program: ProgramDescriptor, compiled: CompiledShaders, shader: type[Shader]) -> bool:
+    """Return whether a newly compiled program equals the earlier one in its interface and all texts written
+    so far."""
+    before, code = compiled[shader]
+    if any(getattr(program, name) != getattr(before, name) for name in _COMPARED):
         return False
     written = dict(code.written())
     try:
         written = written or {("glsl", stage): code.emit("glsl", stage) for stage in before.stages}
-    except ShaderError:  # it has stages in another language only
+    except ShaderError:  # its stages are written in another language only
         return False
     for (language, stage), text in written.items():
-        new = one.emit(language, stage)
-        if new != text if one.checked else (new.text, new.binary) != (text.text, text.binary):
+        new = program.emit(language, stage)
+        if new != text if program.checked else (new.text, new.binary) != (text.text, text.binary):
             return False
     return True
 
 
 def stage_trees(shader: type[Shader]) -> dict[Stage, tree.StageTree]:
-    """Return the typed trees of a shader's stages: those that its texts are written from.
+    """Return the typed tree of each stage of a shader, from which its texts are written.
 
     Raises:
         ShaderError: the shader breaks a rule of `rhi.shading.language.rules`; the error shows the line.
@@ -162,7 +168,7 @@ def compiled_code(shader: type[Shader]) -> ShaderCode:
 
 def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
     entries, errors, stages = _entries(shader), ShaderErrors(), {}
-    interface = Interface(shader.__qualname__.replace("<locals>.", ""), find_work_group(shader), shader.early_depth)
+    interface = Interface(shader.__qualname__.replace("<locals>.", ""), work_group_size(shader), shader.early_depth)
     with errors.collect():
         interface = _complete(interface, entries)
     for stage, entry in entries.items():
@@ -171,7 +177,7 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
     errors.check()
     stored = frozenset().union(*(stage.stored for stage in stages.values()))
     used = frozenset(declaration.name for stage in stages.values() for declaration in stage.bindings)
-    unused = find_unused(shader, used)
+    unused = collect_unused_bindings(shader, used)
     loaded = frozenset().union(*(stage.loaded for stage in stages.values()))
     bindings = tuple(_bindings(shader, stored, loaded, used))
     interface = replace(interface, bindings={binding.name: binding for binding in bindings})
@@ -181,17 +187,13 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
     if shader.early_depth and interface.depth:
         source = entries[Stage.FRAGMENT].source
         source.refuse(rules.INTERFACE, source.node, "a FragmentDepth with early_depth = True", "one of the two")
-    compute, needs_lane_check = stages.get(Stage.COMPUTE), False
+    compute = stages.get(Stage.COMPUTE)
     checked = shader.checked and not any(stage.entry.native for stage in stages.values())
     if compute is not None:
-        from rhi.shading.lowering.functions import has_lane_code
-
-        needs_lane_check = has_lane_code(compute)
-        checked = checked and needs_lane_check
+        checked = checked and tree.has_python_bodies(compute)
     varyings = varyings_read(fragment, interface.varyings, interface.point_size)
     code = ShaderCode(stages, interface, varyings, shader.precision, checked, unused)
-    if needs_lane_check:
-        # Finds barriers that part of a work-group may not reach, and races.
+    if compute is not None and tree.has_python_bodies(compute) and may_break_group_rules(compute, interface.work_group):
         code.lower_compute(max(WIDTHS))
     descriptor = ProgramDescriptor(
         name=interface.name,
@@ -207,7 +209,7 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
         writes_depth=bool(interface.depth),
         varyings=varyings,
         shared_bytes=sum(
-            place(declaration.type, Layout.STD430).size
+            memory_layout(declaration.type, Layout.STD430).size
             for declaration in (compute.bindings if compute is not None else ())
             if declaration.storage_class is StorageClass.SHARED
         ),
@@ -224,26 +226,28 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
 
 
 def opencl_kernel(shader: type[Shader], width: int = 16) -> StageText:
-    """Return a compute shader as an OpenCL C kernel for `width` lanes: 1, 4, 8 or 16 (`rhi.shading.opencl.writer`).
+    """Return a compute shader as an OpenCL C kernel for `width` lanes: 1, 4, 8 or 16.
+
+    `rhi.shading.opencl.opencl_writer` writes it.
 
     Raises:
         ShaderError: the shader has no compute stage, uses a feature that lane code doesn't support, or breaks a rule.
     """
     descriptor = compile_shader(shader)
     if Stage.COMPUTE not in descriptor.stages or width not in WIDTHS:
-        given = ", ".join(stage.value for stage in descriptor.stages) + f", width={width}"
+        actual = ", ".join(stage.value for stage in descriptor.stages) + f", width={width}"
         call = f"opencl_kernel({shader.__name__}, …)"
-        raise ShaderError(rules.STAGES, call, given, f"a compute stage, width {WIDTHS}")
+        raise ShaderError(rules.STAGES, call, actual, f"a compute stage, width {WIDTHS}")
     return descriptor.emit(f"opencl{width}", Stage.COMPUTE)
 
 
 def _entries(shader: type[Shader]) -> dict[Stage, Callee]:
-    found = {stage: find_method(shader, stage.value) for stage in Stage}
-    entries = {stage: callee for stage, callee in found.items() if callee is not None}
+    methods = {stage: find_method(shader, stage.value) for stage in Stage}
+    entries = {stage: callee for stage, callee in methods.items() if callee is not None}
     allowed = "`vertex`, `vertex` and `fragment`, or `compute`"
     if not entries or (Stage.COMPUTE in entries and len(entries) > 1) or list(entries) == [Stage.FRAGMENT]:
-        given = ", ".join(stage.value for stage in entries) or "no stage"
-        raise ShaderError(rules.STAGES, f"class {shader.__name__}", given, allowed, site=find_call_site())
+        actual = ", ".join(stage.value for stage in entries) or "no stage"
+        raise ShaderError(rules.STAGES, f"class {shader.__name__}", actual, allowed, site=find_call_site())
     return entries
 
 
@@ -304,4 +308,4 @@ def _binding(declaration: Declaration, kind: BindingKind, slot: int, stored: boo
             return Binding(name, kind, slot, stored, type, reads=loaded)
     if kind is BindingKind.TEXTURE:
         return Binding(name, kind, slot, False, type)
-    return Binding(name, kind, slot, False, declaration.host, place(type, Layout.STD140).size)
+    return Binding(name, kind, slot, False, declaration.host, memory_layout(type, Layout.STD140).size)

@@ -12,15 +12,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from rhi.contract.descriptors import Stage, StageText, StageVarying
-from rhi.errors import ShaderError, find_call_site, refuse
-from rhi.shading.glsl.stages import write_stage
+from rhi.errors import ShaderError, refuse
+from rhi.errors.call_sites import find_call_site
+from rhi.shading.glsl.glsl_stages import write_stage
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Precision
 
-# Lane code, OpenCL C and the writers of further languages are imported when a shader first needs them: they would take
-# a tenth of the time of `import rhi`.
+# Lane code and most writers are imported when a shader first needs them: they would take a tenth of `import
+# rhi`.
 if TYPE_CHECKING:
     from rhi.shading.ir.lanes import Code
 
@@ -31,9 +32,9 @@ WIDTHS: Final = (1, 4, 8, 16)
 class ShaderCode:
     """A type-checked shader, from which its stages are written in a language when they are first requested.
 
-    - Texts are kept by language and stage, because several devices may request them.
-    - Lane code is kept only until its text is written: nothing reads it afterwards. It is kept at all because a compute
-      stage is lowered for 16 lanes when it is checked, long before its text may be requested.
+    - Texts are cached by language and stage, because several devices may request them.
+    - Lane code is cached until its text is written. A doubtful compute stage is lowered for 16 lanes when it
+      is checked, long before a device may request its text.
 
     Attributes:
         stages: the typed tree of each stage.
@@ -58,44 +59,45 @@ class ShaderCode:
         self.unused = unused
         self._texts: dict[tuple[str, Stage], StageText] = {}
         self._lane_code: dict[int, Code] = {}  # of the compute stage, by width
-        self._other: ShaderCode | None = None
+        self._other_precision: ShaderCode | None = None
 
     def emit(self, language: str, stage: Stage) -> StageText:
         """Return a stage's text in a language, writing it on first use; see `ProgramDescriptor.emit`.
 
         Raises:
-            ShaderError: `shading-native`: the stage can't be had in this language.
+            ShaderError: `shading-native`: the stage can't be written in this language.
         """
         text = self._texts.get((language, stage))
         if text is None:
-            found = _LANGUAGES.get(language)
-            if found is None or stage not in found.stages:
-                known = ", ".join(name for name, row in _LANGUAGES.items() if stage in row.stages)
-                raise ShaderError(rules.NATIVE, f"{self.interface.name}: emit({language!r}, {stage})", language, known)
+            device_language = _LANGUAGES.get(language)
+            if device_language is None or stage not in device_language.stages:
+                names = ", ".join(name for name, row in _LANGUAGES.items() if stage in row.stages)
+                raise ShaderError(rules.NATIVE, f"{self.interface.name}: emit({language!r}, {stage})", language, names)
             try:
-                text = self._texts[language, stage] = found.write(self, stage)
+                text = self._texts[language, stage] = device_language.write(self, stage)
             except RecursionError:
                 raise make_depth_error(self.interface.name) from None
         return text
 
-    def in_precision(self, precision: Precision) -> ShaderCode:
+    def with_other_precision(self, precision: Precision) -> ShaderCode:
         """Return the same stages in the other precision, with texts of their own."""
-        if self._other is None:
+        if self._other_precision is None:
             own = self.interface, self.varyings
-            self._other = ShaderCode(self.stages, *own, precision, self.checked, self.unused)
-        return self._other
+            self._other_precision = ShaderCode(self.stages, *own, precision, self.checked, self.unused)
+        return self._other_precision
 
-    def find_exact(self) -> list[str]:
-        """Return the functions of stages written in OpenCL C that `Precision.FAST` computes with fewer instructions."""
+    def list_exact_functions(self) -> list[str]:
+        """Return the built-ins in written OpenCL C texts that `Precision.FAST` computes with fewer
+        instructions."""
         if self.precision is Precision.FAST:
             return []
-        found = set()
+        names = set()
         for stage in {stage for language, stage in self._texts if language.startswith("opencl")}:
-            found |= {builtin.name for builtin in self.stages[stage].builtins if builtin.fast}
+            names |= {builtin.name for builtin in self.stages[stage].builtins if builtin.fast}
             nodes = (node for function in self.stages[stage].functions for node in tree.walk(function.body))
             if any(isinstance(node, tree.Binary) and node.operator is tree.Operator.DIVIDE for node in nodes):
-                found.add("divide")
-        return sorted(found)
+                names.add("divide")
+        return sorted(names)
 
     def written(self) -> Mapping[tuple[str, Stage], StageText]:
         """Return the texts that were requested, by language and stage."""
@@ -117,7 +119,7 @@ class ShaderCode:
         return code
 
     def take_compute(self, width: int) -> Code:
-        """Return the lane code of the compute stage, and forget it."""
+        """Return the lane code of the compute stage, and drop it from the cache."""
         code = self.lower_compute(width)
         del self._lane_code[width]
         return code
@@ -138,7 +140,8 @@ _LANGUAGES: Final[dict[str, DeviceLanguage]] = {}
 
 
 def register_language(name: str, write: Write, stages: Collection[Stage] = tuple(Stage)) -> None:
-    """Add a language: `ProgramDescriptor.emit(name, stage)` then returns what `write(code, stage)` returns.
+    """Add a language: `ProgramDescriptor.emit(name, stage)` returns the text that `write(code, stage)`
+    creates.
 
     Raises:
         ValidationError `shading-language`: a language has this name.
@@ -154,7 +157,9 @@ def register_language(name: str, write: Write, stages: Collection[Stage] = tuple
 
 
 def make_depth_error(name: str) -> ShaderError:
-    """Return the error for a shader, within the limits of nesting, that is compiled where the stack is deep already."""
+    """Return the error for a shader whose compilation reached Python's recursion limit.
+
+    The shader itself is within the limits of nesting; the stack was deep already."""
     tip = "compile it where fewer functions have been called, or raise sys.setrecursionlimit(…)"
     return ShaderError(
         rules.TOO_DEEP,
@@ -189,7 +194,7 @@ def _write_spirv(code: ShaderCode, stage: Stage) -> StageText:
 
 def _write_wgsl(code: ShaderCode, stage: Stage) -> StageText:
     """Write a stage as WGSL."""
-    from rhi.shading.wgsl.stages import write_wgsl_stage
+    from rhi.shading.wgsl.wgsl_stages import write_wgsl_stage
 
     return write_wgsl_stage(code.stages[stage], code.interface)
 
@@ -205,7 +210,7 @@ def _write_opencl(width: int) -> Write:
 
 def _write_kernel(code: ShaderCode, width: int) -> StageText:
     from rhi.shading.ir.lanes import Code
-    from rhi.shading.opencl.writer import write_opencl_kernel
+    from rhi.shading.opencl.opencl_writer import write_opencl_kernel
 
     entry, interface = code.stages[Stage.COMPUTE].entry, code.interface
     if f"opencl{width}" in entry.native:
@@ -217,7 +222,7 @@ def _write_kernel(code: ShaderCode, width: int) -> StageText:
 def _write_function(code: ShaderCode, stage: Stage) -> StageText:
     from rhi.shading.lowering.bounds import bound_positions
     from rhi.shading.lowering.stages import lower_stage
-    from rhi.shading.opencl.stages import write_opencl_stage
+    from rhi.shading.opencl.opencl_stages import write_opencl_stage
 
     lanes = lower_stage(code.stages[stage], code.interface, code.varyings, checked=code.checked)
     bounds = bound_positions(lanes) if stage is Stage.VERTEX else None

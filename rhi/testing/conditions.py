@@ -16,7 +16,7 @@ from rhi.commands.stream import Command
 from rhi.commands.text import describe
 from rhi.contract.descriptors import Id, ProgramDescriptor
 from rhi.contract.states import MAX_TARGETS, PER_TARGET, PlatformState
-from rhi.testing.contents import BufferTracker, UnknownContentsError, bindings_of, describe_differences
+from rhi.testing.buffer_tracking import BufferTracker, UnknownDataError, bindings_of, describe_differences
 
 
 class Condition(Protocol):
@@ -62,19 +62,19 @@ class Within:
 class HasArguments:
     """The condition that the command has these arguments; `pytest.approx` gives a tolerance."""
 
-    wanted: Mapping[str, object]
+    expected: Mapping[str, object]
 
     def miss(self, command: Command) -> str:
-        given = command.arguments
+        arguments = command.arguments
         wrong = [
-            f"{name} is {describe(given[name])}" if name in given else f"it has no {name}"
-            for name, value in self.wanted.items()
-            if name not in given or given[name] != value
+            f"{name} is {describe(arguments[name])}" if name in arguments else f"it has no {name}"
+            for name, value in self.expected.items()
+            if name not in arguments or arguments[name] != value
         ]
         return ", ".join(wrong)
 
     def __str__(self) -> str:
-        return "with " + ", ".join(f"{name}={describe(value)}" for name, value in self.wanted.items())
+        return "with " + ", ".join(f"{name}={describe(value)}" for name, value in self.expected.items())
 
 
 @dataclass(frozen=True)
@@ -86,17 +86,17 @@ class UsesProgram:
     def miss(self, command: Command) -> str:
         bound = command.program
         name = name_program(command, bound)
-        wanted = self.program
-        if isinstance(wanted, str):
-            fits = wanted in (name, name.rpartition(".")[2])
+        expected = self.program
+        if isinstance(expected, str):
+            fits = expected in (name, name.rpartition(".")[2])
         else:
-            fits = bound == getattr(wanted, "id", wanted)
+            fits = bound == getattr(expected, "id", expected)
         return "" if fits else f"its program is {name or 'none'}"
 
     def __str__(self) -> str:
-        wanted = self.program
-        shown = wanted if isinstance(wanted, str) else getattr(wanted, "name", wanted)
-        return f"of program {shown!r}"
+        expected = self.program
+        name = expected if isinstance(expected, str) else getattr(expected, "name", expected)
+        return f"of program {name!r}"
 
 
 @dataclass(frozen=True)
@@ -109,10 +109,10 @@ class HasStates:
     def miss(self, command: Command) -> str:
         current = command.states
         wrong = [
-            f"{type(state).__name__} is {describe(found)}"
+            f"{type(state).__name__} is {describe(value)}"
             for state in self.states
-            for found in self._current(current, state)
-            if not is_near(found, state, self.tolerance)
+            for value in self._current(current, state)
+            if not is_near(value, state, self.tolerance)
         ]
         return ", ".join(dict.fromkeys(wrong))
 
@@ -136,12 +136,12 @@ class HasStates:
 class HasBindings:
     """The condition that these resources are bound, by the names of the program's bindings."""
 
-    wanted: Mapping[str, object]
+    expected: Mapping[str, object]
 
     def miss(self, command: Command) -> str:
         bound = command.bindings
         wrong = []
-        for name, value in self.wanted.items():
+        for name, value in self.expected.items():
             if name not in bound:
                 names = ", ".join(binding.name for binding in bindings_of(command))
                 wrong.append(f"nothing is bound as {name} (the program's bindings: {names or 'none'})")
@@ -150,36 +150,36 @@ class HasBindings:
         return ", ".join(wrong)
 
     @staticmethod
-    def _fits(command: Command, bound: tuple[int, ...], wanted: Any) -> bool:
+    def _fits(command: Command, bound: tuple[int, ...], expected: Any) -> bool:
         """Whether a binding refers to the wanted resource.
 
         A label or an id names a resource. A range or view must be exactly the bound one; a whole buffer or texture
         matches any part of it.
         """
         resource = bound[0]
-        if isinstance(wanted, str):
-            return getattr(command.resource(resource), "label", None) == wanted
-        if isinstance(wanted, int):
-            return resource == wanted
-        if getattr(wanted, "owner", wanted) is wanted and hasattr(wanted, "id"):
-            return resource == int(wanted.id)
-        if hasattr(wanted, "buffer") and hasattr(wanted, "offset"):
-            return bound[:2] == (int(wanted.buffer), int(wanted.offset))
-        if hasattr(wanted, "sampler"):
-            return bound == (int(wanted.texture), int(wanted.sampler))
-        layer = -1 if wanted.layer is None else wanted.layer
-        return bound == (int(wanted.texture), int(wanted.level), layer)
+        if isinstance(expected, str):
+            return getattr(command.resource(resource), "label", None) == expected
+        if isinstance(expected, int):
+            return resource == expected
+        if getattr(expected, "owner", expected) is expected and hasattr(expected, "id"):
+            return resource == int(expected.id)
+        if hasattr(expected, "buffer") and hasattr(expected, "offset"):
+            return bound[:2] == (int(expected.buffer), int(expected.offset))
+        if hasattr(expected, "sampler"):
+            return bound == (int(expected.texture), int(expected.sampler))
+        layer = -1 if expected.layer is None else expected.layer
+        return bound == (int(expected.texture), int(expected.level), layer)
 
     def __str__(self) -> str:
-        return "with " + ", ".join(f"{name}={value!r}" for name, value in self.wanted.items()) + " bound"
+        return "with " + ", ".join(f"{name}={value!r}" for name, value in self.expected.items()) + " bound"
 
 
 @dataclass(frozen=True)
-class HasContents:
+class HasData:
     """The condition that a uniform or storage binding contains these numbers."""
 
     binding: str
-    wanted: Mapping[str, object]
+    expected: Mapping[str, object]
     tolerance: float
     trackers: list[BufferTracker] = dataclasses.field(default_factory=list, compare=False, repr=False)
     """The tracker of the latest command's stream, if any; kept so that each command is applied once."""
@@ -189,15 +189,15 @@ class HasContents:
             self.trackers[:] = [BufferTracker(command.stream)]
         try:
             values = self.trackers[0].read(command, self.binding)
-        except UnknownContentsError as error:
+        except UnknownDataError as error:
             return str(error)
-        wrong = describe_differences(values, self.wanted, self.tolerance)
+        wrong = describe_differences(values, self.expected, self.tolerance)
         return f"of {self.binding}, {wrong}" if wrong else ""
 
     def __str__(self) -> str:
-        shown = ", ".join(f"{name}={value!r}" for name, value in self.wanted.items())
+        values = ", ".join(f"{name}={value!r}" for name, value in self.expected.items())
         within = f" within {self.tolerance:g}" if self.tolerance else ""
-        return f"with {shown} in {self.binding}{within}"
+        return f"with {values} in {self.binding}{within}"
 
 
 @dataclass(frozen=True)
@@ -214,16 +214,16 @@ class Where:
         return self.name
 
 
-def is_near(found: object, wanted: object, tolerance: float) -> bool:
+def is_near(actual: object, expected: object, tolerance: float) -> bool:
     """Whether two states are equal, their numbers within `tolerance`; the target of a per-target state is ignored."""
-    if type(found) is not type(wanted):
+    if type(actual) is not type(expected):
         return False
-    if isinstance(wanted, enum.Enum) or not dataclasses.is_dataclass(wanted):
-        return found == wanted
-    for field in dataclasses.fields(wanted):
+    if isinstance(expected, enum.Enum) or not dataclasses.is_dataclass(expected):
+        return actual == expected
+    for field in dataclasses.fields(expected):
         if field.name == "target":
             continue
-        a, b = getattr(found, field.name), getattr(wanted, field.name)
+        a, b = getattr(actual, field.name), getattr(expected, field.name)
         if isinstance(b, float) and isinstance(a, (int, float)):
             if not math.isclose(a, b, rel_tol=0.0, abs_tol=tolerance):
                 return False

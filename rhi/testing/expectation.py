@@ -17,20 +17,20 @@ from rhi.commands.stream import Commands
 from rhi.contract.states import State
 from rhi.device.device import Device
 from rhi.shading import Struct
+from rhi.testing.buffer_tracking import as_fields
 from rhi.testing.conditions import (
     Condition,
     HasArguments,
     HasBindings,
-    HasContents,
+    HasData,
     HasStates,
     IsOp,
     UsesProgram,
     Where,
     Within,
 )
-from rhi.testing.contents import as_fields
-from rhi.testing.footprints import Footprint
-from rhi.testing.messages import SHOWN, fail, show_command, show_commands
+from rhi.testing.effect_patterns import EffectPattern
+from rhi.testing.messages import MAX_SHOWN, fail, show_command, show_commands
 from rhi.testing.work import Costs, cost_of, total_costs
 
 
@@ -101,21 +101,21 @@ class Expectation:
         """
         return self._and(HasBindings(resources))
 
-    def with_contents(
-        self, binding: str, wanted: Mapping[str, object] | Struct, *, tolerance: float = 0.0
+    def with_data(
+        self, binding: str, expected: Mapping[str, object] | Struct, *, tolerance: float = 0.0
     ) -> Expectation:
         """Select commands while a uniform or storage binding of the program contains these numbers.
 
         Args:
-            wanted: a value of the struct, or numbers by name: `{"color": (1, 0, 0, 1)}`; in arrays and nested structs
+            expected: a value of the struct, or numbers by name: `{"color": (1, 0, 0, 1)}`; in arrays and nested structs
                 by path, `{"lights.0.color": …}`.
             tolerance: the maximum difference of each number.
 
         Unknown contents (written on the device, or before the stream) don't match; the message says so.
         """
-        return self._and(HasContents(binding, as_fields(wanted), tolerance))
+        return self._and(HasData(binding, as_fields(expected), tolerance))
 
-    def of(self, effect: Footprint) -> Expectation:
+    def of(self, effect: EffectPattern) -> Expectation:
         """Select commands that belong to an effect."""
         return self._and(effect)
 
@@ -126,8 +126,8 @@ class Expectation:
 
     def _work(self, ops: Collection[Op], program: object, arguments: dict[str, object]) -> Expectation:
         narrowed = self.commands(*ops, **arguments)
-        wanted = program.__name__ if isinstance(program, type) else program
-        return narrowed if program is None else narrowed._and(UsesProgram(wanted))
+        expected = program.__name__ if isinstance(program, type) else program
+        return narrowed if program is None else narrowed._and(UsesProgram(expected))
 
     def _and(self, condition: Condition) -> Expectation:
         return Expectation(self._commands, (*self._conditions, condition))
@@ -136,12 +136,12 @@ class Expectation:
 
     def matches(self) -> Commands:
         """Return the commands that meet all conditions."""
-        found = self._commands
+        commands = self._commands
         for condition in self._conditions:
-            found = found.filter(condition.ops) if isinstance(condition, IsOp) else found.filter(
+            commands = commands.filter(condition.ops) if isinstance(condition, IsOp) else commands.filter(
                 where=lambda command, condition=condition: not condition.miss(command)  # type: ignore[misc]
             )  # fmt: skip
-        return found
+        return commands
 
     def exactly(self, number: int) -> Commands:
         """Assert that exactly `number` commands match, and return them."""
@@ -186,30 +186,32 @@ class Expectation:
             "upload_bytes": max_upload_bytes,
             "creations": max_creations,
         }
-        found = self.matches()
-        counts = total_costs(found)
+        commands = self.matches()
+        counts = total_costs(commands)
         exceeded = []
         for name, most in budget.items():
             spent = getattr(counts, name)
             if most is not None and spent > most:
-                exceeded.append(f"{name.replace('_', ' ')}: {spent:,}, allowed {most:,}\n{_show_spending(found, name)}")
+                exceeded.append(
+                    f"{name.replace('_', ' ')}: {spent:,}, allowed {most:,}\n{_show_spending(commands, name)}"
+                )
         if exceeded:
             fail(f"{self} exceed the budget", *exceeded)
         return counts
 
-    def _assert_number(self, wanted: str, minimum: int, maximum: int | None) -> Commands:
-        found = self.matches()
-        if len(found) < minimum or (maximum is not None and len(found) > maximum):
+    def _assert_number(self, expected: str, minimum: int, maximum: int | None) -> Commands:
+        commands = self.matches()
+        if len(commands) < minimum or (maximum is not None and len(commands) > maximum):
             fail(
-                f"expected {wanted}: {self}\nfound {len(found)} among {len(self._commands)} commands",
-                show_commands("matching", found),
-                self._show_nearest(found),
+                f"expected {expected}: {self}\nfound {len(commands)} among {len(self._commands)} commands",
+                show_commands("matching", commands),
+                self._show_nearest(commands),
             )
-        return found
+        return commands
 
-    def _show_nearest(self, found: Commands) -> str:
+    def _show_nearest(self, matches: Commands) -> str:
         """Show the commands of the right kind that miss the fewest conditions."""
-        matching = set(found.indices())
+        matching = set(matches.indices())
         kinds = [condition for condition in self._conditions if isinstance(condition, IsOp)]
         others = [condition for condition in self._conditions if condition not in kinds]
         candidates = []
@@ -223,7 +225,7 @@ class Expectation:
                 if miss := condition.miss(command):
                     misses.append(miss)
             candidates.append((len(misses), command.index, command, misses))
-        nearest = heapq.nsmallest(SHOWN, candidates, key=lambda one: one[:2])
+        nearest = heapq.nsmallest(MAX_SHOWN, candidates, key=lambda candidate: candidate[:2])
         if not kinds or not nearest:
             return ""
         lines = [f"{show_command(command)}\n          {'; '.join(misses)}" for _, _, command, misses in nearest]
@@ -237,4 +239,4 @@ def _show_spending(commands: Commands, name: str) -> str:
         cost = getattr(cost_of(command), name)
         if cost:
             by_line[f"{command.op.method}  {command.site or ''}"] += cost
-    return "\n".join(f"  {cost:>8,}  {line}" for line, cost in by_line.most_common(SHOWN))
+    return "\n".join(f"  {cost:>8,}  {line}" for line, cost in by_line.most_common(MAX_SHOWN))

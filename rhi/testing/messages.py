@@ -7,7 +7,7 @@ from typing import Final, NoReturn
 
 from rhi.commands.stream import Command
 
-SHOWN: Final = 5
+MAX_SHOWN: Final = 5
 """Maximum number of commands in each list of a message."""
 
 _INDENT: Final = " " * 10
@@ -27,12 +27,12 @@ def show_commands(title: str, commands: Collection[Command], remarks: Mapping[in
     if not len(commands):
         return ""
     lines = []
-    for command in list(commands)[:SHOWN]:
+    for command in list(commands)[:MAX_SHOWN]:
         lines.append(show_command(command))
         if remarks is not None:
             lines.append(f"{_INDENT}{remarks[command.index]}")
-    if len(commands) > SHOWN:
-        lines.append(f"{_INDENT}… and {len(commands) - SHOWN} more")
+    if len(commands) > MAX_SHOWN:
+        lines.append(f"{_INDENT}… and {len(commands) - MAX_SHOWN} more")
     return f"{title}:\n" + "\n".join(lines)
 
 

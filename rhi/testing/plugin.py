@@ -14,7 +14,7 @@ from typing import Final
 import pytest
 
 from rhi import CommandStream, Device, DeviceError, create_device
-from rhi.device.registry import find_function
+from rhi.device.registry import load_backend_factory
 
 OPTION: Final = "--rhi-backend"
 
@@ -55,10 +55,10 @@ def _backend_of(item: pytest.Item) -> object:
 
 def _check_name(name: str, where: str) -> None:
     try:
-        find_function(name)
+        load_backend_factory(name)
     except DeviceError as error:
-        known = f" (known: {error.allowed})" if error.allowed else ""
-        raise pytest.UsageError(f"{where}: there is no backend {error.given}{known}; {error.tip}") from None
+        hint = f" (known: {error.allowed})" if error.allowed else ""
+        raise pytest.UsageError(f"{where}: there is no backend {error.given}{hint}; {error.tip}") from None
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

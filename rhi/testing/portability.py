@@ -1,10 +1,10 @@
 """Checks one frame against the capabilities of many devices, none of which has to be present.
 
 - A frame is a function of a device. It runs on null devices with the profiles of other devices
-  (`rhi.backends.null.capabilities`), on each profile until nothing refuses it any more: the refused call is noted, the
-  capability that it lacks is granted, and the frame runs again.
+  (`rhi.backends.null.null_capabilities`), on each profile until nothing refuses it any more: the refused call is
+  noted, the capability that it lacks is granted, and the frame runs again.
 - `device.capabilities` reports the plain profile in every run, whatever was granted. So a frame that reads it and
-  adapts is judged by what it would do on that device.
+  adapts is checked by what it would do on that device.
 - A capability is granted to the whole device. So each capability is reported once, at the first call that lacks it;
   later calls that lack the same capability show when that call has been changed.
 """
@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 
 from rhi.backends.null import NullBackend
-from rhi.backends.null.capabilities import PROFILES, find_profile
+from rhi.backends.null.null_capabilities import PROFILES, get_profile
 from rhi.commands.recorder import Recorder
 from rhi.contract.backend import Capabilities
 from rhi.device.device import Device
@@ -36,9 +36,9 @@ class Obstacle:
 
     def __str__(self) -> str:
         error = self.error
-        given = f": {error.given}" if error.given else ""
+        value = f": {error.given}" if error.given else ""
         allowed = f" (allowed: {error.allowed})" if error.allowed else ""
-        return f"{self.capability}: {error.call}{given}{allowed}  {error.site or ''}  [{error.rule.id}]"
+        return f"{self.capability}: {error.call}{value}{allowed}  {error.site or ''}  [{error.rule.id}]"
 
 
 @dataclass(frozen=True)
@@ -55,13 +55,13 @@ class Portability:
     @property
     def runs_on(self) -> list[str]:
         """The names of the profiles that refuse nothing."""
-        return [name for name, found in self.obstacles.items() if not found]
+        return [name for name, obstacles in self.obstacles.items() if not obstacles]
 
     def __str__(self) -> str:
         lines = []
-        for name, found in self.obstacles.items():
-            lines.append(f"{name}: {'runs' if not found else f'stopped by {len(found)}'}")
-            lines += [f"  {obstacle}" for obstacle in found]
+        for name, obstacles in self.obstacles.items():
+            lines.append(f"{name}: {'runs' if not obstacles else f'stopped by {len(obstacles)}'}")
+            lines += [f"  {obstacle}" for obstacle in obstacles]
         return "\n".join(lines)
 
 
@@ -76,33 +76,33 @@ def check_portability(
         RhiError: the frame breaks a rule on a device that can do everything, or a profile refuses a call for a
             reason that no single capability removes.
     """
-    everything = find_profile("everything")
+    everything = get_profile("everything")
     error = _run(frame, reported=everything, enforced=everything)
     if error is not None:
         raise error
-    return Portability({name: _find_obstacles(frame, find_profile(profile)) for name, profile in profiles.items()})
+    return Portability({name: _collect_obstacles(frame, get_profile(profile)) for name, profile in profiles.items()})
 
 
-def _find_obstacles(frame: Callable[[Device], object], profile: Capabilities) -> tuple[Obstacle, ...]:
-    found = []
+def _collect_obstacles(frame: Callable[[Device], object], profile: Capabilities) -> tuple[Obstacle, ...]:
+    obstacles = []
     enforced = profile
     while (error := _run(frame, profile, enforced)) is not None:
-        granted = _find_missing(frame, profile, enforced, error)
+        granted = _missing_capability(frame, profile, enforced, error)
         if granted is None:
             raise error
         name, enforced = granted
-        found.append(Obstacle(name, error))
-    return tuple(found)
+        obstacles.append(Obstacle(name, error))
+    return tuple(obstacles)
 
 
-def _find_missing(
+def _missing_capability(
     frame: Callable[[Device], object], profile: Capabilities, enforced: Capabilities, error: RhiError
 ) -> tuple[str, Capabilities] | None:
     """Return the name of the one capability without which `error` occurs, and `enforced` with it granted.
 
     The capabilities that are lacking are halved: those whose grant removes the error contain it.
     """
-    everything = find_profile("everything")
+    everything = get_profile("everything")
     lacking = [
         field.name for field in fields(Capabilities)
         if field.name not in ("backend", "device", "driver")

@@ -1,7 +1,7 @@
 """The costs of commands, and the work that code requested compared with the work that the device issued.
 
 `device.states` and `device.draw` request states, programs and bindings; the device sends only those that differ from
-the current ones. `watch` counts both over a block of code, so that a test can assert on the caching itself.
+the current ones. `count_work` counts both over a block of code, so that a test can assert on the caching itself.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Final
 from rhi.commands.ops import CREATIONS, DISPATCHES, DRAWS, Op
 from rhi.commands.stream import Command, Commands
 from rhi.device.device import Device
-from rhi.testing.contents import bindings_of
+from rhi.testing.buffer_tracking import bindings_of
 
 BINDS: Final = frozenset({Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE})
 
@@ -56,7 +56,7 @@ def total_costs(commands: Iterable[Command]) -> Costs:
 
 
 @dataclass(frozen=True, slots=True)
-class Calls:
+class CallCounts:
     """Numbers of states that were set, programs that were bound, and resources that were bound for them."""
 
     states: int = 0
@@ -75,13 +75,13 @@ class Work:
     """
 
     commands: Commands
-    requested: Calls = field(default_factory=Calls)
-    issued: Calls = field(default_factory=Calls)
+    requested: CallCounts = field(default_factory=CallCounts)
+    issued: CallCounts = field(default_factory=CallCounts)
 
 
 @contextmanager
-def watch(device: Device) -> Iterator[Work]:
-    """Count the work that a block requests and the work that the device issues: `with watch(device) as work:`.
+def count_work(device: Device) -> Iterator[Work]:
+    """Count the work that a block requests and the work that the device issues: `with count_work(device) as work:`.
 
     Raises:
         ValidationError: `device-not-recording` if the device doesn't record.
@@ -92,12 +92,12 @@ def watch(device: Device) -> Iterator[Work]:
     after = device.statistics
     work.commands = stream[start:]
     users = [command for command in work.commands if command.op in DRAWS | DISPATCHES]
-    work.requested = Calls(
+    work.requested = CallCounts(
         after.software_state_changes - before.software_state_changes,
         len(users),
         sum(len(bindings_of(command)) for command in users),
     )
-    work.issued = Calls(
+    work.issued = CallCounts(
         after.hardware_state_changes - before.hardware_state_changes,
         len(work.commands.filter(Op.BIND_PROGRAM)),
         len(work.commands.filter(BINDS)),

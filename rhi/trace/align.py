@@ -48,7 +48,7 @@ def _align_middle(
         for block in matcher.get_matching_blocks():
             yield from ((a_start + block.a + i, b_start + block.b + i) for i in range(block.size))
         return
-    anchors = _find_anchors(a, b, a_start, a_end, b_start, b_end)
+    anchors = _unique_matches(a, b, a_start, a_end, b_start, b_end)
     if not anchors:
         for x, y in zip(range(a_start, a_end), range(b_start, b_end), strict=False):
             if a[x] == b[y]:
@@ -61,13 +61,13 @@ def _align_middle(
     yield from _align(a, b, a_start, a_end, b_start, b_end)
 
 
-def _find_anchors(
+def _unique_matches(
     a: Sequence[Hashable], b: Sequence[Hashable], a_start: int, a_end: int, b_start: int, b_end: int
 ) -> list[Pair]:
     """Return the longest increasing sequence of elements that are unique on both sides."""
     counts_a, counts_b = Counter(a[a_start:a_end]), Counter(b[b_start:b_end])
-    places = {b[y]: y for y in range(b_start, b_end) if counts_b[b[y]] == 1}
-    pairs = [(x, places[a[x]]) for x in range(a_start, a_end) if counts_a[a[x]] == 1 and a[x] in places]
+    positions = {b[y]: y for y in range(b_start, b_end) if counts_b[b[y]] == 1}
+    pairs = [(x, positions[a[x]]) for x in range(a_start, a_end) if counts_a[a[x]] == 1 and a[x] in positions]
     ends: list[int] = []  # the smallest last index of an increasing sequence of each length
     rows: list[int] = []  # the pair at its end
     before: list[int] = []
@@ -79,9 +79,9 @@ def _find_anchors(
             rows.append(index)
         else:
             ends[length], rows[length] = y, index
-    chosen: list[Pair] = []
+    matches: list[Pair] = []
     index = rows[-1] if rows else -1
     while index >= 0:
-        chosen.append(pairs[index])
+        matches.append(pairs[index])
         index = before[index]
-    return chosen[::-1]
+    return matches[::-1]

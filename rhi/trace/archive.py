@@ -105,9 +105,9 @@ class ArchiveReader:
         if info.compress_type not in _METHODS:
             self.refuse(TRACE_FILE, f"{name}, compressed by method {info.compress_type}", "stored or deflated")
 
-    def refuse(self, rule: Rule, given: object, allowed: object = "") -> NoReturn:
+    def refuse(self, rule: Rule, value: object, allowed: object = "") -> NoReturn:
         """Refuse the file for breaking a rule."""
-        refuse(rule, f"rhi.trace.load({self._path.name!r})", given, allowed)
+        refuse(rule, f"rhi.trace.load({self._path.name!r})", value, allowed)
 
     def __contains__(self, name: str) -> bool:
         return name in self._infos

@@ -40,9 +40,9 @@ def main(arguments: Sequence[str]) -> int:
     try:
         code: int = options.run(options)
     except RhiError as error:
-        shown = f": {error.given}" if error.given else ""
+        value = f": {error.given}" if error.given else ""
         allowed = f" (allowed: {error.allowed})" if error.allowed else ""
-        return _fail(f"{error.rule.sentence}{shown}{allowed} [{error.rule.id}]")
+        return _fail(f"{error.rule.sentence}{value}{allowed} [{error.rule.id}]")
     except BrokenPipeError:
         raise  # whoever reads the output has gone away
     except (OSError, ValueError, ImportError) as error:
@@ -142,21 +142,21 @@ def _reduce(options: argparse.Namespace) -> int:
 
 def _import(text: str) -> Callable[[Trace], bool]:
     """Return the function that `file.py:function` or `module:function` names."""
-    place, _, name = text.rpartition(":")
-    if not place or not name.isidentifier():
+    module_name, _, name = text.rpartition(":")
+    if not module_name or not name.isidentifier():
         raise ValueError(f"{text!r} is no FILE.py:FUNCTION")
-    if place.endswith(".py"):
-        spec = importlib.util.spec_from_file_location(Path(place).stem, place)
+    if module_name.endswith(".py"):
+        spec = importlib.util.spec_from_file_location(Path(module_name).stem, module_name)
         assert spec is not None
         assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         sys.modules[spec.name] = module
         spec.loader.exec_module(module)
     else:
-        module = importlib.import_module(place)
+        module = importlib.import_module(module_name)
     function: Callable[[Trace], bool] | None = getattr(module, name, None)
     if function is None:
-        raise ValueError(f"{place} has no {name}")
+        raise ValueError(f"{module_name} has no {name}")
     return function
 
 

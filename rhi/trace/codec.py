@@ -93,81 +93,81 @@ def encode(value: Any) -> Any:
 # -- reading -------------------------------------------------------------------------------------------------
 
 
-def decode(wanted: Any, given: Any, where: str) -> Any:
-    """Return `given`, parsed from JSON, as the type `wanted`.
+def decode(expected_type: Any, json_value: Any, where: str) -> Any:
+    """Return `json_value`, parsed from JSON, as the type `expected_type`.
 
     Raises:
         MismatchError: the value doesn't have this type.
     """
-    origin = get_origin(wanted)
+    origin = get_origin(expected_type)
     if origin in (Union, types.UnionType):
-        return _decode_optional(wanted, given, where)
+        return _decode_optional(expected_type, json_value, where)
     if origin in (tuple, frozenset, Sequence):
-        return _decode_sequence(origin, get_args(wanted), given, where)
-    if wanted is StateChange:
-        return _decode_change(given, where)
-    if wanted is ProgramDescriptor:
-        return _decode_program(given, where)
-    if isinstance(wanted, type) and issubclass(wanted, enum.Enum):
-        if not isinstance(given, str) or given not in wanted.__members__:
-            raise MismatchError(f"{where}: {_show(given)} is no {wanted.__name__}")
-        return wanted[given]
-    if wanted is Attribute:
-        return _decode_attribute(given, where)
-    if dataclasses.is_dataclass(wanted):
-        return _decode_dataclass(wanted, given, where)  # type: ignore[arg-type]
-    if wanted is float:
-        fits = isinstance(given, (int, float)) and not isinstance(given, bool)
-    elif wanted is int:
-        fits = isinstance(given, int) and not isinstance(given, bool) and abs(given) < 1 << 63
-    elif wanted is object:
-        fits = isinstance(given, str)
+        return _decode_sequence(origin, get_args(expected_type), json_value, where)
+    if expected_type is StateChange:
+        return _decode_change(json_value, where)
+    if expected_type is ProgramDescriptor:
+        return _decode_program(json_value, where)
+    if isinstance(expected_type, type) and issubclass(expected_type, enum.Enum):
+        if not isinstance(json_value, str) or json_value not in expected_type.__members__:
+            raise MismatchError(f"{where}: {_show(json_value)} is no {expected_type.__name__}")
+        return expected_type[json_value]
+    if expected_type is Attribute:
+        return _decode_attribute(json_value, where)
+    if dataclasses.is_dataclass(expected_type):
+        return _decode_dataclass(expected_type, json_value, where)  # type: ignore[arg-type]
+    if expected_type is float:
+        fits = isinstance(json_value, (int, float)) and not isinstance(json_value, bool)
+    elif expected_type is int:
+        fits = isinstance(json_value, int) and not isinstance(json_value, bool) and abs(json_value) < 1 << 63
+    elif expected_type is object:
+        fits = isinstance(json_value, str)
     else:
-        fits = isinstance(given, wanted)
+        fits = isinstance(json_value, expected_type)
     if not fits:
-        raise MismatchError(f"{where}: {_show(given)} is no {getattr(wanted, '__name__', wanted)}")
-    return given
+        raise MismatchError(f"{where}: {_show(json_value)} is no {getattr(expected_type, '__name__', expected_type)}")
+    return json_value
 
 
-def _decode_optional(wanted: Any, given: Any, where: str) -> Any:
-    options = get_args(wanted)
-    if given is None and type(None) in options:
+def _decode_optional(expected_type: Any, json_value: Any, where: str) -> Any:
+    options = get_args(expected_type)
+    if json_value is None and type(None) in options:
         return None
     rest = [option for option in options if option is not type(None)]
-    return decode(rest[0], given, where)
+    return decode(rest[0], json_value, where)
 
 
-def _decode_sequence(origin: Any, parts: tuple[Any, ...], given: Any, where: str) -> Any:
-    if not isinstance(given, list):
-        raise MismatchError(f"{where}: {_show(given)} is no array")
+def _decode_sequence(origin: Any, parts: tuple[Any, ...], json_value: Any, where: str) -> Any:
+    if not isinstance(json_value, list):
+        raise MismatchError(f"{where}: {_show(json_value)} is no array")
     if origin is tuple and not (len(parts) == 2 and parts[1] is Ellipsis):
-        if len(given) != len(parts):
-            raise MismatchError(f"{where}: {len(given)} values instead of {len(parts)}")
-        return tuple(decode(part, value, where) for part, value in zip(parts, given, strict=True))
-    values = [decode(parts[0], value, f"{where}[{index}]") for index, value in enumerate(given)]
+        if len(json_value) != len(parts):
+            raise MismatchError(f"{where}: {len(json_value)} values instead of {len(parts)}")
+        return tuple(decode(part, value, where) for part, value in zip(parts, json_value, strict=True))
+    values = [decode(parts[0], value, f"{where}[{index}]") for index, value in enumerate(json_value)]
     return frozenset(values) if origin is frozenset else tuple(values)
 
 
-def _decode_dataclass(cls: type, given: Any, where: str) -> Any:
+def _decode_dataclass(cls: type, json_value: Any, where: str) -> Any:
     hints = field_types(cls)
-    if not isinstance(given, dict):
-        raise MismatchError(f"{where}: {_show(given)} is no {cls.__name__}")
-    for name in given:
+    if not isinstance(json_value, dict):
+        raise MismatchError(f"{where}: {_show(json_value)} is no {cls.__name__}")
+    for name in json_value:
         if name not in hints:
             raise MismatchError(f"{where}: a {cls.__name__} has no {name!r}")
-    values = {name: decode(hints[name], value, f"{where}.{name}") for name, value in given.items()}
+    values = {name: decode(hints[name], value, f"{where}.{name}") for name, value in json_value.items()}
     try:
         return cls(**values)
     except (TypeError, RhiError) as error:
         raise MismatchError(f"{where}: {str(error).splitlines()[0]}") from None
 
 
-def _decode_attribute(given: Any, where: str) -> Attribute:
-    attribute: Attribute = _decode_dataclass(Attribute, given, where)
-    found = _ATTRIBUTE_TYPES.get(str(attribute.type))
-    if found is None:
+def _decode_attribute(json_value: Any, where: str) -> Attribute:
+    attribute: Attribute = _decode_dataclass(Attribute, json_value, where)
+    attribute_type = _ATTRIBUTE_TYPES.get(str(attribute.type))
+    if attribute_type is None:
         raise MismatchError(f"{where}: {_show(attribute.type)} is no scalar or vector")
-    return dataclasses.replace(attribute, type=found)
+    return dataclasses.replace(attribute, type=attribute_type)
 
 
 def read_image_type(text: str) -> tuple[TextureKind, bool, Format | None] | None:
@@ -180,21 +180,21 @@ def read_image_type(text: str) -> tuple[TextureKind, bool, Format | None] | None
     return kind, bool(match[2]), Format.__members__.get(match[3] or "")
 
 
-def _decode_change(given: Any, where: str) -> StateChange:
-    if not isinstance(given, dict) or given.keys() != {"type", "value"} or given["type"] not in _STATES:
-        raise MismatchError(f"{where}: {_show(given)} is no change of a state")
-    state_type = _STATES[given["type"]]
+def _decode_change(json_value: Any, where: str) -> StateChange:
+    if not isinstance(json_value, dict) or json_value.keys() != {"type", "value"} or json_value["type"] not in _STATES:
+        raise MismatchError(f"{where}: {_show(json_value)} is no change of a state")
+    state_type = _STATES[json_value["type"]]
     if state_type is PlatformState:
-        names = decode(tuple[str, ...], given["value"], f"{where}.value")
-        return StateChange(state_type, tuple(_find_platform_state(name, where) for name in names))
+        names = decode(tuple[str, ...], json_value["value"], f"{where}.value")
+        return StateChange(state_type, tuple(_lookup_platform_state(name, where) for name in names))
     if state_type in PER_TARGET:
-        wanted: Any = tuple.__class_getitem__((state_type,) * MAX_TARGETS)
+        value_type: Any = tuple.__class_getitem__((state_type,) * MAX_TARGETS)
     else:
-        wanted = state_type
-    return StateChange(state_type, decode(wanted, given["value"], f"{where}.value"))
+        value_type = state_type
+    return StateChange(state_type, decode(value_type, json_value["value"], f"{where}.value"))
 
 
-def _find_platform_state(name: str, where: str) -> PlatformState:
+def _lookup_platform_state(name: str, where: str) -> PlatformState:
     """Return a platform's state by its full name. Those of other packages are known once these are imported."""
     platform, _, _ = name.partition(".")
     if platform in _PLATFORM_MODULES:
@@ -206,17 +206,17 @@ def _find_platform_state(name: str, where: str) -> PlatformState:
     raise MismatchError(f"{where}: no backend that is imported has the state {_show(name)}")
 
 
-def _decode_program(given: Any, where: str) -> ProgramDescriptor:
-    if not isinstance(given, dict):
-        raise MismatchError(f"{where}: {_show(given)} is no program")
+def _decode_program(json_value: Any, where: str) -> ProgramDescriptor:
+    if not isinstance(json_value, dict):
+        raise MismatchError(f"{where}: {_show(json_value)} is no program")
     hints = {name: hint for name, hint in field_types(ProgramDescriptor).items() if name != "emit"}
     required = {
         field.name for field in dataclasses.fields(ProgramDescriptor)
         if field.name in hints and field.default is dataclasses.MISSING
     }  # fmt: skip
-    if not required <= given.keys() <= hints.keys():
+    if not required <= json_value.keys() <= hints.keys():
         raise MismatchError(f"{where}: a program has {', '.join(hints)}")
-    values = {name: decode(hints[name], value, f"{where}.{name}") for name, value in given.items()}
+    values = {name: decode(hints[name], value, f"{where}.{name}") for name, value in json_value.items()}
     return ProgramDescriptor(**values, emit=Sources(values["name"]).emit)
 
 
@@ -261,16 +261,16 @@ def sources_of(descriptor: ProgramDescriptor) -> dict[tuple[str, Stage], str]:
     owner = getattr(descriptor.emit, "__self__", None)
     if isinstance(owner, Sources):
         return owner.texts
-    found: dict[tuple[str, Stage], str] = {}
+    sources: dict[tuple[str, Stage], str] = {}
     for language in LANGUAGES:
         for stage in Stage:  # in their order: equal traces are equal files
             if stage not in descriptor.stages:
                 continue
             try:
-                found[language, stage] = descriptor.emit(language, stage).text
+                sources[language, stage] = descriptor.emit(language, stage).text
             except RhiError:  # there is none, such as an OpenCL kernel of a vertex stage
                 continue
-    return found
+    return sources
 
 
 __all__ = [

@@ -88,23 +88,23 @@ class Differences(Sequence[Difference]):
 
     def __str__(self) -> str:
         lines: list[str] = []
-        place: tuple[str, ...] | None = None
+        labels: tuple[str, ...] | None = None
         for item in self._items:
-            if item.labels != place:
-                place = item.labels
-                lines.append(" / ".join(place) or "(no label)")
+            if item.labels != labels:
+                labels = item.labels
+                lines.append(" / ".join(labels) or "(no label)")
             lines.append(f"  {item}")
         return "\n".join(lines) or "no differences"
 
 
-def _list_places(op: Op) -> dict[int, int]:
+def _list_offset_arguments(op: Op) -> dict[int, int]:
     """Return the indices of the arguments that are offsets into buffers, with those of the buffers."""
     names = list(op.parameters)
     pairs = {f"{name.removesuffix('buffer').rstrip('_')}_offset".lstrip("_"): name for name in names}
     return {names.index(offset): names.index(name) for offset, name in pairs.items() if offset in names}
 
 
-_PLACES: Final = {op: _list_places(op) for op in Op}
+_OFFSET_ARGUMENTS: Final = {op: _list_offset_arguments(op) for op in Op}
 _FENCES: Final = frozenset({Op.SIGNAL, Op.WAIT})
 
 
@@ -112,9 +112,9 @@ def diff(a: TraceSource, b: TraceSource) -> Differences:
     """Return the differences of trace `b` from trace `a`, or of one part of a stream from another."""
     programs = _ProgramKeys()
     left, right = _Side(_select(a), programs), _Side(_select(b), programs)
-    found: list[Difference] = []
-    _compare(left, right, left.root, right.root, (), found)
-    return Differences(found)
+    differences: list[Difference] = []
+    _compare(left, right, left.root, right.root, (), differences)
+    return Differences(differences)
 
 
 def _select(source: TraceSource) -> Commands:
@@ -131,7 +131,7 @@ class _ProgramKeys:
         self._keys: dict[descriptors.ProgramDescriptor, Hashable] = {}
         self._alike: dict[str, list[descriptors.ProgramDescriptor]] = {}  # those with the same fields
 
-    def find(self, program: descriptors.ProgramDescriptor) -> Hashable:
+    def get_key(self, program: descriptors.ProgramDescriptor) -> Hashable:
         key = self._keys.get(program)
         if key is None:
             fields = repr(encode(program))
@@ -195,33 +195,33 @@ class _Side:
     def _key(self, op: Op, values: tuple[Any, ...], failure: object) -> Hashable:
         """Return the key by which a command is compared; it is computed once for equal commands."""
         if op in CREATIONS:
-            return (op, *self._meet(values[0], values[1]), failure)
+            return (op, *self._register(values[0], values[1]), failure)
         if op in _FENCES:
             return op, values[0] - self._fence, *values[1:], failure
         key = self._keys.get((op, values, failure))
         if key is None:
-            places = ID_ARGUMENTS[op]
-            parts = [self.identify(v) if i in places else self.normalize(v) for i, v in enumerate(values)]
-            for offset, buffer in _PLACES[op].items():
+            id_indices = ID_ARGUMENTS[op]
+            parts = [self.identify(v) if i in id_indices else self.normalize(v) for i, v in enumerate(values)]
+            for offset, buffer in _OFFSET_ARGUMENTS[op].items():
                 parts[offset] = self._locate(values[buffer], values[offset])
             key = self._keys[op, values, failure] = (op, *parts, failure)
         return key
 
-    def _meet(self, resource: Id, descriptor: Descriptor) -> tuple[Hashable, int]:
+    def _register(self, resource: Id, descriptor: Descriptor) -> tuple[Hashable, int]:
         """Name a resource; return what it is, and which of several equal ones."""
         kind = _KINDS.get(type(descriptor), "query")
         what = self.normalize(descriptor)
         self._seen[kind, what] += 1
         number = self._seen[kind, what]
         label = getattr(descriptor, "label", "") or getattr(descriptor, "name", "")
-        shown = repr(label) if label and isinstance(label, str) else "without a label"
-        self.names[resource] = f"{kind} {shown} #{number}"
+        name = repr(label) if label and isinstance(label, str) else "without a label"
+        self.names[resource] = f"{kind} {name} #{number}"
         self._identities[resource] = kind, what, number
         self._descriptors[resource] = descriptor
         return what, number
 
     def name(self, resource: Id) -> str:
-        """Return what a resource is called in a message."""
+        """Name of a resource in a message."""
         self.identify(resource)
         return self.names.get(resource, f"id {resource}") if resource else "none"
 
@@ -233,11 +233,11 @@ class _Side:
             descriptor = self.stream.context(self._index).resources.get(resource)
             if descriptor is None:
                 return "id", resource
-            self._meet(resource, descriptor)
-        streamed = self._find_ring(resource)
+            self._register(resource, descriptor)
+        streamed = self._get_ring_label(resource)
         return self._identities[resource] if streamed is None else ("streamed", streamed)
 
-    def _find_ring(self, buffer: Id) -> str | None:
+    def _get_ring_label(self, buffer: Id) -> str | None:
         """Return the label of a streamed buffer, None of any other. A ring goes on in the next when one is full."""
         descriptor = self._descriptors.get(buffer)
         if isinstance(descriptor, descriptors.BufferDescriptor) and descriptor.usage is descriptors.BufferUsage.STREAM:
@@ -245,17 +245,17 @@ class _Side:
         return None
 
     def _locate(self, buffer: Id, offset: int) -> Hashable:
-        """Return what an offset into a buffer stands for."""
-        ring = self._find_ring(buffer)
+        """Stand-in for an offset into a ring buffer, so that equal uses compare as equal."""
+        ring = self._get_ring_label(buffer)
         if ring is None:
             return offset
-        found = self._offsets.setdefault(ring, {})
-        return "place", found.setdefault((buffer, offset), len(found))
+        offsets = self._offsets.setdefault(ring, {})
+        return "place", offsets.setdefault((buffer, offset), len(offsets))
 
     def normalize(self, value: Any) -> Hashable:
         """Return a value with what ids stand for in their place."""
         if isinstance(value, descriptors.ProgramDescriptor):
-            return self._programs.find(value)
+            return self._programs.get_key(value)
         if type(value) is tuple:
             return tuple(map(self.normalize, value))
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -268,33 +268,37 @@ class _Side:
         return hashable
 
 
-def _compare(left: _Side, right: _Side, a: _Node, b: _Node, labels: tuple[str, ...], found: list[Difference]) -> None:
+def _compare(
+    left: _Side, right: _Side, a: _Node, b: _Node, labels: tuple[str, ...], differences: list[Difference]
+) -> None:
     """Append the differences between the children of two labels."""
     x = y = 0
     for next_x, next_y in [*align(a.keys, b.keys), (len(a.keys), len(b.keys))]:
-        _tell(left, right, a.items[x:next_x], b.items[y:next_y], labels, found)
+        _report_differences(left, right, a.items[x:next_x], b.items[y:next_y], labels, differences)
         if next_x < len(a.keys):
-            one, other = a.items[next_x], b.items[next_y]
-            if isinstance(one, _Node) and isinstance(other, _Node):
-                label = left.stream.entry(one.index)[1][0]
-                _compare(left, right, one, other, (*labels, label), found)
+            left_item, right_item = a.items[next_x], b.items[next_y]
+            if isinstance(left_item, _Node) and isinstance(right_item, _Node):
+                label = left.stream.entry(left_item.index)[1][0]
+                _compare(left, right, left_item, right_item, (*labels, label), differences)
         x, y = next_x + 1, next_y + 1
 
 
-def _tell(
+def _report_differences(
     left: _Side, right: _Side, removed: list[int | Refusal | _Node], added: list[int | Refusal | _Node],
-    labels: tuple[str, ...], found: list[Difference],
+    labels: tuple[str, ...], differences: list[Difference],
 ) -> None:  # fmt: skip
     """Append the differences between two matches: changes where the kinds are equal, else removals, then additions."""
     a = [_thing(left.stream, item) for item in removed]
     b = [_thing(right.stream, item) for item in added]
     x = y = 0
     for next_x, next_y in [*align(list(map(_kind, a)), list(map(_kind, b))), (len(a), len(b))]:
-        found.extend(Difference(labels, command, None) for command in a[x:next_x])
-        found.extend(Difference(labels, None, command) for command in b[y:next_y])
+        differences.extend(Difference(labels, command, None) for command in a[x:next_x])
+        differences.extend(Difference(labels, None, command) for command in b[y:next_y])
         if next_x < len(a):
-            one, other = a[next_x], b[next_y]
-            found.append(Difference(labels, one, other, tuple(_changes(left, right, one, other))))
+            left_item, right_item = a[next_x], b[next_y]
+            differences.append(
+                Difference(labels, left_item, right_item, tuple(_changes(left, right, left_item, right_item)))
+            )
         x, y = next_x + 1, next_y + 1
 
 
@@ -325,8 +329,8 @@ def _changes(left: _Side, right: _Side, a: Thing, b: Thing) -> list[str]:
             if old != new:
                 changes.append(f"{name}: {_compare_bytes(old, new)}")
         elif left.normalize(old) != right.normalize(new):
-            shown = describe(old), describe(new)
-            changes.append(f"{name}: {shown[0]} → {shown[1]}" if shown[0] != shown[1] else f"{name}: its contents")
+            texts = describe(old), describe(new)
+            changes.append(f"{name}: {texts[0]} → {texts[1]}" if texts[0] != texts[1] else f"{name}: its contents")
     if a.failure != b.failure:
         failures = [command.failure.error if command.failure is not None else "none" for command in (a, b)]
         changes.append(f"failure: {failures[0]} → {failures[1]}")

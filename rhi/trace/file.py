@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
 from rhi.commands.ops import Op
-from rhi.commands.stream import Command, CommandStream, Failure, Refusal, find_site
+from rhi.commands.stream import Command, CommandStream, Failure, Refusal, call_site_at
 from rhi.contract.descriptors import ProgramDescriptor, Region, Stage, TextureDescriptor
 from rhi.device.device import Device
-from rhi.errors import CallSite, refuse
+from rhi.errors import refuse
+from rhi.errors.call_sites import CallSite
 from rhi.trace import rules
 from rhi.trace.archive import COMMANDS, HEADER, MAX_BYTES, ArchiveReader, ArchiveWriter, source_name
 from rhi.trace.codec import LANGUAGES, MismatchError, Sources, argument_types, decode, encode, sources_of
@@ -61,20 +62,20 @@ class Trace:
         """The calls that were refused while the trace was recorded."""
         return self.stream.refusals
 
-    def keep(self, indices: list[int], *, refusals: bool = True) -> Trace:
+    def select(self, indices: list[int], *, refusals: bool = True) -> Trace:
         """Return a trace of some of the commands, in order. It includes the refused calls between them, unless
         excluded."""
-        kept = CommandStream()
+        selected = CommandStream()
         if refusals:
             for refusal in self.refusals:
-                kept.add_refusal(replace(refusal, index=bisect_left(indices, refusal.index)))
+                selected.add_refusal(replace(refusal, index=bisect_left(indices, refusal.index)))
         for index in indices:
             op, values, code, lasti = self.stream.entry(index)
             failure = self.stream.failures.get(index)
-            kept.data.extend((op, *values, code, lasti))
+            selected.data.extend((op, *values, code, lasti))
             if failure is not None:
-                kept.failures[len(kept) - 1] = failure
-        return replace(self, stream=kept)
+                selected.failures[len(selected) - 1] = failure
+        return replace(self, stream=selected)
 
 
 def as_trace(source: Trace | Device | CommandStream) -> Trace:
@@ -213,8 +214,8 @@ class _Loader:
         self.sites = [_make_code(*site) for site in header["sites"]]
         for number, line in enumerate(lines, 1):
             self._read_line(number, line)
-        found = {"commands": len(self.stream), "refusals": len(self.stream.refusals)}
-        for name, count in found.items():
+        counts = {"commands": len(self.stream), "refusals": len(self.stream.refusals)}
+        for name, count in counts.items():
             if count != header[name]:
                 self.reader.refuse(rules.TRACE_COUNT, f"{count} {name}", f"{header[name]}, as its header says")
         return Trace(self.stream, header["backend"], self.file, self.trusted)
@@ -228,9 +229,9 @@ class _Loader:
             self.reader.refuse(rules.TRACE_VERSION, f"version {version!r}", f"1 to {VERSION}")
         try:
             sites = tuple[tuple[str, int, str], ...]
-            wanted: dict[str, Any] = {"backend": str, "commands": int, "refusals": int, "sites": sites}
+            types: dict[str, Any] = {"backend": str, "commands": int, "refusals": int, "sites": sites}
             header.setdefault("refusals", 0)  # version 1 had none
-            return {name: decode(type, header.get(name), name) for name, type in wanted.items()}
+            return {name: decode(type, header.get(name), name) for name, type in types.items()}
         except MismatchError as error:
             self.reader.refuse(rules.TRACE_FILE, f"{HEADER}: {error}", "what rhi.trace.save writes")
 
@@ -256,18 +257,18 @@ class _Loader:
         try:
             if "site" in line:
                 code = self._read_site(line.pop("site"))
-            wanted: dict[str, Any] = dict.fromkeys(("refused", "call", "given", "allowed"), str)
-            wanted["labels"] = tuple[str, ...]
-            if line.keys() != wanted.keys():
+            types: dict[str, Any] = dict.fromkeys(("refused", "call", "given", "allowed"), str)
+            types["labels"] = tuple[str, ...]
+            if line.keys() != types.keys():
                 raise MismatchError(f"a refused call of {', '.join(line)}")
-            error, call, given, allowed, labels = (decode(type, line[name], name) for name, type in wanted.items())
+            error, call, given, allowed, labels = (decode(type, line[name], name) for name, type in types.items())
         except MismatchError as mismatch:
             self.reader.refuse(rules.TRACE_COMMAND, f"{where}: {mismatch}", "what rhi.trace.save writes")
-        site = find_site(code, 0)
+        site = call_site_at(code, 0)
         self.stream.add_refusal(Refusal(len(self.stream), error, call, given, allowed, site, labels))
 
-    def _read_site(self, given: object) -> CodeType:
-        site: int = decode(int, given, "site")
+    def _read_site(self, entry: object) -> CodeType:
+        site: int = decode(int, entry, "site")
         if not 0 <= site < len(self.sites):
             raise MismatchError(f"site {site} of {len(self.sites)}")
         return self.sites[site]

@@ -14,17 +14,17 @@ _OPTIONAL: Final = frozenset({(Op.PRESENT, "texture"), (Op.DRAW_INDIRECT, "count
 """Arguments that are 0 for no resource. Of a descriptor's fields, those with a default may be."""
 
 
-class _IdPlace(NamedTuple):
+class _IdField(NamedTuple):
     """A part of a command or descriptor that is an id (`kind`: what of) or that may contain ids (None)."""
 
-    place: Any  # the argument's index, or the field's name
+    key: Any  # the argument's index, or the field's name
     kind: type | None
     optional: bool
 
 
 _ARGUMENTS: Final = {
     op: tuple(
-        _IdPlace(i, ID_KINDS.get(annotation), (op, name) in _OPTIONAL)
+        _IdField(i, ID_KINDS.get(annotation), (op, name) in _OPTIONAL)
         for i, (name, annotation) in enumerate(op.parameters.items())
         if annotation not in _PLAIN
     )
@@ -32,15 +32,15 @@ _ARGUMENTS: Final = {
 }
 
 
-_FIELDS: Final[dict[type, tuple[_IdPlace, ...]]] = {}
+_FIELDS: Final[dict[type, tuple[_IdField, ...]]] = {}
 
 
-def _parts_of(value: object) -> tuple[_IdPlace, ...]:
+def _parts_of(value: object) -> tuple[_IdField, ...]:
     parts = _FIELDS.get(type(value))
     if parts is None:
         fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
         parts = _FIELDS[type(value)] = tuple(
-            _IdPlace(each.name, ID_KINDS.get(str(each.type)), each.default is not dataclasses.MISSING)
+            _IdField(each.name, ID_KINDS.get(str(each.type)), each.default is not dataclasses.MISSING)
             for each in fields
             if each.type not in _PLAIN
         )
@@ -64,8 +64,8 @@ def map_ids(value: Any, translate: Callable[[Id], Id]) -> Any:
 def kinds_of(op: Op, values: Sequence[Any]) -> Iterator[tuple[Id, type]]:
     """Yield the resource ids in a command, each with what it stands for. An id that stands for none (0) is left out
     where the contract allows it."""
-    for place, kind, optional in _ARGUMENTS[op]:
-        value = values[place]
+    for key, kind, optional in _ARGUMENTS[op]:
+        value = values[key]
         if kind is None:
             yield from _kinds_in(value)
         elif value or not optional:

@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 from types import FunctionType
 from typing import Final
 
-from rhi.commands.ops import CLOSES, CREATIONS, DISPATCHES, DRAWS, Op
+from rhi.commands.ops import CREATIONS, DISPATCHES, DRAWS, END_OPS, Op
 from rhi.commands.stream import CommandStream
 from rhi.contract.descriptors import Stage
 from rhi.errors import RhiError, refuse
@@ -29,7 +29,7 @@ from rhi.trace.ids import ids_of
 from rhi.trace.rules import TRACE_PREDICATE
 
 ATTEMPTS: Final = 2000
-_OPENS: Final = {end: begin for begin, end in CLOSES.items()}
+_OPENS: Final = {end: begin for begin, end in END_OPS.items()}
 
 
 def reduce(trace: Trace, predicate: Callable[[Trace], bool], *, attempts: int = ATTEMPTS) -> Trace:
@@ -46,32 +46,32 @@ def reduce(trace: Trace, predicate: Callable[[Trace], bool], *, attempts: int = 
 
     def holds(indices: list[int]) -> bool:
         try:
-            return bool(predicate(trace.keep(indices, refusals=refusals)))
+            return bool(predicate(trace.select(indices, refusals=refusals)))
         except RhiError:
             return False
 
     parts = _Parts(trace.stream)
-    kept = list(range(len(trace)))
-    if not holds(kept):
+    remaining = list(range(len(trace)))
+    if not holds(remaining):
         refuse(TRACE_PREDICATE, "rhi.trace.reduce", f"a trace of {len(trace)} commands", "one that shows the fault")
     if trace.refusals:
         refusals = False
-        refusals = not holds(kept)
-    size = max(1, len(kept) // 2)
+        refusals = not holds(remaining)
+    size = max(1, len(remaining) // 2)
     while attempts > 0:
         start, shrunk = 0, False
-        while start < len(kept) and attempts > 0:
-            candidate = parts.make_whole(kept[:start] + kept[start + size :])
-            if len(candidate) < len(kept):
+        while start < len(remaining) and attempts > 0:
+            candidate = parts.complete(remaining[:start] + remaining[start + size :])
+            if len(candidate) < len(remaining):
                 attempts -= 1
                 if holds(candidate):
-                    kept, shrunk = candidate, True
+                    remaining, shrunk = candidate, True
                     continue  # the commands that follow have moved to `start`
             start += size
         if size == 1 and not shrunk:
             break
         size = max(1, size // 2)
-    return trace.keep(kept, refusals=refusals)
+    return trace.select(remaining, refusals=refusals)
 
 
 class _Parts:
@@ -84,7 +84,7 @@ class _Parts:
         self.ids = [frozenset(ids_of(op, values)) for op, values in entries]
         self.failed = stream.failures.keys()
         self.partners: dict[int, int] = {}
-        opened: dict[Op, list[int]] = {op: [] for op in CLOSES}
+        opened: dict[Op, list[int]] = {op: [] for op in END_OPS}
         for index, op in enumerate(self.ops):
             if index in self.failed:
                 continue
@@ -94,16 +94,16 @@ class _Parts:
                 begin = opened[_OPENS[op]].pop()
                 self.partners[begin], self.partners[index] = index, begin
 
-    def make_whole(self, indices: list[int]) -> list[int]:
+    def complete(self, indices: list[int]) -> list[int]:
         """Return those of the commands that are still valid, in order."""
         while True:
-            fitting = self._drop_unfit(indices)
+            fitting = self._drop_invalid(indices)
             if len(fitting) == len(indices):
                 return fitting
             indices = fitting  # a removed command may have been one end of a pair
 
-    def _drop_unfit(self, indices: list[int]) -> list[int]:
-        chosen = set(indices)
+    def _drop_invalid(self, indices: list[int]) -> list[int]:
+        selected = set(indices)
         alive: set[int] = set()
         stages: dict[int, frozenset[Stage]] = {}
         signalled = {0}
@@ -111,7 +111,7 @@ class _Parts:
         result = []
         for index in indices:
             op, values, ids = self.ops[index], self.values[index], self.ids[index]
-            if index in self.partners and self.partners[index] not in chosen:
+            if index in self.partners and self.partners[index] not in selected:
                 continue
             creates = op in CREATIONS
             if not (ids - {values[0]} if creates else ids) <= alive:

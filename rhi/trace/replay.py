@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.commands.context import StreamContext
-from rhi.commands.ops import CLOSES, CREATIONS, ID_ARGUMENTS, WIDTHS, Op
+from rhi.commands.ops import CREATIONS, END_OPS, ID_ARGUMENTS, WIDTHS, Op
 from rhi.commands.stream import CommandStream, Failure, Refusal
 from rhi.contract import descriptors
 from rhi.contract.descriptors import Id
@@ -35,10 +35,10 @@ from rhi.errors.rules import PASS_OPEN
 from rhi.trace.file import Trace, as_trace
 from rhi.trace.ids import map_ids
 from rhi.trace.rules import TRACE_REFERENCE, TRACE_TRUST
-from rhi.trace.validation import check_capabilities, find_elements, work_faults
+from rhi.trace.validation import check_capabilities, count_vertex_array_elements, excessive_work_faults
 
-_FOLLOWED: Final = frozenset({Op.SET_STATES, Op.BIND_PROGRAM, *CLOSES, *CLOSES.values()})
-_ONCE: Final = _FOLLOWED - {Op.BIND_PROGRAM} | {Op.DESTROY, Op.SIGNAL, Op.WAIT, Op.PRESENT}
+_FOLLOWED: Final = frozenset({Op.SET_STATES, Op.BIND_PROGRAM, *END_OPS, *END_OPS.values()})
+_NOT_REPEATED: Final = _FOLLOWED - {Op.BIND_PROGRAM} | {Op.DESTROY, Op.SIGNAL, Op.WAIT, Op.PRESENT}
 """The commands that aren't executed again if they failed."""
 
 
@@ -116,21 +116,21 @@ class _Player:
             Op.DRAW_INDIRECT: self.draw_indirect, Op.DISPATCH_INDIRECT: self.dispatch_indirect,
         }  # fmt: skip
         handlers: list[Callable[[Op, list[Any]], None] | None] = [
-            self.create if op in CREATIONS else self.follow if op in _FOLLOWED else own.get(op) for op in Op
+            self.create if op in CREATIONS else self.apply if op in _FOLLOWED else own.get(op) for op in Op
         ]
         failures, data, ops = stream.failures, stream.data, tuple(Op)
         plain = [
             (method, handler, WIDTHS[op] - 2, *(ID_ARGUMENTS[op] + (-1, -1))[:2])
             for op, method, handler in zip(Op, methods, handlers, strict=True)
         ]  # DRAW_INDIRECT alone has more than two ids
-        place, end, index = 0, len(data), 0
+        offset, end, index = 0, len(data), 0
         try:
-            while place < end:
-                op = data[place]
+            while offset < end:
+                op = data[offset]
                 method, handler, width, first, second = plain[op]
-                values = data[place + 1 : place + width]
+                values = data[offset + 1 : offset + width]
                 if failures and index in failures:
-                    self.fail_again(index, ops[op], values)
+                    self.repeat_failure(index, ops[op], values)
                 elif handler is not None:
                     handler(ops[op], values)
                 else:
@@ -139,7 +139,7 @@ class _Player:
                     if second >= 0 and values[second]:  # 0 is none
                         values[second] = ids[values[second]]
                     method(*values)
-                place += width + 2
+                offset += width + 2
                 index += 1
         except Exception as error:
             error.add_note(f"while replaying command {index}: {stream[index]}")
@@ -160,11 +160,11 @@ class _Player:
             backend.pop_label()
         self.set_states(tuple(context.states.values()), self.before)
 
-    def set_states(self, held: Sequence[object], wanted: Sequence[object]) -> None:
+    def set_states(self, current: Sequence[object], target: Sequence[object]) -> None:
         """Send the states that differ between two lists of values in the order of `STATE_TYPES`."""
         changes = [
             StateChange(state_type, new)
-            for state_type, old, new in zip(STATE_TYPES, held, wanted, strict=True)
+            for state_type, old, new in zip(STATE_TYPES, current, target, strict=True)
             if old != new
         ]
         if changes:
@@ -179,39 +179,40 @@ class _Player:
             descriptor = dataclasses.replace(descriptor, usage=descriptors.BufferUsage.STATIC)
         self.methods[op](new, map_ids(descriptor, self.result.ids.__getitem__))
         self.result.ids[recorded] = new
-        self.context.follow(op, values)
+        self.context.apply(op, values)
 
     def destroy(self, op: Op, values: list[Any]) -> None:
         self.core.backend.destroy(self.result.ids.pop(values[0]))
-        self.context.follow(op, values)
+        self.context.apply(op, values)
 
-    def follow(self, op: Op, values: list[Any]) -> None:
+    def apply(self, op: Op, values: list[Any]) -> None:
         """Follow states, and what begins and ends."""
         self.call(op, values)
-        self.context.follow(op, values)
+        self.context.apply(op, values)
 
     def call(self, op: Op, values: list[Any]) -> None:
         """Execute a command with all of its ids translated."""
-        ids, places = self.result.ids, ID_ARGUMENTS[op]
+        ids, id_indices = self.result.ids, ID_ARGUMENTS[op]
         translated = (
-            (value and ids[value]) if i in places else map_ids(value, ids.__getitem__) for i, value in enumerate(values)
+            (value and ids[value]) if i in id_indices else map_ids(value, ids.__getitem__)
+            for i, value in enumerate(values)
         )
         self.methods[op](*translated)
 
     def draw_indirect(self, op: Op, values: list[Any]) -> None:
         """Draw, after a look at the arguments."""
         vertex_array, _, buffer, offset, draws, stride, count_buffer, count_offset = values
-        made = self.context.resources[vertex_array]
-        if self.checks_indirect and isinstance(made, descriptors.VertexArrayDescriptor):
+        descriptor = self.context.resources[vertex_array]
+        if self.checks_indirect and isinstance(descriptor, descriptors.VertexArrayDescriptor):
             if count_buffer:
                 count = self.core.backend.read_buffer(self.result.ids[count_buffer], count_offset, 4)
                 draws = min(draws, int(np.frombuffer(count, np.uint32)[0]))
-            record = descriptors.DRAW if made.index_buffer else descriptors.DRAW_UNINDEXED
+            record = descriptors.DRAW if descriptor.index_buffer else descriptors.DRAW_UNINDEXED
             data = self.read(buffer, offset, (draws - 1) * stride + record.itemsize) if draws else b""
-            elements = find_elements(self.context.resources, made)
+            elements = count_vertex_array_elements(self.context.resources, descriptor)
             for draw in list_draws(np.ndarray((draws,), record, data, strides=(stride,))):
-                self.require(draw_faults(elements, bool(made.index_buffer), *draw))
-                self.require(work_faults(draw[1] * draw[2]))
+                self.require(draw_faults(elements, bool(descriptor.index_buffer), *draw))
+                self.require(excessive_work_faults(draw[1] * draw[2]))
         self.call(op, values)
 
     def dispatch_indirect(self, op: Op, values: list[Any]) -> None:
@@ -220,7 +221,7 @@ class _Player:
         if self.checks_indirect and isinstance(program, descriptors.ProgramDescriptor):
             groups: list[int] = np.frombuffer(self.read(values[0], values[1], 12), np.uint32).tolist()
             self.require(dispatch_faults(groups, f"{groups}", self.core.capabilities))
-            self.require(work_faults(math.prod(groups) * math.prod(program.work_group)))
+            self.require(excessive_work_faults(math.prod(groups) * math.prod(program.work_group)))
         self.call(op, values)
 
     def read(self, buffer: Id, offset: int, size: int) -> bytes:
@@ -250,9 +251,9 @@ class _Player:
                 whole = descriptors.Region(0, 0, *descriptor.size)
                 self.result.image = self.core.backend.read_texture(texture, 0, whole, False)[0]
 
-    def fail_again(self, index: int, op: Op, values: list[Any]) -> None:
+    def repeat_failure(self, index: int, op: Op, values: list[Any]) -> None:
         """Execute a call that failed when it was recorded, unless it opens or ends a pass, a label or the like."""
-        if op in _ONCE:
+        if op in _NOT_REPEATED:
             return
         try:
             if op in CREATIONS:

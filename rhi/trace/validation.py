@@ -65,7 +65,7 @@ class TooLargeError(Exception):
     """The command would exceed the memory that a trace may use."""
 
 
-_PLACES: Final = dict.fromkeys(DRAWS | {Op.END_PASS}, True) | dict.fromkeys(
+_INSIDE_PASS: Final = dict.fromkeys(DRAWS | {Op.END_PASS}, True) | dict.fromkeys(
     DISPATCHES | {Op.BEGIN_PASS, Op.PRESENT}, False
 )
 """Whether a command belongs inside a pass, by op. Others belong everywhere."""
@@ -108,7 +108,7 @@ class SequenceValidator:
         before = self._total, self._signalled
         rule = _RULES[op]
         try:
-            self._check_place(op)
+            self._check_scope(op)
             command = (op, *values) if op in _RECURRING else ()
             if command not in self._valid:
                 self._check_arguments(op, values)
@@ -126,18 +126,18 @@ class SequenceValidator:
         if failed:
             self._total, self._signalled = before
         else:
-            self.context.follow(op, values)
+            self.context.apply(op, values)
 
     # -- every command -----------------------------------------------------------------------------------------
 
-    def _check_place(self, op: Op) -> None:
+    def _check_scope(self, op: Op) -> None:
         """Check that a command belongs inside or outside a pass, and that a program of its kind is bound."""
-        if op in _PLACES:
+        if op in _INSIDE_PASS:
             is_open = self.context.render_pass is not None
-            _need(is_open is _PLACES[op], "inside a render pass" if is_open else "outside a render pass")
+            _require(is_open is _INSIDE_PASS[op], "inside a render pass" if is_open else "outside a render pass")
         if op in _STAGES:
-            bound = self._find(self.context.program, ProgramDescriptor)
-            _need(_STAGES[op] in bound.stages, "a program of another kind is bound")
+            bound = self._lookup(self.context.program, ProgramDescriptor)
+            _require(_STAGES[op] in bound.stages, "a program of another kind is bound")
 
     def _check_arguments(self, op: Op, values: Sequence[Any]) -> None:
         """Check that the resources exist and are what the contract says, that a new one has a new id, and the arguments
@@ -148,20 +148,20 @@ class SequenceValidator:
         kinds = kinds_of(op, values)
         if op in CREATIONS:
             new, _ = next(kinds)
-            _need(new > 0 and new not in self._used, f"id {new} was used before")
+            _require(new > 0 and new not in self._used, f"id {new} was used before")
         for resource, kind in kinds:
-            self._find(resource, kind)
+            self._lookup(resource, kind)
         if op in _ALL_FAULTS:
             for fault in _ALL_FAULTS[op](self.context.resources, ANY_DEVICE, *values):
                 raise InvalidCommandError(f"{fault.given}, allowed: {fault.allowed or fault.rule.sentence}")
 
-    def _find(self, resource: Id, kind: type[T]) -> T:
-        found: Any = self.context.resources.get(resource)
-        if found is None:
+    def _lookup(self, resource: Id, kind: type[T]) -> T:
+        descriptor: Any = self.context.resources.get(resource)
+        if descriptor is None:
             raise InvalidCommandError(f"id {resource} is nothing")
-        if not isinstance(found, kind):
-            raise InvalidCommandError(f"id {resource} is a {type(found).__name__}, not a {kind.__name__}")
-        return found
+        if not isinstance(descriptor, kind):
+            raise InvalidCommandError(f"id {resource} is a {type(descriptor).__name__}, not a {kind.__name__}")
+        return descriptor
 
     def _create(self, resource: Id, size: int) -> None:
         self._total += size
@@ -173,60 +173,62 @@ class SequenceValidator:
     # -- commands whose rules depend on earlier ones -------------------------------------------------------------
 
     def draw(self, vertex_array: Id, *_: object) -> None:
-        made = self._find(vertex_array, VertexArrayDescriptor)
-        _need(made.program == self.context.program, "the vertex array of another program")
-        buffers = {stream.buffer for stream in made.streams} | ({made.index_buffer} - {0})
-        _need(buffers <= self.context.resources.keys(), "a buffer of the vertex array was destroyed")
+        resources = self._lookup(vertex_array, VertexArrayDescriptor)
+        _require(resources.program == self.context.program, "the vertex array of another program")
+        buffers = {stream.buffer for stream in resources.streams} | ({resources.index_buffer} - {0})
+        _require(buffers <= self.context.resources.keys(), "a buffer of the vertex array was destroyed")
 
     def draw_indirect(self, vertex_array: Id, primitive: Primitive, *_: object) -> None:
         self.draw(vertex_array)
-        _need(primitive is not Primitive.QUADS, "an indirect draw of quads")
+        _require(primitive is not Primitive.QUADS, "an indirect draw of quads")
 
     def dispatch(self, *groups: int) -> None:
-        program = self._find(self.context.program, ProgramDescriptor)
-        for fault in work_faults(math.prod(groups) * math.prod(program.work_group)):
+        program = self._lookup(self.context.program, ProgramDescriptor)
+        for fault in excessive_work_faults(math.prod(groups) * math.prod(program.work_group)):
             raise InvalidCommandError(f"{fault.given}, allowed: {fault.allowed}")
 
     def destroy(self, resource: Id) -> None:
         self._valid.clear()
         open_pass = self.context.render_pass
         if open_pass is not None:
-            _need(resource not in {id for id, _ in kinds_of(Op.BEGIN_PASS, (open_pass,))}, "a target of the open pass")
-        _need(resource not in (self.context.open_query, self.context.condition), "a query that is open")
+            _require(
+                resource not in {id for id, _ in kinds_of(Op.BEGIN_PASS, (open_pass,))}, "a target of the open pass"
+            )
+        _require(resource not in (self.context.open_query, self.context.condition), "a query that is open")
         self._total -= self._memory[resource]
 
     def signal(self, value: int) -> None:
-        _need(value > self._signalled, f"{value} after {self._signalled}")
+        _require(value > self._signalled, f"{value} after {self._signalled}")
         self._signalled = value
 
     def wait(self, value: int, seconds: float) -> None:
-        _need(0 <= value <= self._signalled, f"for {value}, signalled is {self._signalled}")
+        _require(0 <= value <= self._signalled, f"for {value}, signalled is {self._signalled}")
 
     def begin_query(self, query: Id) -> None:
-        _need(self._find(query, QueryKind) is QueryKind.OCCLUSION, "not an occlusion query")
-        _need(not self.context.open_query, "another query is open")
+        _require(self._lookup(query, QueryKind) is QueryKind.OCCLUSION, "not an occlusion query")
+        _require(not self.context.open_query, "another query is open")
 
     def end_query(self, query: Id) -> None:
-        _need(query == self.context.open_query, "it isn't open")
+        _require(query == self.context.open_query, "it isn't open")
 
     def write_query(self, query: Id) -> None:
-        _need(self._find(query, QueryKind) is not QueryKind.OCCLUSION, "an occlusion query")
+        _require(self._lookup(query, QueryKind) is not QueryKind.OCCLUSION, "an occlusion query")
 
     def begin_conditional(self, query: Id, inverted: bool) -> None:
-        _need(self._find(query, QueryKind) is QueryKind.OCCLUSION, "not an occlusion query")
-        _need(not self.context.condition, "another condition is open")
+        _require(self._lookup(query, QueryKind) is QueryKind.OCCLUSION, "not an occlusion query")
+        _require(not self.context.condition, "another condition is open")
 
     def end_conditional(self) -> None:
-        _need(bool(self.context.condition), "no condition is open")
+        _require(bool(self.context.condition), "no condition is open")
 
     def push_label(self, text: str) -> None:
-        _need(len(self.context.labels) < MAX_LABELS, "too many labels")
+        _require(len(self.context.labels) < MAX_LABELS, "too many labels")
 
     def pop_label(self) -> None:
-        _need(bool(self.context.labels), "no label is open")
+        _require(bool(self.context.labels), "no label is open")
 
 
-def _need(condition: bool, otherwise: str) -> None:
+def _require(condition: bool, otherwise: str) -> None:
     if not condition:
         raise InvalidCommandError(otherwise)
 
@@ -236,22 +238,22 @@ _RULES: Final[tuple[Callable[..., None] | None, ...]] = tuple(getattr(SequenceVa
 
 # -- commands whose rules depend on their arguments only, and the limits of a device ---------------------------
 
-_Made: TypeAlias = Mapping[Id, Any]
+_Resources: TypeAlias = Mapping[Id, Any]
 """The descriptors of the resources that were created so far."""
 
 
-def _buffer_range(made: _Made, buffer: Id, offset: int, size: int) -> Faults:
-    whole = made[buffer].size
+def _buffer_range(resources: _Resources, buffer: Id, offset: int, size: int) -> Faults:
+    whole = resources[buffer].size
     if offset < 0 or size < 0 or offset + size > whole:
         yield Fault(rules.BUFFER_RANGE, f"bytes {offset} to {offset + size}", f"within {whole} bytes")
 
 
-def _create_buffer(made: _Made, device: Capabilities, buffer: Id, descriptor: BufferDescriptor) -> Faults:
+def _create_buffer(resources: _Resources, device: Capabilities, buffer: Id, descriptor: BufferDescriptor) -> Faults:
     if descriptor.size <= 0:
         yield Fault(rules.BUFFER_SIZE, f"{descriptor.size} bytes", "1 or more")
 
 
-def _create_program(made: _Made, device: Capabilities, program: Id, descriptor: ProgramDescriptor) -> Faults:
+def _create_program(resources: _Resources, device: Capabilities, program: Id, descriptor: ProgramDescriptor) -> Faults:
     stages = descriptor.stages
     if stages != {Stage.COMPUTE} and (Stage.VERTEX not in stages or Stage.COMPUTE in stages):
         yield Fault(rules.PROGRAM_STAGE, limits.show_stages(descriptor), "a vertex stage, or a compute stage alone")
@@ -259,84 +261,104 @@ def _create_program(made: _Made, device: Capabilities, program: Id, descriptor: 
 
 
 def _create_vertex_array(
-    made: _Made, device: Capabilities, vertex_array: Id, descriptor: VertexArrayDescriptor
+    resources: _Resources, device: Capabilities, vertex_array: Id, descriptor: VertexArrayDescriptor
 ) -> Faults:
-    yield from limits.vertex_array_faults(descriptor, lambda buffer: int(made[buffer].size))
+    yield from limits.vertex_array_faults(descriptor, lambda buffer: int(resources[buffer].size))
     given = [attribute for stream in descriptor.streams for attribute in stream.attributes]
-    inputs = {attribute.location: attribute.type for attribute in made[descriptor.program].attributes}
+    inputs = {attribute.location: attribute.type for attribute in resources[descriptor.program].attributes}
     if sorted(attribute.location for attribute in given) != sorted(inputs):
         yield Fault(rules.MESH_ATTRIBUTE, f"{given}", f"each of the locations {sorted(inputs)} once")
     if not all(stream.attributes for stream in descriptor.streams):
         yield Fault(rules.MESH_DATA, "a stream without attributes", "one or more in each")
     for attribute in given:
-        wanted = inputs[attribute.location]
-        size, scalar = (wanted.size, wanted.scalar) if isinstance(wanted, VectorType) else (1, wanted)
+        input_type = inputs[attribute.location]
+        size, scalar = (input_type.size, input_type.scalar) if isinstance(input_type, VectorType) else (1, input_type)
         if attribute.format.components < size or attribute.format.kind != str(scalar):
-            yield Fault(rules.MESH_ATTRIBUTE, f"{attribute}", f"as {wanted}")
+            yield Fault(rules.MESH_ATTRIBUTE, f"{attribute}", f"as {input_type}")
 
 
-def _clear_buffer(made: _Made, device: Capabilities, buffer: Id, offset: int, size: int, value: int) -> Faults:
-    yield from _buffer_range(made, buffer, offset, size)
+def _clear_buffer(
+    resources: _Resources, device: Capabilities, buffer: Id, offset: int, size: int, value: int
+) -> Faults:
+    yield from _buffer_range(resources, buffer, offset, size)
     if offset % 4 or size % 4:
         yield Fault(rules.BUFFER_ALIGNMENT, f"{size} bytes at {offset}", "whole words")
 
 
 def _copy_buffer(
-    made: _Made, device: Capabilities, source: Id, offset: int, target: Id, target_offset: int, size: int
+    resources: _Resources, device: Capabilities, source: Id, offset: int, target: Id, target_offset: int, size: int
 ) -> Faults:
-    sizes = (made[source].size, offset, made[target].size, target_offset, size)
+    sizes = (resources[source].size, offset, resources[target].size, target_offset, size)
     return limits.buffer_copy_faults(*sizes, source == target, device)
 
 
-def _write_texture(made: _Made, device: Capabilities, texture: Id, level: int, region: Region, data: bytes) -> Faults:
-    descriptor: TextureDescriptor = made[texture]
+def _write_texture(
+    resources: _Resources, device: Capabilities, texture: Id, level: int, region: Region, data: bytes
+) -> Faults:
+    descriptor: TextureDescriptor = resources[texture]
     yield from limits.written_faults(descriptor)
     yield from limits.region_faults(descriptor, level, region)
     yield from limits.single_sample_faults(descriptor)
-    wanted = region.width * region.height * region.layers * descriptor.format.transfer_bytes
+    byte_count = region.width * region.height * region.layers * descriptor.format.transfer_bytes
     if descriptor.compressed is not None:
         columns, rows = -(-region.width // BLOCK), -(-region.height // BLOCK)
-        wanted = columns * rows * region.layers * descriptor.compressed.block_bytes
+        byte_count = columns * rows * region.layers * descriptor.compressed.block_bytes
         width, height = descriptor.level_size(level)
         right, bottom = region.x + region.width, region.y + region.height
         inner = [region.x, region.y, *([right] if right < width else []), *([bottom] if bottom < height else [])]
         if any(edge % BLOCK for edge in inner):
             yield Fault(rules.TEXTURE_REGION, f"{region}", f"whole blocks of {width}×{height} texels")
-    if len(data) != wanted:
-        yield Fault(rules.TEXTURE_DATA, f"{len(data)} bytes", f"{wanted}")
+    if len(data) != byte_count:
+        yield Fault(rules.TEXTURE_DATA, f"{len(data)} bytes", f"{byte_count}")
 
 
 def _copy_texture(
-    made: _Made, device: Capabilities, source: Id, level: int, region: Region, target: Id, target_level: int, x: int,
-    y: int, layer: int,
+    resources: _Resources, device: Capabilities, source: Id, level: int, region: Region, target: Id, target_level: int,
+    x: int, y: int, layer: int,
 ) -> Faults:  # fmt: skip
     end = Region(x, y, region.width, region.height, layer, region.layers)
-    return limits.texture_copy_faults(made[source], level, region, made[target], target_level, end, source == target)
+    return limits.texture_copy_faults(
+        resources[source], level, region, resources[target], target_level, end, source == target
+    )
 
 
 def _copy_texture_to_buffer(
-    made: _Made, device: Capabilities, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+    resources: _Resources,
+    device: Capabilities,
+    source: Id,
+    level: int,
+    region: Region,
+    target: Id,
+    offset: int,
+    row_bytes: int,
 ) -> Faults:
-    return limits.row_faults(made[source], level, region, offset, row_bytes, made[target].size, device)
+    return limits.row_faults(resources[source], level, region, offset, row_bytes, resources[target].size, device)
 
 
 def _copy_buffer_to_texture(
-    made: _Made, device: Capabilities, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    resources: _Resources,
+    device: Capabilities,
+    source: Id,
+    offset: int,
+    row_bytes: int,
+    target: Id,
+    level: int,
+    region: Region,
 ) -> Faults:
-    yield from limits.written_faults(made[target])
-    yield from limits.row_faults(made[target], level, region, offset, row_bytes, made[source].size, device)
+    yield from limits.written_faults(resources[target])
+    yield from limits.row_faults(resources[target], level, region, offset, row_bytes, resources[source].size, device)
 
 
-def _begin_pass(made: _Made, device: Capabilities, descriptor: PassDescriptor) -> Faults:
+def _begin_pass(resources: _Resources, device: Capabilities, descriptor: PassDescriptor) -> Faults:
     targets = [target for target in (*descriptor.colors, descriptor.depth) if target is not None]
     if not targets:
         yield Fault(rules.PASS_EMPTY, "no color and no depth", "a target")
     for target in targets:
-        yield from limits.level_faults(made[target.texture], target.level, target.layer)
-    yield from limits.pass_faults(descriptor, made, device)
+        yield from limits.level_faults(resources[target.texture], target.level, target.layer)
+    yield from limits.pass_faults(descriptor, resources, device)
 
 
-def _set_states(made: _Made, device: Capabilities, changes: Sequence[StateChange]) -> Faults:
+def _set_states(resources: _Resources, device: Capabilities, changes: Sequence[StateChange]) -> Faults:
     for kind, value in changes:
         if kind is PlatformState and device is ANY_DEVICE:
             continue  # the file's reader knows this state, so some device has it
@@ -347,58 +369,65 @@ def _set_states(made: _Made, device: Capabilities, changes: Sequence[StateChange
             yield from limits.state_faults(state, device)
 
 
-def _slot(slots: str, made: _Made, device: Capabilities, slot: int, *_: int) -> Faults:
+def _slot(slots: str, resources: _Resources, device: Capabilities, slot: int, *_: int) -> Faults:
     most = getattr(device, slots)
     if not 0 <= slot < most:
         yield Fault(rules.DEVICE_CAPABILITY, f"slot {slot}", f"{most} slots")
 
 
 def _bind_range(
-    kind: BindingKind, slots: str, made: _Made, device: Capabilities, slot: int, buffer: Id, offset: int, size: int
+    kind: BindingKind,
+    slots: str,
+    resources: _Resources,
+    device: Capabilities,
+    slot: int,
+    buffer: Id,
+    offset: int,
+    size: int,
 ) -> Faults:
-    yield from _slot(slots, made, device, slot)
-    yield from _buffer_range(made, buffer, offset, size)
+    yield from _slot(slots, resources, device, slot)
+    yield from _buffer_range(resources, buffer, offset, size)
     yield from limits.range_faults(kind, offset, size, 0, device)
 
 
-def _bind_image(made: _Made, device: Capabilities, slot: int, texture: Id, level: int, layer: int) -> Faults:
-    yield from _slot("max_image_slots", made, device, slot)
-    yield from limits.plain_faults(made[texture])
-    yield from limits.level_faults(made[texture], level, max(layer, 0))
+def _bind_image(resources: _Resources, device: Capabilities, slot: int, texture: Id, level: int, layer: int) -> Faults:
+    yield from _slot("max_image_slots", resources, device, slot)
+    yield from limits.plain_faults(resources[texture])
+    yield from limits.level_faults(resources[texture], level, max(layer, 0))
 
 
 def _draw(
-    made: _Made, device: Capabilities, vertex_array: Id, primitive: object, first: int, count: int, instances: int,
-    base_vertex: int, base_instance: int,
+    resources: _Resources, device: Capabilities, vertex_array: Id, primitive: object, first: int, count: int,
+    instances: int, base_vertex: int, base_instance: int,
 ) -> Faults:  # fmt: skip
-    descriptor: VertexArrayDescriptor = made[vertex_array]
-    elements = find_elements(made, descriptor)
+    descriptor: VertexArrayDescriptor = resources[vertex_array]
+    elements = count_vertex_array_elements(resources, descriptor)
     numbers = (first, count, instances, base_vertex, base_instance)
     yield from limits.draw_faults(elements, bool(descriptor.index_buffer), *numbers)
-    yield from work_faults(count * instances)
+    yield from excessive_work_faults(count * instances)
 
 
-def find_elements(made: Mapping[Id, Any], descriptor: VertexArrayDescriptor) -> limits.ElementCounts:
+def count_vertex_array_elements(resources: Mapping[Id, Any], descriptor: VertexArrayDescriptor) -> limits.ElementCounts:
     """Return how many elements the buffers of a vertex array hold; one that was destroyed holds none."""
-    return limits.count_elements(descriptor, lambda buffer: made[buffer].size if buffer in made else 0)
+    return limits.count_elements(descriptor, lambda buffer: resources[buffer].size if buffer in resources else 0)
 
 
-def work_faults(elements: int) -> Faults:
+def excessive_work_faults(elements: int) -> Faults:
     """Yield that a command would run for very long."""
     if elements > MAX_WORK:
         yield Fault(rules.DRAW_COUNT, f"{elements:,} vertices or invocations", f"up to {MAX_WORK:,} in one command")
 
 
 def _draw_indirect(
-    made: _Made, device: Capabilities, vertex_array: Id, primitive: object, buffer: Id, offset: int, draws: int,
-    stride: int, count_buffer: Id, count_offset: int,
+    resources: _Resources, device: Capabilities, vertex_array: Id, primitive: object, buffer: Id, offset: int,
+    draws: int, stride: int, count_buffer: Id, count_offset: int,
 ) -> Faults:  # fmt: skip
-    yield from limits.indirect_faults(draws, offset, stride, count_offset, made[buffer].size)
+    yield from limits.indirect_faults(draws, offset, stride, count_offset, resources[buffer].size)
     if count_buffer:
-        yield from limits.count_faults(count_offset, made[count_buffer].size, device)
+        yield from limits.count_faults(count_offset, resources[count_buffer].size, device)
 
 
-def _dispatch(made: _Made, device: Capabilities, *groups: int) -> Faults:
+def _dispatch(resources: _Resources, device: Capabilities, *groups: int) -> Faults:
     if 0 in groups:
         yield Fault(rules.DISPATCH_SIZE, f"{groups}", "no empty dispatch")
     yield from limits.dispatch_faults(groups, f"{groups}", device)
@@ -407,24 +436,30 @@ def _dispatch(made: _Made, device: Capabilities, *groups: int) -> Faults:
 _FAULTS: Final[dict[Op, Callable[..., Faults]]] = {
     Op.CREATE_BUFFER: _create_buffer,
     Op.CREATE_VERTEX_ARRAY: _create_vertex_array,
-    Op.WRITE_BUFFER: lambda made, device, buffer, offset, data: _buffer_range(made, buffer, offset, len(data)),
-    Op.READ_BUFFER: lambda made, device, *place: _buffer_range(made, *place),
+    Op.WRITE_BUFFER: lambda resources, device, buffer, offset, data: _buffer_range(
+        resources, buffer, offset, len(data)
+    ),
+    Op.READ_BUFFER: lambda resources, device, *range_of_bytes: _buffer_range(resources, *range_of_bytes),
     Op.CLEAR_BUFFER: _clear_buffer,
     Op.WRITE_TEXTURE: _write_texture,
-    Op.READ_TEXTURE: lambda made, device, texture, *place: limits.read_faults(made[texture], *place),
+    Op.READ_TEXTURE: lambda resources, device, texture, *region: limits.read_faults(resources[texture], *region),
     Op.COPY_TEXTURE: _copy_texture,
-    Op.RESOLVE_TEXTURE: lambda made, device, source, target: limits.resolve_faults(made[source], made[target], device),
-    Op.GENERATE_MIPMAPS: lambda made, device, texture: limits.mipmap_faults(made[texture]),
+    Op.RESOLVE_TEXTURE: lambda resources, device, source, target: limits.resolve_faults(
+        resources[source], resources[target], device
+    ),
+    Op.GENERATE_MIPMAPS: lambda resources, device, texture: limits.mipmap_faults(resources[texture]),
     Op.DRAW: _draw,
-    Op.DISPATCH_INDIRECT: lambda made, device, buffer, at: limits.indirect_dispatch_faults(at, made[buffer].size),
+    Op.DISPATCH_INDIRECT: lambda resources, device, buffer, at: limits.indirect_dispatch_faults(
+        at, resources[buffer].size
+    ),
 }
 """By op, the function of existing resources, device and the op's arguments that yields the faults: here on any
 device."""
 _LIMIT_FAULTS: Final[dict[Op, Callable[..., Faults]]] = {
-    Op.CREATE_TEXTURE: lambda made, device, texture, descriptor: limits.texture_faults(descriptor, device),
-    Op.CREATE_SAMPLER: lambda made, device, sampler, descriptor: limits.sampler_faults(descriptor, device),
+    Op.CREATE_TEXTURE: lambda resources, device, texture, descriptor: limits.texture_faults(descriptor, device),
+    Op.CREATE_SAMPLER: lambda resources, device, sampler, descriptor: limits.sampler_faults(descriptor, device),
     Op.CREATE_PROGRAM: _create_program,
-    Op.CREATE_QUERY: lambda made, device, query, kind: limits.query_faults(kind, device),
+    Op.CREATE_QUERY: lambda resources, device, query, kind: limits.query_faults(kind, device),
     Op.COPY_BUFFER: _copy_buffer,
     Op.COPY_TEXTURE_TO_BUFFER: _copy_texture_to_buffer,
     Op.COPY_BUFFER_TO_TEXTURE: _copy_buffer_to_texture,
@@ -436,7 +471,7 @@ _LIMIT_FAULTS: Final[dict[Op, Callable[..., Faults]]] = {
     Op.BIND_IMAGE: _bind_image,
     Op.DRAW_INDIRECT: _draw_indirect,
     Op.DISPATCH: _dispatch,
-    Op.BEGIN_CONDITIONAL: lambda made, device, query, inverted: limits.condition_faults(device),
+    Op.BEGIN_CONDITIONAL: lambda resources, device, query, inverted: limits.condition_faults(device),
 }
 """Here on a device with these limits."""
 _ALL_FAULTS: Final = _FAULTS | _LIMIT_FAULTS
@@ -452,18 +487,18 @@ def binding_faults(context: StreamContext) -> Faults:
         if bound is None or bound[0] not in context.resources:
             yield Fault(rules.BINDING_MISSING, f"nothing in {binding.kind.value} slot {binding.slot}", binding.name)
             return
-        made: Any = context.resources[bound[0]]
-        if isinstance(made, TextureDescriptor):
+        resources: Any = context.resources[bound[0]]
+        if isinstance(resources, TextureDescriptor):
             layered = binding.kind is BindingKind.TEXTURE or bound[2] < 0
-            kind, wanted = made.kind if layered else TextureKind.D2, read_image_type(str(binding.type))
-            if wanted is not None and (wanted[0] is not kind or wanted[2] not in (None, made.format)):
+            kind, image_type = resources.kind if layered else TextureKind.D2, read_image_type(str(binding.type))
+            if image_type is not None and (image_type[0] is not kind or image_type[2] not in (None, resources.format)):
                 yield Fault(
-                    rules.BINDING_TYPE, f"{kind.value} of {made.format.name}", f"{binding.name}: {binding.type}"
+                    rules.BINDING_TYPE, f"{kind.value} of {resources.format.name}", f"{binding.name}: {binding.type}"
                 )
-            several = wanted is not None and wanted[1]
-            if (made.samples > 1) != several:
+            several = image_type is not None and image_type[1]
+            if (resources.samples > 1) != several:
                 allowed = f"{binding.name}: {'several' if several else 1}"
-                yield Fault(rules.BINDING_TYPE, f"{made.samples} samples", allowed)
+                yield Fault(rules.BINDING_TYPE, f"{resources.samples} samples", allowed)
         elif binding.kind is BindingKind.UNIFORM and bound[2] < binding.size:
             yield Fault(rules.BINDING_SIZE, f"{bound[2]} bytes", f"{binding.name}: {binding.size}")
 
@@ -475,29 +510,29 @@ def check_capabilities(stream: CommandStream, device: Capabilities) -> None:
         ValidationError: `trace-capability`; `trace-reference` for a draw or dispatch whose bindings aren't there, on a
             device that runs shaders.
     """
-    made: dict[Id, Descriptor] = {}
+    resources: dict[Id, Descriptor] = {}
     checked: set[tuple[Any, ...]] = set()
     context, bound = StreamContext(), False
-    place, index, data, failures = 0, 0, stream.data, stream.failures
-    while place < len(data):
-        op = data[place]
-        end = place + WIDTHS[op] - 2
+    offset, index, data, failures = 0, 0, stream.data, stream.failures
+    while offset < len(data):
+        op = data[offset]
+        end = offset + WIDTHS[op] - 2
         if op in CREATIONS:
-            made[data[place + 1]] = data[place + 2]
+            resources[data[offset + 1]] = data[offset + 2]
         if op in _LIMIT_FAULTS:
-            entry = tuple(data[place:end])
+            entry = tuple(data[offset:end])
             if entry not in checked:
                 checked.add(entry)
-                for fault in _LIMIT_FAULTS[op](made, device, *entry[1:]):
+                for fault in _LIMIT_FAULTS[op](resources, device, *entry[1:]):
                     given = f"command {index}: {stream[index]}: {fault.given}"
                     refuse(TRACE_CAPABILITY, f"rhi.trace.replay on {device.backend}", given, fault.allowed)
         if device.shading and index not in failures:
             if op in _CHANGES_BINDINGS:
-                context.follow(op, data[place + 1 : end])
+                context.apply(op, data[offset + 1 : end])
                 bound = False
             elif op in _STAGES and not bound:
                 for fault in binding_faults(context):
                     given = f"command {index}: {stream[index]}: {fault.given}"
                     refuse(TRACE_REFERENCE, f"rhi.trace.replay on {device.backend}", given, fault.allowed)
                 bound = True
-        place, index = end + 2, index + 1
+        offset, index = end + 2, index + 1

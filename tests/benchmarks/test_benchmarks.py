@@ -90,10 +90,10 @@ def test_a_benchmark_runs_in_its_smallest_size(name: str) -> None:
 def test_starting_up_is_measured_with_the_kernels_of_a_first_run(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    given: list[str | None] = []
+    kernel_settings: list[str | None] = []
 
     def run_none(*_: object, env: dict[str, str], **__: object) -> subprocess.CompletedProcess[str]:
-        given.append(env.get("RHI_KERNELS"))
+        kernel_settings.append(env.get("RHI_KERNELS"))
         return subprocess.CompletedProcess([], 0, stdout="0.5")
 
     monkeypatch.setenv("RHI_KERNELS", "optimised")  # and so back to what it was at the end
@@ -102,4 +102,4 @@ def test_starting_up_is_measured_with_the_kernels_of_a_first_run(
     monkeypatch.setattr(sys, "argv", ["startup.py", "--only", "import", "--runs", "1", "--json"])
     runpy.run_path(str(ROOT / "benchmarks/startup.py"), run_name="__main__")
     assert [row["seconds"] for row in json.loads(capsys.readouterr().out)["rows"]] == [0.5] * 3
-    assert set(given) == {""}
+    assert set(kernel_settings) == {""}

@@ -43,7 +43,7 @@ def test_each_example_is_a_program() -> None:
     "path", [path for path in PROGRAMS if path.stem != "orbit_viewer"], ids=lambda path: path.stem
 )  # `test_window` opens its window
 def test_an_example_draws_in_its_smallest_size(path: Path, backend: str, tmp_path: Path) -> None:
-    picture = tmp_path / "picture.png"
-    out = run(path, "--backend", backend, "--output", str(picture), *ARGUMENTS.get(path.stem, SMALL))
-    assert str(picture) in out
-    assert picture.stat().st_size > 0
+    image_path = tmp_path / "image.png"
+    out = run(path, "--backend", backend, "--output", str(image_path), *ARGUMENTS.get(path.stem, SMALL))
+    assert str(image_path) in out
+    assert image_path.stat().st_size > 0

@@ -1,4 +1,4 @@
-"""The small programs of examples/programs: the same picture on gl and cl, and the commands that each one sends."""
+"""The small programs of examples/programs: the same image on gl and cl, and the commands that each one sends."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_a_program_has_less_than_120_lines(name: str) -> None:
     reason=FEWER_CASES,
 )
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_a_program_draws_the_same_picture_on_gl_and_cl(name: str, devices: list[rhi.Device]) -> None:
+def test_a_program_draws_the_same_image_on_gl_and_cl(name: str, devices: list[rhi.Device]) -> None:
     program = importlib.import_module(name)
     first, second = (program.render(device, SIZE).read()[..., :3].astype(int) for device in devices)
     assert len(np.unique(first.reshape(-1, 3), axis=0)) > FEW_COLORS.get(name, 20)
@@ -144,18 +144,18 @@ def test_particles_fall_as_on_the_cpu(devices: list[rhi.Device]) -> None:
     """Within 1e-4 of float64: 90 sums of numbers up to 7 in float32 round by 4e-7 each, at most."""
     particles = importlib.import_module("particles")
     rows = particles.make_particles()
-    place, velocity, age = (rows[name].astype(float) for name in ("place", "velocity", "age"))
+    position, velocity, age = (rows[name].astype(float) for name in ("position", "velocity", "age"))
     seconds = np.float64(np.float32(1 / 60))
     for _ in range(particles.STEPS):
         age += seconds
         moved = np.where(age > 0, seconds, 0.0)[:, None]
         velocity -= np.array((0, particles.GRAVITY, 0)) * moved
-        place += velocity * moved
-    steady = (place[:, 1] > 0.01) & (np.abs(age % seconds) > 1e-4)  # neither bounced nor about to start
+        position += velocity * moved
+    steady = (position[:, 1] > 0.01) & (np.abs(age % seconds) > 1e-4)  # neither bounced nor about to start
     assert steady.mean() > 0.5
     for device in devices:
         moved_rows = particles.simulate(device).read()
-        assert np.abs(moved_rows["place"] - place)[steady].max() < 1e-4
+        assert np.abs(moved_rows["position"] - position)[steady].max() < 1e-4
 
 
 def test_a_click_finds_the_box_that_is_nearest_along_its_ray(devices: list[rhi.Device]) -> None:
@@ -173,13 +173,13 @@ def nearest_box(scene: Any, x: int, y: int) -> int | None:
     ends = [(2 * (x + 0.5) / SIZE[0] - 1, 1 - 2 * (y + 0.5) / SIZE[1], depth, 1) for depth in (1.0, 1e-3)]
     near, far = (np.linalg.inv(scene.view_projection) @ end for end in ends)
     start, direction = near[:3] / near[3], far[:3] / far[3] - near[:3] / near[3]
-    slabs = (scene.rows["place"].astype(float)[..., None] + (-0.4, 0.4) - start[:, None]) / direction[:, None]
+    slabs = (scene.rows["center"].astype(float)[..., None] + (-0.4, 0.4) - start[:, None]) / direction[:, None]
     enters, leaves = slabs.min(-1).max(-1), slabs.max(-1).min(-1)
     hit = np.flatnonzero(enters < leaves)
     return int(hit[np.argmin(enters[hit])]) if len(hit) else None
 
 
-def test_spheres_are_drawn_where_their_boxes_are_seen(devices: list[rhi.Device]) -> None:
+def test_spheres_are_drawn_where_their_boxes_are_visible(devices: list[rhi.Device]) -> None:
     """A sphere that is seen lies in a box that is seen: what isn't drawn wouldn't have changed a pixel."""
     occlusion = importlib.import_module("occlusion")
     for device in devices:
@@ -195,7 +195,7 @@ def test_frames_of_several_processes_are_those_of_one(devices: list[rhi.Device],
     expected = [worker.draw(seconds).read() for seconds in times]
     paths = [tmp_path / f"{seconds}.png" for seconds in times]
     frames = [rhi.load_image(path) for path in batch.save_frames(times, paths, (32, 24), "gl", 2)]
-    assert all(np.array_equal(one, other) for one, other in zip(frames, expected, strict=True))
+    assert all(np.array_equal(frame, other) for frame, other in zip(frames, expected, strict=True))
 
 
 @pytest.mark.nightly_cases(reason=CHEAPER_TEST)

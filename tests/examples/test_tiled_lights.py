@@ -1,4 +1,4 @@
-"""The example renderer: one picture on every backend that draws, and the same with culling as without."""
+"""The example renderer: one image on every backend that draws, and the same with culling as without."""
 
 from __future__ import annotations
 
@@ -37,29 +37,29 @@ def devices() -> Iterator[dict[str, rhi.Device]]:
 
 @pytest.mark.nightly_cases("above", reason=FEWER_CASES)
 @pytest.mark.parametrize(("eye", "target"), [(EYE, TARGET), (STREET, ALONG)], ids=["above", "street"])
-def test_the_same_lines_draw_the_same_picture_on_gl_and_cl(
+def test_the_same_lines_draw_the_same_image_on_gl_and_cl(
     example: Any,
     devices: dict[str, rhi.Device],
     eye: tuple[float, float, float],
     target: tuple[float, float, float],
 ) -> None:
-    seen, lists, pictures = [], [], []
+    seen, lists, images = [], [], []
     for device in devices.values():
         renderer = example.Renderer(device, SIZE)
         for _ in range(2):
             renderer.render(eye, target)
         seen.append(renderer.visible)
-        counts, rows = renderer.counts.read(), renderer.lists.read().reshape(-1, example.LAMPS)
+        counts, rows = renderer.counts.read(), renderer.lists.read().reshape(-1, example.LIGHTS)
         lists.append([set(row[:count].tolist()) for row, count in zip(rows, counts, strict=True)])
-        pictures.append(renderer.image.read().astype(int))
+        images.append(renderer.image.read().astype(int))
     assert 0 < seen[0].sum() < seen[0].size
     assert (seen[0] != seen[1]).sum() <= 2  # where all that shows of a cell are one or two samples
-    assert 5 < max(map(len, lists[0])) < example.LAMPS
-    assert sum(a != b for a, b in zip(*lists, strict=True)) <= 0.02 * len(lists[0])  # a lamp just in reach
-    apart = np.abs(pictures[0] - pictures[1]).max(axis=-1)
+    assert 5 < max(map(len, lists[0])) < example.LIGHTS
+    assert sum(a != b for a, b in zip(*lists, strict=True)) <= 0.02 * len(lists[0])  # a light just in reach
+    apart = np.abs(images[0] - images[1]).max(axis=-1)
     # A shadow's edge, where the depth of a texel decides, or a sample within 1/256 pixel of a triangle's edge.
     assert (apart > 2).sum() <= 0.001 * apart.size
-    assert len(np.unique(pictures[0].reshape(-1, 4), axis=0)) > 500
+    assert len(np.unique(images[0].reshape(-1, 4), axis=0)) > 500
 
 
 @pytest.mark.parametrize("backend", ["gl", "cl"])
@@ -92,7 +92,9 @@ def recorded(null_device: rhi.Device) -> Callable[[Any, list[int]], Any]:
     return render
 
 
-def test_cells_that_were_not_seen_are_not_drawn(example: Any, recorded: Any, command_stream: rhi.CommandStream) -> None:
+def test_cells_that_were_not_visible_are_not_drawn(
+    example: Any, recorded: Any, command_stream: rhi.CommandStream
+) -> None:
     recorded(example, [0] * 100 + [7] * 44)
     first, second = frames(command_stream)
     for frame, cells in ((first, 144), (second, 44)):

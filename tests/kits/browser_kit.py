@@ -10,19 +10,19 @@ from typing import Any
 
 import pytest
 
-PATIENCE = 180.0
+TIMEOUT = 180.0
 
 
 def wait_for(what: Callable[[], Any], name: str) -> Any:
     """Return what something is, once it is something."""
     from selenium.common.exceptions import WebDriverException
 
-    until = time.monotonic() + PATIENCE
+    until = time.monotonic() + TIMEOUT
     while time.monotonic() < until:
         with suppress(WebDriverException):  # the page is still being built
-            found = what()
-            if found:
-                return found
+            result = what()
+            if result:
+                return result
         time.sleep(0.2)
     pytest.fail(f"waited for {name} in vain")
 

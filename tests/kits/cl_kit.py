@@ -10,7 +10,7 @@ import pyopencl as cl
 from backend_kit import BackendKit
 from numpy.typing import NDArray
 
-from rhi.backends.cl.backend import ClBackend
+from rhi.backends.cl.cl_backend import ClBackend
 from rhi.contract import descriptors
 
 FILL = """
@@ -40,7 +40,7 @@ class ClKit(BackendKit):
 
     def __init__(self, backend: ClBackend) -> None:
         super().__init__(backend)
-        self._held: dict[cl.UserEvent, threading.Timer] = {}
+        self._timers: dict[cl.UserEvent, threading.Timer] = {}
 
     def words(self, buffer: descriptors.Id, count: int, offset: int = 0) -> list[int]:
         return np.frombuffer(self.backend.read_buffer(buffer, offset, 4 * count), np.uint32).tolist()
@@ -56,24 +56,24 @@ class ClKit(BackendKit):
     def hold(self) -> cl.UserEvent:
         """Hold back all further work until the returned event is released. It is released by itself after two minutes,
         so that a wait by mistake ends with a wrong result instead of hanging."""
-        held = cl.UserEvent(self.backend.context.context)
-        cl.enqueue_barrier(self.backend.context.queue, wait_for=[held])
-        timer = self._held[held] = threading.Timer(120.0, self._complete, [held])
+        event = cl.UserEvent(self.backend.context.context)
+        cl.enqueue_barrier(self.backend.context.queue, wait_for=[event])
+        timer = self._timers[event] = threading.Timer(120.0, self._complete, [event])
         timer.daemon = True
         timer.start()
-        return held
+        return event
 
-    def release(self, held: cl.UserEvent) -> None:
-        self._held.pop(held).cancel()
-        self._complete(held)
+    def release(self, event: cl.UserEvent) -> None:
+        self._timers.pop(event).cancel()
+        self._complete(event)
 
-    def _complete(self, held: cl.UserEvent) -> None:
+    def _complete(self, event: cl.UserEvent) -> None:
         with suppress(cl.LogicError):  # it is complete
-            held.set_status(cl.command_execution_status.COMPLETE)
+            event.set_status(cl.command_execution_status.COMPLETE)
 
     def close(self) -> None:
-        for held in [*self._held]:
-            self.release(held)
+        for event in [*self._timers]:
+            self.release(event)
         self.backend.close()
 
     def finish(self) -> None:

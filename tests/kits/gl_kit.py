@@ -8,7 +8,7 @@ import numpy as np
 from backend_kit import BackendKit
 from numpy.typing import ArrayLike
 
-from rhi.backends.gl.backend import GlBackend
+from rhi.backends.gl.gl_backend import GlBackend
 from rhi.contract import descriptors
 from rhi.contract.formats import Format
 from rhi.contract.states import PER_TARGET, State, StateChange

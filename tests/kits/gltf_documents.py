@@ -33,15 +33,15 @@ class GltfDocument:
 
     def accessor(self, array, **more):
         """Add an accessor of an array (n,) or (n, size); return its number."""
-        held = np.asarray(array)
-        size = 1 if held.ndim == 1 else held.shape[1]
-        given = {
-            "bufferView": self.view(held.tobytes()),
-            "componentType": COMPONENTS[held.dtype.str[1:]],
-            "count": len(held),
+        elements = np.asarray(array)
+        size = 1 if elements.ndim == 1 else elements.shape[1]
+        properties = {
+            "bufferView": self.view(elements.tobytes()),
+            "componentType": COMPONENTS[elements.dtype.str[1:]],
+            "count": len(elements),
             "type": TYPES[size],
         }
-        return self.add("accessors", **{**given, **more})
+        return self.add("accessors", **{**properties, **more})
 
     def add(self, name, **fields):
         """Append to a list of the document; return the number of what was added."""
@@ -63,16 +63,16 @@ class GltfDocument:
         """Add a channel to a new animation, or to the one of that number; return the animation's number."""
         if animation is None:
             animation = self.add("animations", samplers=[], channels=[])
-        held = self.values["animations"][animation]
-        held["samplers"].append(
+        document_animation = self.values["animations"][animation]
+        document_animation["samplers"].append(
             {
                 "input": self.accessor(np.asarray(times, np.float32)),
                 "output": self.accessor(np.asarray(values, np.float32)),
                 "interpolation": interpolation,
             }
         )
-        number = len(held["samplers"]) - 1
-        held["channels"].append({"sampler": number, "target": {"node": node, "path": path}})
+        number = len(document_animation["samplers"]) - 1
+        document_animation["channels"].append({"sampler": number, "target": {"node": node, "path": path}})
         return animation
 
     def write(self, path):
@@ -101,7 +101,7 @@ def pack_glb(values, data):
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
-def turn(degrees, axis=2):
+def rotation_quaternion(degrees, axis=2):
     """The quaternion of a rotation about an axis."""
     quaternion = np.zeros(4)
     quaternion[axis], quaternion[3] = np.sin(np.radians(degrees) / 2), np.cos(np.radians(degrees) / 2)
@@ -126,7 +126,9 @@ def make_skinned(moves=True, root=None):
     binds[1, 3, 1] = -2  # column-major: moves by -2 along y
     document.add("skins", joints=[1, 2], inverseBindMatrices=document.accessor(binds.reshape(2, 16)))
     if moves:
-        document.animate(2, "rotation", [0, 1, 2], [turn(0), turn(90), turn(0)])
+        document.animate(
+            2, "rotation", [0, 1, 2], [rotation_quaternion(0), rotation_quaternion(90), rotation_quaternion(0)]
+        )
     return document
 
 

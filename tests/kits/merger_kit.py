@@ -16,8 +16,8 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from rhi.backends.cl.context import QUICK, open_context
-from rhi.backends.cl.memory.planes import allocate, find_address
+from rhi.backends.cl.cl_context import QUICK, open_context
+from rhi.backends.cl.memory.planes import allocate, buffer_address
 from rhi.backends.cl.raster.kernel_text import read_kernels
 from rhi.backends.cl.raster.merger import MergerKey, general_defines, make_key, make_state
 from rhi.contract.descriptors import FragmentOutput, ProgramDescriptor, Stage, StageText
@@ -53,7 +53,7 @@ _context = cache(open_context)
 
 @cache
 def _build(defines: str) -> cl.Kernel:
-    source = "#define AT(type, address) ((global type *)(address))\n" + defines + read_kernels("targets") + _KERNEL
+    source = "#define AT(type, address) ((global type *)(address))\n" + defines + read_kernels("merger") + _KERNEL
     return _context().compile(source, QUICK).find("merge")
 
 
@@ -79,11 +79,11 @@ def state_values(*states: State) -> dict[type, Any]:
     for state in states:
         target = getattr(state, "target", None)
         if type(state) in PER_TARGET:
-            kept = list(values[type(state)])
-            kept[slice(None) if target is None else slice(target, target + 1)] = [state] * (
+            target_states = list(values[type(state)])
+            target_states[slice(None) if target is None else slice(target, target + 1)] = [state] * (
                 MAX_TARGETS if target is None else 1
             )
-            values[type(state)] = tuple(kept)
+            values[type(state)] = tuple(target_states)
         else:
             values[type(state)] = state
     return values
@@ -116,15 +116,15 @@ def merge(
         axis=-1,
     )
     blocks = words.reshape(samples, height // 4, 4, width // 4, 4, -1).transpose(1, 3, 0, 5, 2, 4)
-    kept = [planes.colors[color.location] for color in key.colors]
+    target_planes = [planes.colors[color.location] for color in key.colors]
     if key.has_depth:
         assert planes.depth is not None
-        kept.append(planes.depth[..., None])
+        target_planes.append(planes.depth[..., None])
     if key.has_stencil:
         assert planes.stencil is not None
-        kept.append(planes.stencil[..., None])
-    buffers, places = [], []
-    for number, plane in enumerate(kept):  # each begins elsewhere, has longer rows and room around
+        target_planes.append(planes.stencil[..., None])
+    buffers, layouts = [], []
+    for number, plane in enumerate(target_planes):  # each begins elsewhere, has longer rows and room around
         texel = plane.shape[-1] * plane.itemsize
         start, pitch = 128 * (number + 1), (width + 4 * number) * texel
         layer = pitch * height
@@ -132,11 +132,13 @@ def merge(
         rows = memory[start:][: samples * layer].reshape(samples, height, pitch)
         rows[:, :, : width * texel] = np.ascontiguousarray(plane).view(np.uint8).reshape(samples, height, -1)
         buffers.append((upload(memory), memory, rows, plane))
-        places.append((start, pitch, layer))
-    table = np.frombuffer(key.words + np.array(places, "u8").tobytes(), np.uint8)
-    surfaces = np.array([find_address(buffer) for buffer, *_ in buffers] or [0], "u8")
-    given = upload(state), upload(np.ascontiguousarray(blocks)), upload(table), upload(surfaces)
-    kernel.set_args(*given[:2], np.int32(front), np.int32(width // 4), *given[2:])  # which doesn't keep them alive
+        layouts.append((start, pitch, layer))
+    table = np.frombuffer(key.words + np.array(layouts, "u8").tobytes(), np.uint8)
+    surfaces = np.array([buffer_address(buffer) for buffer, *_ in buffers] or [0], "u8")
+    arguments = upload(state), upload(np.ascontiguousarray(blocks)), upload(table), upload(surfaces)
+    kernel.set_args(
+        *arguments[:2], np.int32(front), np.int32(width // 4), *arguments[2:]
+    )  # which doesn't keep them alive
     cl.enqueue_nd_range_kernel(queue, kernel, (width * height // 16,), (1,))
     queue.finish()
     after = planes.copy()

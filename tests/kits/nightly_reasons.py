@@ -14,7 +14,7 @@ from typing import Final
 ONLY_KERNELS: Final = """Compiles OpenCL kernels that no other test needs.
 
 The default run shows on gl what the renderer asks of a device. What cl makes of it is shown by the conformance kit, by
-tests/rhi/backends/cl, and by the pictures that every technique draws on cl (test_technique_pixels.py,
+tests/rhi/backends/cl, and by the images that every technique draws on cl (test_technique_pixels.py,
 test_shadow_pixels.py, test_fog_and_glow.py, test_scenes_agree.py, test_float64.py).
 """
 

@@ -53,7 +53,7 @@ class Lit(Shader):
         return self.tint.color
 
 
-class House:
+class SampleFrame:
     """The resources of a frame, and the frame itself."""
 
     def __init__(self, device: rhi.Device) -> None:

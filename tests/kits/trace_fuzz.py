@@ -24,29 +24,29 @@ NUMBERS = [0, 1, -1, 2, 3, 7, 255, 256, 65535, 65536, 2**31 - 1, 2**31, 2**32 - 
            0.5, -0.5, 1e30, 1e308, float("inf"), float("nan")]  # fmt: skip
 WORDS = ["", "NONE", "RGBA8", "D24S8", "QUADS", "CUBE", "gl.DepthClamp.ON", "os:system.X.Y", "\0", "x" * 1000, "../a"]
 
-KEPT = {"null": (), "gl": ("create_program",), "cl": ("create_program",)}
+EXEMPT_OPS = {"null": (), "gl": ("create_program",), "cl": ("create_program",)}
 """By backend, the operations that stay as they are: the stated interface of a program belongs to the author of its
 text, who is trusted."""
 
 
-def mutate(members: dict[str, bytes], choose: random.Random, kept: Sequence[str]) -> dict[str, bytes]:
-    """Return the members of a trace with one to three changes, but for the lines of the operations in `kept`."""
+def mutate(members: dict[str, bytes], choose: random.Random, exempt: Sequence[str]) -> dict[str, bytes]:
+    """Return the members of a trace with one to three changes, but for the lines of the operations in `exempt`."""
     members = dict(members)
     for _ in range(choose.choice((1, 1, 1, 2, 3))):
         kind = choose.random()
         if kind < 0.12:
-            names = [name for name in members if "create_program" not in kept or not name.startswith("programs/")]
+            names = [name for name in members if "create_program" not in exempt or not name.startswith("programs/")]
             name = choose.choice([name for name in names if members[name]])
             data = bytearray(members[name])
             for _ in range(choose.choice((1, 1, 4))):
                 data[choose.randrange(len(data))] = choose.randrange(256)
             members[name] = bytes(data[: choose.randrange(len(data))] if choose.random() < 0.2 else data)
         else:
-            members["commands.jsonl"] = _mutate_lines(members["commands.jsonl"], choose, kept)
+            members["commands.jsonl"] = _mutate_lines(members["commands.jsonl"], choose, exempt)
     return members
 
 
-def _mutate_lines(data: bytes, choose: random.Random, kept: Sequence[str]) -> bytes:
+def _mutate_lines(data: bytes, choose: random.Random, exempt: Sequence[str]) -> bytes:
     try:
         lines = [json.loads(line) for line in data.splitlines()]
     except (ValueError, RecursionError):  # changed before
@@ -54,7 +54,7 @@ def _mutate_lines(data: bytes, choose: random.Random, kept: Sequence[str]) -> by
     if not lines:
         return data
     at = choose.randrange(len(lines))
-    if isinstance(lines[at], dict) and lines[at].get("op") in kept:
+    if isinstance(lines[at], dict) and lines[at].get("op") in exempt:
         return data
     kind = choose.random()
     if kind < 0.7:
@@ -121,17 +121,17 @@ def try_trace(path: Path, backend: str) -> str:
 def run(backend: str, seed: int, count: int, folder: Path) -> Counter[str]:
     """Try mutations of all traces of a folder, and print what becomes of each."""
     sources = [read_members(path) for path in sorted(folder.glob("*.zip"))]
-    found: Counter[str] = Counter()
+    results: Counter[str] = Counter()
     for number in range(seed, seed + count):
         choose = random.Random(number)
         print(json.dumps(["begin", number]), flush=True)
         path = folder / f"mutated-{backend}.trace"
-        write_members(path, mutate(choose.choice(sources), choose, KEPT[backend]))
+        write_members(path, mutate(choose.choice(sources), choose, EXEMPT_OPS[backend]))
         start = time.monotonic()
         result = try_trace(path, backend)
-        found[result] += 1
+        results[result] += 1
         print(json.dumps([result, number, round(time.monotonic() - start, 2)]), flush=True)
-    return found
+    return results
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from testing_kit import Corner, House, Tint
+from testing_kit import Corner, SampleFrame, Tint
 
 import rhi
 import rhi.shading as sl
@@ -29,30 +29,30 @@ class Doubled(sl.Shader):
         self.target[i] = self.source[i] * 2
 
 
-class Pictured(sl.Shader):
-    picture: sl.Texture2D
+class Textured(sl.Shader):
+    albedo: sl.Texture2D
 
     def vertex(self, v: Corner) -> sl.vec4:
         return sl.vec4(v.position, 0.5, 1.0)
 
     def fragment(self) -> sl.vec4:
-        return self.picture.sample(sl.vec2(0.5, 0.5))
+        return self.albedo.sample(sl.vec2(0.5, 0.5))
 
 
-class Inked(sl.Shader):
+class ImageStore(sl.Shader):
     """Work on an image and on memory."""
 
-    ink: sl.Image2D = sl.image(rhi.Format.R32F)
+    storage_image: sl.Image2D = sl.image(rhi.Format.R32F)
     numbers: sl.StorageRW[float]
     work_group = (4,)
 
     def compute(self) -> None:
         i = sl.global_id().x
         self.numbers[i] = 2.0
-        self.ink.store(sl.ivec2(i, 0), sl.vec4(1.0))
+        self.storage_image.store(sl.ivec2(i, 0), sl.vec4(1.0))
 
 
-class Placed(sl.Struct):
+class InstancedVertex(sl.Struct):
     position: sl.vec2
     offset: sl.vec2
 
@@ -60,7 +60,7 @@ class Placed(sl.Struct):
 class Instanced(sl.Shader):
     """Vertices, each instance at an offset of its own."""
 
-    def vertex(self, v: Placed) -> sl.vec4:
+    def vertex(self, v: InstancedVertex) -> sl.vec4:
         return sl.vec4(v.position + v.offset, 0.5, 1.0)
 
     def fragment(self) -> sl.vec4:
@@ -81,9 +81,9 @@ class Tinted(sl.Shader):
 
 def record_much(device: rhi.Device) -> rhi.Texture:
     """A frame of the house, and a second one of what it leaves out; the presented image."""
-    house = House(device)
-    house.render()
-    picture = device.texture(np.full((4, 4, 4), (10, 200, 30, 255), np.uint8), rhi.Format.RGBA8, levels=None)
+    sample_frame = SampleFrame(device)
+    sample_frame.render()
+    albedo = device.texture(np.full((4, 4, 4), (10, 200, 30, 255), np.uint8), rhi.Format.RGBA8, levels=None)
     faces = device.texture((4, 4), rhi.Format.RGBA16F, kind=rhi.TextureKind.CUBE, label="faces")
     faces.write(np.ones((6, 4, 4, 4), np.float16))
     numbers = device.storage(int, np.arange(8, dtype=np.int32))
@@ -95,23 +95,27 @@ def record_much(device: rhi.Device) -> rhi.Texture:
     sampler = device.sampler(rhi.SamplerDescriptor(minify=rhi.Filter.NEAREST, magnify=rhi.Filter.NEAREST))
     with (
         device.event("second"),
-        device.render_pass(house.image, stencil, clear=(0, 0, 1, 1), clear_depth=0, clear_stencil=3),
+        device.render_pass(sample_frame.image, stencil, clear=(0, 0, 1, 1), clear_depth=0, clear_stencil=3),
     ):
         with device.states(
             rhi.CullMode.NONE, rhi.StencilTest.ON, rhi.StencilFront(), rhi.Scissor(0, 0, 32, 48),
             rhi.Viewport(0, 0, 64, 48), rhi.BlendFunction.ALPHA.at(0), rhi.ColorWrite.OFF.at(3),
         ):  # fmt: skip
             with query:
-                device.draw(device.program(Pictured), house.walls, picture=picture.sampled(sampler))
-            draws = house.walls.draws(np.zeros(2, int), np.full(2, 3))
-            device.draw_many(device.program(Pictured), house.walls, draws, picture=picture.sampled(sampler))
+                device.draw(device.program(Textured), sample_frame.walls, albedo=albedo.sampled(sampler))
+            draws = sample_frame.walls.draws(np.zeros(2, int), np.full(2, 3))
+            device.draw_many(device.program(Textured), sample_frame.walls, draws, albedo=albedo.sampled(sampler))
             queries = device.query_set(2)
-            device.draw_counted(device.program(Pictured), house.walls, draws, queries, picture=picture.sampled(sampler))
-        with device.immediate(house.lit, rhi.Primitive.TRIANGLES, light=house.light, tint=house.tint) as corners:
-            for place in ((-1, -1), (1, -1), (0, 1)):
-                corners.vertex(position=place)
-    device.present(house.image)
-    return house.image
+            device.draw_counted(
+                device.program(Textured), sample_frame.walls, draws, queries, albedo=albedo.sampled(sampler)
+            )
+        with device.immediate(
+            sample_frame.lit, rhi.Primitive.TRIANGLES, light=sample_frame.light, tint=sample_frame.tint
+        ) as corners:
+            for corner in ((-1, -1), (1, -1), (0, 1)):
+                corners.vertex(position=corner)
+    device.present(sample_frame.image)
+    return sample_frame.image
 
 
 def record(path: Path) -> Path:
@@ -133,9 +137,9 @@ def record_draws(path: Path) -> Path:
         arguments = device.buffer(mesh.draws([0, 3], 3))
         count = device.buffer(np.array([2], np.uint32))
         groups = device.buffer(np.array([1, 1, 1], np.uint32))
-        ink, numbers = device.texture((8, 8), rhi.Format.R32F).image(), device.storage(float, 8)
-        device.dispatch(device.program(Inked), 2, ink=ink, numbers=numbers)
-        device.dispatch_indirect(device.program(Inked), groups, ink=ink, numbers=numbers)
+        storage_image, numbers = device.texture((8, 8), rhi.Format.R32F).image(), device.storage(float, 8)
+        device.dispatch(device.program(ImageStore), 2, storage_image=storage_image, numbers=numbers)
+        device.dispatch_indirect(device.program(ImageStore), groups, storage_image=storage_image, numbers=numbers)
         with device.render_pass(target, clear=(0, 0, 0, 1)), device.states(rhi.CullMode.NONE):
             device.draw(device.program(Instanced), mesh, 5)
             device.draw(device.program(Tinted), plain, tint=tint)

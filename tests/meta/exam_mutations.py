@@ -35,8 +35,8 @@ class Mutation:
 
 
 MUTATIONS: Final = tuple(
-    Mutation(**held | {"cases": tuple(held["cases"])})
-    for held in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))["mutations"]
+    Mutation(**table | {"cases": tuple(table["cases"])})
+    for table in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))["mutations"]
 )
 
 
@@ -51,12 +51,12 @@ class Mutant(MetaPathFinder):
     ) -> ModuleSpec | None:
         if fullname != self.mutation.module:
             return None
-        found = PathFinder.find_spec(fullname, path)
-        assert found is not None
-        assert found.origin is not None
-        text = Path(found.origin).read_text()
+        spec = PathFinder.find_spec(fullname, path)
+        assert spec is not None
+        assert spec.origin is not None
+        text = Path(spec.origin).read_text()
         assert text.count(self.mutation.old) == 1, (fullname, self.mutation.old)
-        broken = self.folder / Path(found.origin).name
+        broken = self.folder / Path(spec.origin).name
         broken.write_text(text.replace(self.mutation.old, self.mutation.new))
         return importlib.util.spec_from_file_location(fullname, broken, loader=SourceFileLoader(fullname, str(broken)))
 
@@ -77,13 +77,13 @@ def try_mutations(mutations: Sequence[Mutation]) -> Iterator[dict[str, Any]]:
     """Try each mutation in a process of its own, and yield the results."""
     spawn = multiprocessing.get_context("spawn")
     with spawn.Pool(2, maxtasksperchild=1) as pool:
-        for mutation, found in zip(mutations, pool.imap(examine_mutant, mutations, chunksize=1), strict=True):
-            for number, row in found.items():
+        for mutation, rows in zip(mutations, pool.imap(examine_mutant, mutations, chunksize=1), strict=True):
+            for number, row in rows.items():
                 yield {"case": number, "fault": mutation.fault, **row}
 
 
 if __name__ == "__main__":
     numbers = set(map(int, sys.argv[1:]))
-    chosen = [one for one in MUTATIONS if not numbers or numbers & set(one.cases)]
-    for result in try_mutations(chosen):
+    selected = [mutation for mutation in MUTATIONS if not numbers or numbers & set(mutation.cases)]
+    for result in try_mutations(selected):
         print(json.dumps(result), flush=True)

@@ -47,7 +47,7 @@ class Late(Faulty):
     """A backend that is seen to reach a fence value only by who waits for it, or asks often: a quick device reaches
     one before anybody can notice who waits for it and who doesn't."""
 
-    PATIENCE = 8
+    POLLS = 8
 
     def __init__(self, inner: Any) -> None:
         super().__init__(inner)
@@ -56,7 +56,7 @@ class Late(Faulty):
     def completed(self) -> int:
         reached: int = self._inner.completed()
         self._asked = self._asked + 1 if reached > self._seen else 0
-        if self._asked > self.PATIENCE:
+        if self._asked > self.POLLS:
             self._seen = reached
         return self._seen
 
@@ -261,17 +261,17 @@ class Failures:
 @contextlib.contextmanager
 def replace_gl(fault: Callable[[Any], Any]) -> Iterator[None]:
     """Let gl be gl with a fault, and the only backend but null."""
-    known = registry._entry_points
-    real = known()["gl"].load()
+    list_entry_points = registry._entry_points
+    real = list_entry_points()["gl"].load()
     point = SimpleNamespace(load=lambda: lambda *, validation: fault(real(validation=validation)))
-    registry._entry_points = lambda: {"gl": point, "null": known()["null"]}  # type: ignore[assignment, dict-item, return-value]
+    registry._entry_points = lambda: {"gl": point, "null": list_entry_points()["null"]}  # type: ignore[assignment, dict-item, return-value]
     try:
         yield
     finally:
-        registry._entry_points = known
+        registry._entry_points = list_entry_points
 
 
-def find_failures(fault: Callable[[Any], Any], *groups: str) -> list[str]:
+def list_failures(fault: Callable[[Any], Any], *groups: str) -> list[str]:
     """Run groups of the kit against gl with a fault, up to the first test that fails."""
     failures = Failures()
     options = ["-q", "-x", "-p", "no:cacheprovider", "-p", "rhi.conformance.plugin", "-c", os.devnull]
@@ -284,6 +284,6 @@ def find_failures(fault: Callable[[Any], Any], *groups: str) -> list[str]:
 
 
 if __name__ == "__main__":
-    failures = {name: find_failures(*fault) for name, fault in FAULTS.items()}
-    failures[CONTROL] = find_failures(Faulty, *sorted({group for _, group in FAULTS.values()}))
+    failures = {name: list_failures(*fault) for name, fault in FAULTS.items()}
+    failures[CONTROL] = list_failures(Faulty, *sorted({group for _, group in FAULTS.values()}))
     print(json.dumps(failures))

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rhi.backends.gl import create_backend as create_gl_backend
-from rhi.conformance.steps import STEPS
+from rhi.conformance.port_steps import STEPS
 
 STEP = "RHI_PORT_STEP"
 

@@ -11,8 +11,8 @@ the module's folder, then for `rhi` those of its package and the conformance kit
 as techniques for the shaders that they are made of. The test that fails is run once more without the
 fault, where it has to pass. One that doesn't end has noticed the fault, too.
 
-What no stage notices is printed with its line, unless `unseen_faults` explains it. The last line gives the share that
-is noticed of what can be seen. The exit status is 1 if there are survivors without an explanation.
+What no stage notices is printed with its line, unless `undetectable_faults` explains it. The last line gives the
+fraction that is noticed of what can be seen. The exit status is 1 if there are survivors without an explanation.
 
 Of the libraries, mutmut puts functions behind others, so that shaders no longer find their text; mutatest changes
 bytecode, which shaders aren't made of; Cosmic Ray has one test command for all modules.
@@ -43,7 +43,7 @@ from queue import SimpleQueue
 from typing import Final
 
 from responsible_tests import ROOT, choose_tests, list_files
-from unseen_faults import explain
+from undetectable_faults import explain
 
 PACKAGES: Final = (
     "rhi.backends.cl", "rhi.backends.gl", "rhi.backends.null", "rhi.commands", "rhi.contract", "rhi.device",
@@ -106,9 +106,9 @@ class Fault:
 def list_faults(file: str, text: str) -> list[Fault]:
     """Return all faults of a Python module, or of a kernel file (`.cl`), by place."""
     lines = text.split("\n")
-    found = _list_kernel(text) if file.endswith(".cl") else _Finder(text).found
+    replacements = _list_kernel(text) if file.endswith(".cl") else _FaultCollector(text).replacements
     faults = []
-    for start, old, new in found:
+    for start, old, new in replacements:
         line = text.count("\n", 0, start) + 1
         faults.append(Fault(file, line, start, old, new, lines[line - 1].strip()))
     return sorted(faults)
@@ -130,11 +130,11 @@ def _list_kernel(text: str) -> Iterator[tuple[int, str, str]]:
         start += len(line)
 
 
-class _Finder(ast.NodeVisitor):
+class _FaultCollector(ast.NodeVisitor):
     """Finds the faults of a module: (place, old, new). Annotations, docstrings and imports have none."""
 
     def __init__(self, text: str) -> None:
-        self.found: list[tuple[int, str, str]] = []
+        self.replacements: list[tuple[int, str, str]] = []
         self._text = text
         self._lines = [0]
         for line in text.split("\n"):
@@ -142,22 +142,22 @@ class _Finder(ast.NodeVisitor):
         self._bytes = text.split("\n")
         self.visit(ast.parse(text))
 
-    def _place(self, line: int, column: int) -> int:
+    def _offset(self, line: int, column: int) -> int:
         """Return the index of a place; columns count bytes."""
         row = self._bytes[line - 1]
         return self._lines[line - 1] + (column if row.isascii() else len(row.encode()[:column].decode()))
 
     def _begin(self, node: ast.expr | ast.stmt) -> int:
-        return self._place(node.lineno, node.col_offset)
+        return self._offset(node.lineno, node.col_offset)
 
     def _end(self, node: ast.expr | ast.stmt) -> int:
         assert node.end_lineno is not None
         assert node.end_col_offset is not None
-        return self._place(node.end_lineno, node.end_col_offset)
+        return self._offset(node.end_lineno, node.end_col_offset)
 
     def _replace(self, node: ast.expr | ast.stmt, new: str) -> None:
         begin = self._begin(node)
-        self.found.append((begin, self._text[begin : self._end(node)], new))
+        self.replacements.append((begin, self._text[begin : self._end(node)], new))
 
     def _sign(self, left: ast.expr, right: ast.expr, new: str) -> None:
         """Replace the sign between two operands; brackets around them may stand there too."""
@@ -165,12 +165,12 @@ class _Finder(ast.NodeVisitor):
         between = re.sub(r"#.*", lambda match: " " * len(match[0]), self._text[begin:end])
         match = _SIGNS.search(between.replace(")", " ").replace("(", " ").replace("\\", " "))
         if match is not None:
-            self.found.append((begin + match.start(1), match[1], new))
+            self.replacements.append((begin + match.start(1), match[1], new))
 
     def _negate(self, test: ast.expr) -> None:
         begin = self._begin(test)
         old = self._text[begin : self._end(test)]
-        self.found.append((begin, old, f"not ({old})"))
+        self.replacements.append((begin, old, f"not ({old})"))
 
     def visit_BinOp(self, node: ast.BinOp) -> None:
         is_text = isinstance(node.left, ast.Constant) and isinstance(node.left.value, str)
@@ -185,7 +185,7 @@ class _Finder(ast.NodeVisitor):
         begin, end = self._end(node.target), self._begin(node.value)
         match = _SIGNS.search(self._text[begin:end])
         assert match is not None
-        self.found.append((begin + match.start(1), match[1], _BINARY[type(node.op)] + "="))
+        self.replacements.append((begin + match.start(1), match[1], _BINARY[type(node.op)] + "="))
         self.generic_visit(node)
 
     def visit_BoolOp(self, node: ast.BoolOp) -> None:
@@ -266,12 +266,12 @@ def choose_faults(root: Path, packages: Iterable[str], count: int, seed: int) ->
     folders = [package.replace(".", "/") for package in packages]
     by_line: dict[tuple[str, int], list[Fault]] = {}
     for file in list_files(root):
-        if file.endswith((".py", ".cl")) and any(file.startswith((f"{one}/", f"{one}.")) for one in folders):
+        if file.endswith((".py", ".cl")) and any(file.startswith((f"{folder}/", f"{folder}.")) for folder in folders):
             for fault in list_faults(file, (root / file).read_text()):
                 by_line.setdefault((file, fault.line), []).append(fault)
-    chosen = random.Random(seed)
-    lines = chosen.sample(sorted(by_line), min(count, len(by_line)))
-    return [chosen.choice(by_line[line]) for line in lines]
+    generator = random.Random(seed)
+    lines = generator.sample(sorted(by_line), min(count, len(by_line)))
+    return [generator.choice(by_line[line]) for line in lines]
 
 
 # -- trials --------------------------------------------------------------------------------------------------------
@@ -329,18 +329,18 @@ def attempt_fault(copy: Copy, fault: Fault) -> str:
     for stage in choose_tests(copy.root, fault.file):
         undo = copy.make_fault(fault)
         try:
-            failed, told = copy.run(stage)
+            failed, output = copy.run(stage)
         finally:
             undo()
         if failed:
             options = stage[stage.index("--rhi-backend") :] if "--rhi-backend" in stage else ()
-            names = _TEST.findall(told)
+            names = _TEST.findall(output)
             if options:  # the kit's parameters have another order in another run
                 names = [name.partition("[")[0] for name in names]
             again, why = copy.run((*names, *options) if names else (*stage, "--collect-only"))
             assert not again, f"without a fault, {' '.join(names or stage)}: {why[-2000:]}"
-            lines = [line for line in told.splitlines() if line.startswith(("FAILED", "ERROR", "E  ", "Timeout"))]
-            return lines[-1] if lines else told[-200:]
+            lines = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR", "E  ", "Timeout"))]
+            return lines[-1] if lines else output[-200:]
     return ""
 
 
@@ -368,8 +368,8 @@ def try_faults(project: Path, faults: Sequence[Fault], jobs: int = 1) -> list[Fa
     for fault, noticed in attempt_faults(project, faults, jobs):
         reason = "" if noticed else explain(fault.file, fault.text, fault.old, fault.new)
         counts["noticed" if noticed else "unseen" if reason else "escaped"] += 1
-        said = f"noticed  {fault}\n         {noticed[:200]}" if noticed else f"unseen   {fault}\n         {reason}"
-        print(said if noticed or reason else f"ESCAPED  {fault}", flush=True)
+        text = f"noticed  {fault}\n         {noticed[:200]}" if noticed else f"unseen   {fault}\n         {reason}"
+        print(text if noticed or reason else f"ESCAPED  {fault}", flush=True)
         if not noticed and not reason:
             survivors.append(fault)
     seen = counts["noticed"] + counts["escaped"]

@@ -94,13 +94,13 @@ def _list_users(root: Path, path: PurePosixPath, folder: Path) -> list[str]:
     tree = ast.parse((root / path).read_text())
     names = [re.escape(each.name) for each in tree.body if isinstance(each, ast.ClassDef | ast.FunctionDef)]
     words = re.compile("|".join(rf"\b{name}\b" for name in [*names, re.escape(module)] if not name.startswith("_")))
-    found = Counter[str]()
+    counts = Counter[str]()
     for each in sorted((root / "tests").rglob("test_*.py")):
         if not each.is_relative_to(folder):
             text = each.read_text()
             if package.search(text):
-                found[each.relative_to(root).as_posix()] = len(set(words.findall(text)))
-    return [file for file, count in found.most_common(_MAX_USERS) if count]
+                counts[each.relative_to(root).as_posix()] = len(set(words.findall(text)))
+    return [file for file, count in counts.most_common(_MAX_USERS) if count]
 
 
 def _list_importers(root: Path, path: PurePosixPath) -> list[str]:
@@ -111,12 +111,12 @@ def _list_importers(root: Path, path: PurePosixPath) -> list[str]:
     names = rf"\b(?:{'|'.join(defined)})\b"
     listed = rf"(?:[^(\n]*?|\([^()]*?){names}"
     imports = re.compile(rf"^from (?:{re.escape(module)} import |{re.escape(package)} import {listed})", re.MULTILINE)
-    found = Counter[str]()
+    counts = Counter[str]()
     for file in sorted((root / path.parts[0]).rglob("*.py")):
         own = file.relative_to(root).parts
         if len(own) > 2 and own[1] not in (path.parts[1], *_MEASURING) and imports.search(file.read_text()):
-            found["/".join(("tests", *own[:2]))] += 1
-    return [folder for folder, _ in found.most_common() if (root / folder).is_dir()]
+            counts["/".join(("tests", *own[:2]))] += 1
+    return [folder for folder, _ in counts.most_common() if (root / folder).is_dir()]
 
 
 # -- what differs from another commit ------------------------------------------------------------------------------

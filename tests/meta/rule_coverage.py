@@ -6,8 +6,8 @@ a test broke it and how often one came to the same check and passed it.
 - A check is a call that names a rule (`refuse(PASS_NESTED, …)`) and the condition it stands under. It is passed
   by a call of its function that gets to the condition and returns without getting to the refusal. A call of a
   helper that does nothing but refuse (`-> NoReturn`) counts as naming its rules.
-- A call that is given a rule to refuse by (`Arguments(call, rule=DRAW_COUNT)`) is a check of what follows it: broken
-  if an error of that rule leaves its function, passed if the function gets to it and returns.
+- A call that is given a rule to refuse by (`ArgumentChecker(call, rule=DRAW_COUNT)`) is a check of what follows it:
+  broken if an error of that rule leaves its function, passed if the function gets to it and returns.
 - Only functions with a check in them are traced, so the tests take about twice their time.
 """
 
@@ -49,13 +49,13 @@ class Check:
     condition: frozenset[int] = frozenset()
 
 
-def find_rules() -> dict[str, Rule]:
+def collect_rules() -> dict[str, Rule]:
     """All rules by the names of their constants."""
     modules = [importlib.import_module(name) for name in RULE_MODULES]
     return {name: value for module in modules for name, value in vars(module).items() if isinstance(value, Rule)}
 
 
-def find_checks(tree: ast.Module, rules: dict[str, Rule]) -> Iterator[tuple[int, Check]]:
+def collect_checks(tree: ast.Module, rules: dict[str, Rule]) -> Iterator[tuple[int, Check]]:
     """The checks of a module, with the first line of the function that each is in."""
     helpers: dict[str, set[str]] = {}
 
@@ -84,9 +84,9 @@ def find_checks(tree: ast.Module, rules: dict[str, Rule]) -> Iterator[tuple[int,
         if isinstance(node, ast.Call) and function:
             for rule in named_rules(node):
                 yield function, Check(rule, statement, condition)
-            for given in [*node.args[1:], *(keyword.value for keyword in node.keywords)]:
-                if isinstance(given, ast.Name) and given.id in rules:
-                    yield function, Check(rules[given.id].id, frozenset(), lines(node))
+            for argument in [*node.args[1:], *(keyword.value for keyword in node.keywords)]:
+                if isinstance(argument, ast.Name) and argument.id in rules:
+                    yield function, Check(rules[argument.id].id, frozenset(), lines(node))
         for field, value in ast.iter_fields(node):
             around, under = loop, condition
             if isinstance(node, (ast.If, ast.While)) and field == "body":
@@ -110,19 +110,19 @@ class Coverage:
         self.broken: Counter[str] = Counter()
         self.passed: Counter[str] = Counter()
         self.checks: dict[tuple[str, int], list[Check]] = defaultdict(list)
-        rules = find_rules()
+        rules = collect_rules()
         for path in sorted(package.rglob("*.py")):
             if path.relative_to(package).parts[0] not in LEFT_OUT:
-                for function, check in find_checks(ast.parse(path.read_text()), rules):
+                for function, check in collect_checks(ast.parse(path.read_text()), rules):
                     self.checks[str(path), function].append(check)
-        self._known: dict[CodeType, list[Check] | None] = {}
+        self._checks_of_code: dict[CodeType, list[Check] | None] = {}
 
     def trace(self, frame: FrameType, event: str, argument: object) -> Any:
         code = frame.f_code
         try:
-            checks = self._known[code]
+            checks = self._checks_of_code[code]
         except KeyError:
-            checks = self._known[code] = self.checks.get((code.co_filename, code.co_firstlineno))
+            checks = self._checks_of_code[code] = self.checks.get((code.co_filename, code.co_firstlineno))
         return None if checks is None else self._follow(checks)
 
     def _follow(self, checks: list[Check]) -> Any:
@@ -168,9 +168,9 @@ def main(arguments: list[str]) -> None:
         status = pytest.main([*options, *arguments], [coverage])
     if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
         raise RuntimeError(f"the tests did not run: {status!r}")
-    wanted = [rule.id for rule in find_rules().values()]
-    assert set(wanted) <= RULES.keys()
-    print(json.dumps({rule: [coverage.broken[rule], coverage.passed[rule]] for rule in wanted}))
+    rule_ids = [rule.id for rule in collect_rules().values()]
+    assert set(rule_ids) <= RULES.keys()
+    print(json.dumps({rule: [coverage.broken[rule], coverage.passed[rule]] for rule in rule_ids}))
 
 
 if __name__ == "__main__":

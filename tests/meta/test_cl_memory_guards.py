@@ -16,7 +16,7 @@ from nightly_reasons import FEWER_CASES
 
 import rhi
 from rhi.backends.cl import create_backend
-from rhi.backends.cl.raster import pipelines
+from rhi.backends.cl.raster import cl_pipelines
 from rhi.conformance.shaders import Colored, DepthFromColor
 from rhi.conformance.shapes import corners
 from rhi.contract.descriptors import BufferUsage
@@ -26,7 +26,7 @@ from rhi.contract.descriptors import BufferUsage
 def guards(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     memory_guards.install(monkeypatch.setattr)
     yield
-    assert not memory_guards.find_writes()
+    assert not memory_guards.collect_writes()
 
 
 @pytest.mark.parametrize("usage", BufferUsage)
@@ -39,13 +39,13 @@ def test_a_write_behind_a_buffer_is_found(usage: BufferUsage, count: int) -> Non
     program = kit.program(describe_program(FILL))
     kit.dispatch(program, 32)
     kit.finish()
-    assert not memory_guards.find_writes()
+    assert not memory_guards.collect_writes()
     kit.dispatch(program, count)
     kit.finish()
-    found = memory_guards.find_writes()
-    assert bool(found) == (4 * count > 128)
-    if found:
-        assert f"to {4 * count - 1} of a buffer of 128" in found[0]
+    writes = memory_guards.collect_writes()
+    assert bool(writes) == (4 * count > 128)
+    if writes:
+        assert f"to {4 * count - 1} of a buffer of 128" in writes[0]
 
 
 def test_a_write_before_a_buffer_is_found() -> None:
@@ -55,7 +55,7 @@ def test_a_write_before_a_buffer_is_found() -> None:
     kit.backend.bind_storage(0, buffer, 0, 128)
     kit.dispatch(kit.program(describe_program(source)))
     kit.finish()
-    assert memory_guards.find_writes() == ["4 bytes from -20 to -17 of a buffer of 128"]
+    assert memory_guards.collect_writes() == ["4 bytes from -20 to -17 of a buffer of 128"]
 
 
 def test_a_write_is_found_when_its_buffer_is_gone() -> None:
@@ -65,7 +65,7 @@ def test_a_write_is_found_when_its_buffer_is_gone() -> None:
     kit.dispatch(kit.program(describe_program(FILL)), 20)
     kit.finish()
     kit.backend.close()
-    assert len(memory_guards.find_writes()) == 1
+    assert len(memory_guards.collect_writes()) == 1
 
 
 PRIMITIVES = (rhi.Primitive.TRIANGLES, rhi.Primitive.TRIANGLE_STRIP, rhi.Primitive.LINES, rhi.Primitive.POINTS)
@@ -80,14 +80,14 @@ PRIMITIVES = (rhi.Primitive.TRIANGLES, rhi.Primitive.TRIANGLE_STRIP, rhi.Primiti
 def test_draws_write_inside_their_targets(size: tuple[int, int], samples: int, primitive: rhi.Primitive) -> None:
     """Triangles, lines and points of all sizes, most of them beyond the target; blending, stencil, queries, tables."""
     rng = np.random.default_rng(0)
-    places = rng.normal(0, 2, (600, 4))
-    places[:, 2:] = rng.uniform(-0.2, 1.2, (600, 2))
+    positions = rng.normal(0, 2, (600, 4))
+    positions[:, 2:] = rng.uniform(-0.2, 1.2, (600, 2))
     with rhi.create_device("cl") as device:
         color = device.texture(size, rhi.Format.RGBA8, samples=samples)
         depth = device.texture(size, rhi.Format.D24S8, samples=samples)
         query = device.occlusion_query()
         mesh = device.mesh(
-            corners(places, rng.random((600, 4))),
+            corners(positions, rng.random((600, 4))),
             rng.integers(0, 600, 1500).astype("u2"),
             primitive=primitive,
         )
@@ -110,7 +110,7 @@ def test_draws_write_inside_their_targets(size: tuple[int, int], samples: int, p
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(
-    ("kernel", "before", "found"),
+    ("kernel", "before", "inserted"),
     [
         ("setup", "AT(uint, batch->survivors)[chunk] =", "AT(uint, batch->counts)[-1] = 7;"),
         ("bin", "starts[tiles] = sum;", "starts[tiles + 1] = 7;"),
@@ -118,25 +118,25 @@ def test_draws_write_inside_their_targets(size: tuple[int, int], samples: int, p
     ],
 )
 def test_a_stray_write_of_a_draw_is_found(
-    monkeypatch: pytest.MonkeyPatch, kernel: str, before: str, found: str
+    monkeypatch: pytest.MonkeyPatch, kernel: str, before: str, inserted: str
 ) -> None:
     """A line is added to a kernel of the rasteriser; the control case is the kernel without it."""
-    real = pipelines.read_kernels
-    changed = real(kernel).replace(before, f"{found}\n    {before}")
-    assert changed.count(found) == 1
+    real = cl_pipelines.read_kernels
+    changed = real(kernel).replace(before, f"{inserted}\n    {before}")
+    assert changed.count(inserted) == 1
 
     def draw(device: rhi.Device) -> list[str]:
         image = device.texture((130, 70), rhi.Format.RGBA8)
-        places = np.random.default_rng(0).uniform(-1, 1, (900, 4))
-        places[:, 2:] = 0.5, 1.0
+        positions = np.random.default_rng(0).uniform(-1, 1, (900, 4))
+        positions[:, 2:] = 0.5, 1.0
         with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.CullMode.NONE):
-            device.draw(device.program(Colored), device.mesh(corners(places)))
+            device.draw(device.program(Colored), device.mesh(corners(positions)))
         device.finish()
-        return memory_guards.find_writes()
+        return memory_guards.collect_writes()
 
     with rhi.create_device("cl") as device:
         assert draw(device) == []
-    monkeypatch.setattr(pipelines, "read_kernels", lambda name: changed if name == kernel else real(name))
+    monkeypatch.setattr(cl_pipelines, "read_kernels", lambda name: changed if name == kernel else real(name))
     with rhi.create_device("cl") as device:
         assert draw(device)
 

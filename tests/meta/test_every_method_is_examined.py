@@ -6,22 +6,22 @@ import json
 import subprocess
 import sys
 
-import mute_backends
+import incomplete_backends
 import pytest
 
 import rhi
-from rhi.conformance.steps import STEPS, step_of
+from rhi.conformance.port_steps import STEPS, step_of
 
 
 def test_every_method_of_the_contract_has_a_group_or_a_reason() -> None:
     methods = {name for name in vars(rhi.Backend) if not name.startswith("_")}
-    assert mute_backends.GROUPS.keys() | mute_backends.UNSEEN.keys() == methods
-    assert not mute_backends.GROUPS.keys() & mute_backends.UNSEEN.keys()
+    assert incomplete_backends.GROUPS.keys() | incomplete_backends.UNDETECTABLE.keys() == methods
+    assert not incomplete_backends.GROUPS.keys() & incomplete_backends.UNDETECTABLE.keys()
 
 
 def test_no_method_is_written_after_the_group_that_must_see_it() -> None:
     written = {method: number for number, step in enumerate(STEPS, 1) for method in step.methods}
-    for method, group in mute_backends.GROUPS.items():
+    for method, group in incomplete_backends.GROUPS.items():
         assert written[method] <= step_of(f"operation · {group}"), method
 
 
@@ -32,9 +32,9 @@ def test_a_backend_without_any_one_method_fails() -> None:
         rhi.create_device("gl").close()
     except rhi.DeviceError as error:
         pytest.skip(f"no GL device here: {error.given or error.rule.sentence}")
-    run = subprocess.run([sys.executable, mute_backends.__file__], capture_output=True, text=True, check=False)
+    run = subprocess.run([sys.executable, incomplete_backends.__file__], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     failures: dict[str, list[str]] = json.loads(run.stdout)
-    assert failures.pop(mute_backends.LATE) == []
-    assert failures.keys() == mute_backends.GROUPS.keys()
+    assert failures.pop(incomplete_backends.LATE) == []
+    assert failures.keys() == incomplete_backends.GROUPS.keys()
     assert [method for method, failed in failures.items() if not failed] == []

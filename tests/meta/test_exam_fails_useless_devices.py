@@ -9,27 +9,28 @@ import sys
 import pytest
 import useless_devices
 
-from renderer.lab.exam import find_cases
+from renderer.lab.exam import select_cases
 from renderer.lab.exam.case import COMPUTES, DRAWS, NOTHING
 
 
 @pytest.mark.nightly
 def test_useless_devices_pass_what_has_nothing_to_do_with_them() -> None:
     run = subprocess.run([sys.executable, useless_devices.__file__], capture_output=True, text=True, check=True)
-    found = json.loads(run.stdout)
-    control = found.pop("none of these faults")
+    passed_by_device = json.loads(run.stdout)
+    control = passed_by_device.pop("none of these faults")
     cases = {
-        asked: [case.number for case in find_cases([]) if case.asks == asked] for asked in (DRAWS, COMPUTES, NOTHING)
+        asked: [case.number for case in select_cases([]) if case.device_use == asked]
+        for asked in (DRAWS, COMPUTES, NOTHING)
     }
     assert control == cases
-    assert found.pop("its draws do nothing") == {**cases, DRAWS: []}
-    assert len(found) == 4
-    for passed in found.values():
+    assert passed_by_device.pop("its draws do nothing") == {**cases, DRAWS: []}
+    assert len(passed_by_device) == 4
+    for passed in passed_by_device.values():
         assert passed == {DRAWS: [], COMPUTES: [], NOTHING: cases[NOTHING]}
 
 
-def test_a_mute_device_fails_a_comparison_of_pictures() -> None:
-    """One case by day: the mute device draws the same nothing with culling and without."""
+def test_a_mute_device_fails_a_comparison_of_images() -> None:
+    """One case in the default run: the mute device draws the same nothing with culling and without."""
     from faulty_backends import Faulty, replace_gl
 
     import rhi
@@ -40,7 +41,7 @@ def test_a_mute_device_fails_a_comparison_of_pictures() -> None:
         can_rasterise.cache_clear()  # there is no cl now, and was before
         try:
             with replace_gl(device), rhi.create_device("gl") as opened:
-                (row,) = examine(opened, find_cases([11]))
+                (row,) = examine(opened, select_cases([11]))
         finally:
             can_rasterise.cache_clear()
         assert row.passed is passes

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import random_faults
 from random_faults import ROOT, Fault, choose_faults, list_faults, try_faults
-from unseen_faults import UNSEEN, explain
+from undetectable_faults import UNDETECTABLE_FAULTS, explain
 
 
 def changes(text: str, file: str = "a.py") -> list[tuple[str, str]]:
@@ -98,13 +98,13 @@ def test_what_no_test_notices_is_told_with_its_line_and_the_project_stays_as_it_
 ) -> None:
     monkeypatch.setattr(random_faults, "_PATIENCE", (2.0, 60.0))  # what doesn't end is noticed by then
     by_change = {(fault.old, fault.new): fault for fault in list_faults("thing/numbers.py", TESTED)}
-    wanted = [("2", "3"), ("-=", "+="), ("n > 0", "not (n > 0)")]
-    survivors = try_faults(project, [by_change[change] for change in wanted], jobs=2)
+    changes = [("2", "3"), ("-=", "+="), ("n > 0", "not (n > 0)")]
+    survivors = try_faults(project, [by_change[change] for change in changes], jobs=2)
     assert [(fault.line, fault.old) for fault in survivors] == [(2, "2")]
-    told = capsys.readouterr().out
-    assert "ESCAPED  thing/numbers.py:2: '2' → '3' in: return 2 * x" in told
-    assert "Timeout (0:00:02)!" in told
-    assert told.endswith("2 of 3 that can be seen are noticed; 0 can't be seen\n")
+    output = capsys.readouterr().out
+    assert "ESCAPED  thing/numbers.py:2: '2' → '3' in: return 2 * x" in output
+    assert "Timeout (0:00:02)!" in output
+    assert output.endswith("2 of 3 that can be seen are noticed; 0 can't be seen\n")
     assert (project / "thing/numbers.py").read_text() == TESTED
 
 
@@ -125,8 +125,8 @@ def test_tests_that_fail_without_a_fault_are_told(project: Path) -> None:
         try_faults(project, list_faults("thing/numbers.py", TESTED)[:1])
 
 
-@pytest.mark.parametrize("unseen", UNSEEN, ids=lambda one: f"{one.file}: {one.text[:40]}")
-def test_what_can_t_be_seen_is_a_fault_that_there_is_with_a_reason(unseen: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("unseen", UNDETECTABLE_FAULTS, ids=lambda fault: f"{fault.file}: {fault.text[:40]}")
+def test_each_undetectable_fault_exists_and_has_a_reason(unseen: tuple[str, ...]) -> None:
     file, text, old, new, why = unseen
     there = {(each.text, each.old, each.new) for each in list_faults(file, (ROOT / file).read_text())}
     assert (text, old, new) in there

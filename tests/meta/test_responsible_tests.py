@@ -73,7 +73,7 @@ def test_a_changed_module_does_not_run_the_tests_of_unrelated_packages() -> None
 
 
 def test_a_changed_backend_runs_the_kit_on_that_backend_only() -> None:
-    arguments = choose_changed_tests(ROOT, ["rhi/backends/gl/draws.py"])
+    arguments = choose_changed_tests(ROOT, ["rhi/backends/gl/gl_draws.py"])
     assert arguments[-4:] == ["--pyargs", "rhi.conformance", "--rhi-backend", "gl"]
     assert "rhi.conformance" not in choose_changed_tests(ROOT, ["rhi/trace/diff.py"])
 

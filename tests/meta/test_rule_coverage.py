@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 import rule_coverage
-from rule_coverage import Check, find_checks
+from rule_coverage import Check, collect_checks
 
 from rhi.errors import Rule, ValidationError, refuse
 from rhi.errors.rules import DEVICE_FORKED, DEVICE_LOST, DRAW_COUNT, PASS_NESTED, PASS_OPEN, SHADER_DRIVER
@@ -30,7 +30,7 @@ BROKEN_IN_A_CHILD = {DEVICE_FORKED.id: "device/test_forks.py"}
 """Rules that are broken in processes which tests start, where calls aren't counted, and the file of those tests."""
 
 
-# They compare numbers and pictures, and break no rule that others don't; traced they would take minutes.
+# They compare numbers and images, and break no rule that others don't; traced they would take minutes.
 NOT_ABOUT_RULES = ("accuracy", "agreement", "lane_programs", "fragment_programs", "shading_textures", "cl_targets")
 
 
@@ -76,8 +76,8 @@ def fail(value) -> NoReturn:
 
 
 def test_checks_are_found_with_their_conditions() -> None:
-    found = list(find_checks(ast.parse(SOURCE), {"PASS_NESTED": PASS_NESTED, "PASS_OPEN": PASS_OPEN}))
-    assert found == [
+    checks = list(collect_checks(ast.parse(SOURCE), {"PASS_NESTED": PASS_NESTED, "PASS_OPEN": PASS_OPEN}))
+    assert checks == [
         (2, Check("pass-nested", frozenset({4, 5, 6}), frozenset({3}))),
         (2, Check("pass-open", frozenset({8}), frozenset({7}))),
     ]
@@ -85,8 +85,8 @@ def test_checks_are_found_with_their_conditions() -> None:
 
 def test_a_loop_is_part_of_the_condition() -> None:
     source = "def wait(self):\n    while self.late:\n        if self.gone:\n            refuse(PASS_OPEN)"
-    (found,) = find_checks(ast.parse(source), {"PASS_OPEN": PASS_OPEN})
-    assert found == (1, Check("pass-open", frozenset({4}), frozenset({2, 3})))
+    (check,) = collect_checks(ast.parse(source), {"PASS_OPEN": PASS_OPEN})
+    assert check == (1, Check("pass-open", frozenset({4}), frozenset({2, 3})))
 
 
 class Checked:
@@ -100,7 +100,7 @@ class Checked:
             refuse(self._rule, "here")
 
 
-GIVEN = """
+PASSED_RULE = """
 def draw(count):
     checked = Checked(rule=DRAW_COUNT)
     checked.whole(count)
@@ -112,10 +112,10 @@ def test_a_call_breaks_or_passes_what_is_checked_by_a_rule_that_it_gives(
     tmp_path: Path, count: int, broken: dict[str, int], passed: dict[str, int]
 ) -> None:
     coverage = rule_coverage.Coverage(tmp_path)
-    for first, check in find_checks(ast.parse(GIVEN), {"DRAW_COUNT": DRAW_COUNT}):
+    for first, check in collect_checks(ast.parse(PASSED_RULE), {"DRAW_COUNT": DRAW_COUNT}):
         coverage.checks["<given>", first].append(check)
     scope: dict[str, Any] = {"Checked": Checked, "DRAW_COUNT": DRAW_COUNT}
-    exec(compile(GIVEN, "<given>", "exec"), scope)
+    exec(compile(PASSED_RULE, "<given>", "exec"), scope)
     before = sys.gettrace()
     sys.settrace(coverage.trace)
     try:
@@ -139,7 +139,7 @@ def test_a_call_breaks_or_passes_the_checks_it_comes_to(
     tmp_path: Path, nested: bool, value: bool, broken: dict[str, int], passed: dict[str, int]
 ) -> None:
     coverage = rule_coverage.Coverage(tmp_path)
-    for first, check in find_checks(ast.parse(SOURCE), {"PASS_NESTED": PASS_NESTED, "PASS_OPEN": PASS_OPEN}):
+    for first, check in collect_checks(ast.parse(SOURCE), {"PASS_NESTED": PASS_NESTED, "PASS_OPEN": PASS_OPEN}):
         coverage.checks["<example>", first].append(check)
     scope: dict[str, object] = {"NoReturn": None}
     exec(compile("from __future__ import annotations" + SOURCE, "<example>", "exec"), scope)

@@ -13,8 +13,8 @@ from test_shading_lane_programs import check_shader, program_settings, programs
 from rhi.shading import from_source
 from rhi.shading.ir import lanes
 from rhi.shading.lowering.context import Lowering
-from rhi.shading.numpy import writer as numpy_code
-from rhi.shading.opencl import writer as opencl
+from rhi.shading.numpy import numpy_writer as numpy_code
+from rhi.shading.opencl import opencl_writer as opencl
 
 
 def forget_mask(node):
@@ -59,11 +59,11 @@ def break_nesting(monkeypatch):
 def break_else(monkeypatch):
     """`else` is executed where the condition is true."""
 
-    def two_branches(self, condition):
+    def condition_and_negation(self, condition):
         condition = self.let(condition, "condition")
         return condition, condition
 
-    monkeypatch.setattr(Lowering, "two_branches", two_branches)
+    monkeypatch.setattr(Lowering, "condition_and_negation", condition_and_negation)
 
 
 def break_nobody_left(monkeypatch):

@@ -10,7 +10,7 @@ import pytest
 from conformance_kit import take_the_kit
 
 import rhi
-from rhi.conformance.steps import STEPS
+from rhi.conformance.port_steps import STEPS
 
 
 def run_step(number: int, written: int) -> tuple[int, str]:

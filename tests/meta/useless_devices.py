@@ -13,7 +13,7 @@ import numpy as np
 from faulty_backends import Faulty, replace_gl
 
 import rhi
-from renderer.lab.exam import examine, find_cases
+from renderer.lab.exam import examine, select_cases
 
 
 class Mute(Faulty):
@@ -36,8 +36,8 @@ class Unread(Faulty):
     def read_buffer(self, buffer: int, offset: int, size: int) -> bytes:
         return self.replace(("buffer", size), self._inner.read_buffer(buffer, offset, size))
 
-    def read_texture(self, *place: Any) -> Any:
-        true = self._inner.read_texture(*place)
+    def read_texture(self, *location: Any) -> Any:
+        true = self._inner.read_texture(*location)
         other = self.replace(("texture", true.shape, true.dtype), true.tobytes())
         return np.frombuffer(other, true.dtype).reshape(true.shape).copy()
 
@@ -86,12 +86,12 @@ DEVICES: dict[str, Callable[[Any], Any]] = {
 
 def examine_useless(device: Callable[[Any], Any]) -> dict[str, list[int]]:
     """Return the cases that a device passes, by what they ask of it."""
-    cases = find_cases([])
-    passed: dict[str, list[int]] = {case.asks: [] for case in cases}
+    cases = select_cases([])
+    passed: dict[str, list[int]] = {case.device_use: [] for case in cases}
     with replace_gl(device), rhi.create_device("gl") as opened, np.errstate(all="ignore"):
         for case, row in zip(cases, examine(opened, cases), strict=True):
             if row.passed:
-                passed[case.asks].append(case.number)
+                passed[case.device_use].append(case.number)
     return passed
 
 

@@ -9,11 +9,11 @@ import rhi.shading as sl
 from rhi import CullMode, DepthFunction, Format
 
 
-class GivenDepth(sl.Struct):
+class DepthOutput(sl.Struct):
     depth: sl.FragmentDepth
 
 
-class PutDepth(sl.Shader):
+class WriteDepths(sl.Shader):
     """Writes depths from memory; the width is the first of them."""
 
     depths: sl.Storage[float]
@@ -22,12 +22,12 @@ class PutDepth(sl.Shader):
         corner = sl.vertex_index()
         return sl.vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
 
-    def fragment(self) -> GivenDepth:
+    def fragment(self) -> DepthOutput:
         at = sl.ivec2(sl.fragment_coordinate().xy)
-        return GivenDepth(depth=self.depths[1 + at.y * int(self.depths[0]) + at.x])
+        return DepthOutput(depth=self.depths[1 + at.y * int(self.depths[0]) + at.x])
 
 
-def put_depths(device: rhi.Device, depths: np.ndarray) -> rhi.Texture:
+def create_depth_texture(device: rhi.Device, depths: np.ndarray) -> rhi.Texture:
     """Create a depth texture with these depths (h, w)."""
     height, width = depths.shape
     texture = device.texture((width, height), Format.D32F)
@@ -37,6 +37,6 @@ def put_depths(device: rhi.Device, depths: np.ndarray) -> rhi.Texture:
         device.render_pass(depth=texture, clear_depth=0.5),
         device.states(CullMode.NONE, DepthFunction.ALWAYS),
     ):
-        device.draw(device.program(PutDepth), triangle, depths=memory)
+        device.draw(device.program(WriteDepths), triangle, depths=memory)
     assert (texture.read() == depths).all()
     return texture

@@ -10,7 +10,7 @@ from renderer.scene import Fog
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
-def add_up(fog: Fog, eye: float, position: NDArray[np.float64], pieces: int = 256) -> float:
+def integrate_fog(fog: Fog, eye: float, position: NDArray[np.float64], pieces: int = 256) -> float:
     """Return how much light from `position`, relative to an eye at the height `eye`, passes the fog."""
     half = np.concatenate([[0.0], np.geomspace(1e-10, 0.5, pieces // 2)])  # fine at both ends, where density is
     ends = np.concatenate([half, 1.0 - half[-2::-1]])

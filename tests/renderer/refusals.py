@@ -9,15 +9,15 @@ import pytest
 from rhi import ValidationError
 
 
-def find_rule(call: Callable[[], object]) -> str:
+def refused_rule(call: Callable[[], object]) -> str:
     """Return the id of the rule that a call breaks, which has to be refused."""
     with pytest.raises(ValidationError) as refused:
         call()
     return refused.value.rule.id
 
 
-def find_fault(run: Callable[[str], tuple[str, bool]], line: str) -> str:
+def refused_message(run: Callable[[str], tuple[str, bool]], line: str) -> str:
     """Return what is said of a line, which has to be refused; `run` is that of a viewer."""
-    said, is_error = run(line)
-    assert is_error, said
-    return said
+    message, is_error = run(line)
+    assert is_error, message
+    return message

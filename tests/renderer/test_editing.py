@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from frames import SIZE, need_algorithm, open_renderer, read_colors
+from frames import SIZE, open_renderer, read_colors, require_algorithm
 from nightly_reasons import ONLY_KERNELS
 from numpy.typing import NDArray
-from refusals import find_rule
+from refusals import refused_rule
 
 from renderer.content import BUILT_IN
 from renderer.frame import Effect
@@ -19,7 +19,7 @@ from renderer.visibility import ALGORITHMS
 from rhi import Device, ValidationError
 
 EYE = Camera.look_at((0.0, 5.0, 11.0), (0.0, 0.5, 0.0)).with_aspect(SIZE[0] / SIZE[1])
-SHADOWS = ShadowSettings(cascades=1, cascade_size=128, largest=64, far_size=0)
+SHADOWS = ShadowSettings(cascades=1, cascade_size=128, max_size=64, far_size=0)
 SPARE = 12
 
 
@@ -54,7 +54,7 @@ def make_edited(glass: int = 3) -> Scene:
 def build_anew(scene: Scene) -> Scene:
     """Return a scene that has what another one shows, and no more."""
     builder, objects = begin(), scene.objects
-    for row in np.flatnonzero(objects.shown).tolist()[1:]:
+    for row in np.flatnonzero(objects.is_shown).tolist()[1:]:
         node = builder.add_node(scene.nodes.world[objects.node[row]], dynamic=bool(objects.dynamic[row]))
         builder.add_objects(node, int(objects.mesh[row]), int(objects.material[row]))
     return builder.build()
@@ -69,20 +69,20 @@ class Editor:
         self.handles: list[ObjectHandle] = []
         self.fixed = [*scene.objects.node[1:4].tolist(), scene.nodes.find("group")]
 
-    def place(self) -> NDArray[np.float64]:
+    def random_transform(self) -> NDArray[np.float64]:
         turn = rotation(self.random.normal(size=3), self.random.uniform(0, 6))
         size = self.random.uniform(0.3, 1.2, 3) * self.random.choice([-1.0, 1.0], 3)
         return translation(self.random.uniform((-4, 0, -4), (4, 2, 4))) @ turn @ scaling(size)
 
     def pick(self) -> int:
-        return self.scene.find_row(self.handles[int(self.random.integers(len(self.handles)))])
+        return self.scene.get_object_index(self.handles[int(self.random.integers(len(self.handles)))])
 
     def edit(self) -> None:
         scene, random = self.scene, self.random
         mesh, material = int(random.integers(1, 3)), int(random.choice(self.materials))
         kind = random.integers(7)
         if kind < 2 and len(self.handles) < SPARE:
-            self.handles.append(scene.add_object(mesh, material, self.place()))
+            self.handles.append(scene.add_object(mesh, material, self.random_transform()))
         elif kind == 2 and self.handles:
             scene.remove_object(self.handles.pop(int(random.integers(len(self.handles)))))
         elif kind == 3:
@@ -90,7 +90,7 @@ class Editor:
             change(random.choice(self.fixed))
         elif kind == 4 and self.handles:
             row = self.pick()
-            scene.nodes.set_local(scene.objects.node[row], self.place())
+            scene.nodes.set_local(scene.objects.node[row], self.random_transform())
         elif kind == 5 and self.handles:
             row = self.pick()
             scene.replace(row, mesh=mesh, material=material)
@@ -106,7 +106,7 @@ def draw(renderer: Renderer) -> FrameResult:
 
 
 def compare(device: Device, technique: str, algorithm: str, edits: int, *, every: int, seed: int = 1) -> None:
-    """Edit a scene, and compare it with one that is built anew: its picture, and what is drawn without queries."""
+    """Edit a scene, and compare it with one that is built anew: its image, and what is drawn without queries."""
     glass = 1 if technique == "inferred" else 3  # which stipples glass by the rows of objects
     scene = make_edited(glass)
     editor = Editor(scene, seed, glass)
@@ -126,8 +126,8 @@ def compare(device: Device, technique: str, algorithm: str, edits: int, *, every
                     assert frame.statistics.draws == expected.statistics.draws, number
                     assert frame.statistics.triangles == expected.statistics.triangles, number
                     assert renderer.shadows.casters_drawn == other.shadows.casters_drawn == 0
-                    wanted = sorted((each.name, each.casters) for each in other.shadows.reports)
-                    assert sorted((each.name, each.casters) for each in renderer.shadows.reports) == wanted
+                    expected_casters = sorted((each.name, each.casters) for each in other.shadows.reports)
+                    assert sorted((each.name, each.casters) for each in renderer.shadows.reports) == expected_casters
 
 
 @pytest.mark.nightly_cases("cl-forward", "cl-deferred_plus", "cl-clustered", reason=ONLY_KERNELS)
@@ -138,7 +138,7 @@ def test_an_edited_scene_looks_as_one_that_is_built_anew(drawing_device: Device,
 
 @pytest.mark.parametrize("algorithm", [name for name in ALGORITHMS if name != "auto"])
 def test_each_algorithm_follows_edits(gl: Device, algorithm: str) -> None:
-    need_algorithm(gl, algorithm)
+    require_algorithm(gl, algorithm)
     compare(gl, "forward", algorithm, 40, every=8, seed=2)
 
 
@@ -164,9 +164,9 @@ def test_a_hidden_object_needs_nothing(null: Device) -> None:
             scene.nodes.show([0, glass])
             scene.nodes.hide(hidden)
             frame = draw(renderer)
-            assert (Effect.TRANSPARENCY in frame.frames[0].needs.effects) == effects
+            assert (Effect.TRANSPARENCY in frame.frames[0].effects.enabled) == effects
             assert frame.statistics.draws == drawn
-            skipped = {each.because for each in renderer.shadows.reports if each.state == "skipped"}
+            skipped = {each.reason for each in renderer.shadows.reports if each.state == "skipped"}
             assert ("it reaches nothing visible" in skipped) == (drawn == 0)
 
 
@@ -189,7 +189,7 @@ def test_an_edit_uploads_the_rows_that_it_changes(null: Device) -> None:
 def test_a_hidden_node_hides_what_is_below_it_until_it_is_shown() -> None:
     scene = make_edited()
     nodes, node = scene.nodes, scene.objects.node
-    for change, rows, shown in (
+    for change, rows, expected in (
         (nodes.hide, nodes.find("group"), [0, 1]),
         (nodes.hide, node[2], [0, 1]),
         (nodes.show, nodes.find("group"), [0, 1, 3]),
@@ -198,13 +198,13 @@ def test_a_hidden_node_hides_what_is_below_it_until_it_is_shown() -> None:
     ):
         change(rows)
         scene.update()
-        assert np.flatnonzero(scene.objects.shown).tolist() == shown
-    assert find_rule(lambda: nodes.hide(len(nodes))) == "scene-bad-index"
+        assert np.flatnonzero(scene.objects.is_shown).tolist() == expected
+    assert refused_rule(lambda: nodes.hide(len(nodes))) == "scene-bad-index"
 
 
 def test_bounds_follow_a_mesh_that_is_replaced() -> None:
     scene = make_edited()
-    row = scene.find_row(scene.add_object(1, 1))
+    row = scene.get_object_index(scene.add_object(1, 1))
     scene.replace(row, mesh=2)
     assert scene.objects.upper[row] == pytest.approx([0.5, 0.5, 0.5])
     scene.replace(row, mesh=1)
@@ -212,7 +212,7 @@ def test_bounds_follow_a_mesh_that_is_replaced() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rule", "rows", "given"),
+    ("rule", "rows", "arguments"),
     [
         ("scene-bad-index", 99, {"mesh": 1}),
         ("scene-bad-index", 4, {"mesh": 3}),
@@ -220,11 +220,13 @@ def test_bounds_follow_a_mesh_that_is_replaced() -> None:
         ("scene-fixed-mesh", [4, 1], {"mesh": 1}),
     ],
 )
-def test_what_cannot_be_replaced_is_refused_and_nothing_changes(rule: str, rows: int, given: dict[str, int]) -> None:
+def test_what_cannot_be_replaced_is_refused_and_nothing_changes(
+    rule: str, rows: int, arguments: dict[str, int]
+) -> None:
     scene = make_edited()
     before = scene.objects.mesh.copy(), scene.objects.material.copy(), scene.material_version
     with pytest.raises(ValidationError, match=rule):
-        scene.replace(rows, **given)
+        scene.replace(rows, **arguments)
     assert all(map(np.array_equal, before, (scene.objects.mesh, scene.objects.material, scene.material_version)))
     scene.replace([1, 4], material=2)  # the control
     assert scene.objects.material[[1, 4]].tolist() == [2, 2]
@@ -237,8 +239,8 @@ def test_a_normal_map_needs_a_mesh_that_was_built_with_one() -> None:
     builder.add_objects(builder.add_node(), 2, mapped)
     builder.reserve(1, 1, 0)
     scene = builder.build()
-    assert find_rule(lambda: scene.add_object(1, mapped)) == "scene-no-tangents"
-    assert scene.objects.material[scene.find_row(scene.add_object(2, mapped))] == mapped
+    assert refused_rule(lambda: scene.add_object(1, mapped)) == "scene-no-tangents"
+    assert scene.objects.material[scene.get_object_index(scene.add_object(2, mapped))] == mapped
 
 
 def test_what_is_animated_within_bounds_keeps_its_parents_and_others_do_not() -> None:
@@ -248,24 +250,24 @@ def test_what_is_animated_within_bounds_keeps_its_parents_and_others_do_not() ->
     builder.animate([moved], lambda seconds: translation([(0, seconds % 1.0, 0)]), ((-1, -1, -1), (1, 2, 1)))
     nodes = builder.build().nodes
     for node in (moved, below):
-        with pytest.raises(ValidationError, match="scene-bound-node"):
-            nodes.set_parent(int(nodes.rows[node]), -1)
-    nodes.set_parent(int(nodes.rows[base]), 0)
+        with pytest.raises(ValidationError, match="scene-fixed-parent"):
+            nodes.set_parent(int(nodes.index_of_id[node]), -1)
+    nodes.set_parent(int(nodes.index_of_id[base]), 0)
 
 
 def test_a_handle_names_its_object_until_that_is_removed() -> None:
     scene = make_edited()
     handles = [scene.add_object(1, 1) for _ in range(SPARE)]
-    assert len({scene.find_row(each) for each in handles}) == SPARE
-    assert find_rule(lambda: scene.add_object(1, 1)) == "scene-no-room"
-    scene.nodes.set_parent(scene.objects.node[handles[3].row], scene.nodes.find("group"))
+    assert len({scene.get_object_index(each) for each in handles}) == SPARE
+    assert refused_rule(lambda: scene.add_object(1, 1)) == "scene-no-room"
+    scene.nodes.set_parent(scene.objects.node[handles[3].object_index], scene.nodes.find("group"))
     scene.remove_object(handles[3])
-    assert find_rule(lambda: scene.remove_object(handles[3])) == "scene-removed-object"
-    assert find_rule(lambda: scene.add_object(1, 1, np.zeros((4, 4)))) == "scene-bad-transform"
+    assert refused_rule(lambda: scene.remove_object(handles[3])) == "scene-removed-object"
+    assert refused_rule(lambda: scene.add_object(1, 1, np.zeros((4, 4)))) == "scene-bad-transform"
     again = scene.add_object(2, 1)
-    assert again.row == handles[3].row
-    assert scene.nodes.parents[scene.objects.node[again.row]] == -1
-    assert find_rule(lambda: scene.find_row(handles[3])) == "scene-removed-object"
-    assert scene.find_row(again) == again.row
+    assert again.object_index == handles[3].object_index
+    assert scene.nodes.parents[scene.objects.node[again.object_index]] == -1
+    assert refused_rule(lambda: scene.get_object_index(handles[3])) == "scene-removed-object"
+    assert scene.get_object_index(again) == again.object_index
     with pytest.raises(ValidationError, match="scene-removed-object"):
-        scene.find_row(ObjectHandle(0, 0))  # one that wasn't reserved
+        scene.get_object_index(ObjectHandle(0, 0))  # one that wasn't reserved

@@ -24,8 +24,8 @@ EDITED = TEXT.replace("(surface.base_color + specular) *", "(surface.base_color.
 @pytest.fixture
 def reloaders() -> Iterator[list[rhi.Reloader]]:
     """Reloaders, the first of which puts the module back."""
-    made: list[rhi.Reloader] = []
-    yield made
+    created: list[rhi.Reloader] = []
+    yield created
     rhi.Reloader().reload(lighting, TEXT)
 
 
@@ -71,15 +71,15 @@ def test_an_edit_of_a_materials_own_shader_shows_and_can_be_taken_back(gl: rhi.D
     text = Path(material_shaders.__file__).read_text()
     edited = text.replace("share = 0.5 - 0.5 * mean.x * mean.y", "share = 0.5 - 0.5 * mean.x")
     assert edited != text
-    scene = load_scene("yard:columns=0,lamps=0")
+    scene = load_scene("yard:columns=0,lights=0")
     camera = parse_camera("overview", scene)
     with Renderer(gl, scene, size=(64, 36), visibility=make_visibility("frustum", scene, gl)) as renderer:
-        pictures = [renderer.render(camera).image.read()]
+        images = [renderer.render(camera).image.read()]
         reloader = rhi.Reloader(gl)
         for now in (edited, text):
             assert reloader.reload(material_shaders, now) >= 1
-            pictures.append(renderer.render(camera).image.read())
+            images.append(renderer.render(camera).image.read())
         with pytest.raises(ShaderError):
             reloader.reload(material_shaders, text.replace("mean.x * mean.y", "mean.x * mean.z"))
-    assert np.array_equal(pictures[0], pictures[2])
-    assert np.count_nonzero((pictures[0] != pictures[1]).any(axis=2)) > 200
+    assert np.array_equal(images[0], images[2])
+    assert np.count_nonzero((images[0] != images[1]).any(axis=2)) > 200

@@ -74,7 +74,7 @@ def test_moving_objects_are_uploaded_and_the_others_are_not(null: rhi.Device) ->
         still = renderer.render(camera, 0.0).statistics
         moving = renderer.render(camera, 0.5).statistics
     assert still.upload_bytes == 0
-    most = (112 + 32) * len(scene.objects.dynamic_rows)
+    most = (112 + 32) * len(scene.objects.dynamic_indices)
     assert 0 < moving.upload_bytes <= most
 
 
@@ -85,13 +85,13 @@ def test_what_moves_moves_on_at_whole_steps(null: rhi.Device) -> None:
         assert renderer.animation_step == 0.0
         renderer.animation_step = 0.1
         renderer.render(camera, 0.0)
-        shown = []
+        frames = []
         for frame in (1, 5, 6, 11, 12):
             uploads = renderer.render(camera, frame / 60).statistics.upload_bytes
-            shown.append((uploads > 0, round(60 * scene.seconds, 9)))
+            frames.append((uploads > 0, round(60 * scene.seconds, 9)))
         renderer.animation_step = 0.0
         renderer.render(camera, 13 / 60)
-    assert shown == [(False, 0.0), (False, 0.0), (True, 6.0), (False, 6.0), (True, 12.0)]
+    assert frames == [(False, 0.0), (False, 0.0), (True, 6.0), (False, 6.0), (True, 12.0)]
     assert scene.seconds == 13 / 60
 
 
@@ -179,11 +179,11 @@ def test_a_size_that_is_refused_leaves_the_renderer_as_it_was(null: rhi.Device, 
         assert renderer.render(city.views["overview"]).image.size == (64, 36)
 
 
-def test_everything_is_given_back(null: rhi.Device, city: Scene) -> None:
+def test_all_resources_are_released(null: rhi.Device, city: Scene) -> None:
     with Renderer(null, city) as renderer:
         renderer.render(city.views["overview"])
-    made, left = list_owned(null)
-    assert len(made) > 5
+    created, left = list_owned(null)
+    assert len(created) > 5
     assert left == []
 
 
@@ -199,8 +199,8 @@ def test_a_renderer_that_cannot_be_made_leaves_nothing(city: Scene, failing: int
 def queries_left(device: rhi.Device) -> int:
     """Count the occlusion queries that were created and not destroyed."""
     device.finish()
-    made = {command.values[0] for command in device.stream.filter(Op.CREATE_QUERY)}
-    return len(made - {command.values[0] for command in device.stream.filter(Op.DESTROY)})
+    created = {command.values[0] for command in device.stream.filter(Op.CREATE_QUERY)}
+    return len(created - {command.values[0] for command in device.stream.filter(Op.DESTROY)})
 
 
 def test_an_algorithm_is_made_for_its_name(null: rhi.Device, city: Scene) -> None:
@@ -211,18 +211,16 @@ def test_an_algorithm_is_made_for_its_name(null: rhi.Device, city: Scene) -> Non
     assert caught.value.rule.id == "visibility-unknown-name"
 
 
-def test_the_algorithm_that_a_renderer_made_is_given_back_and_one_that_it_got_is_not(
-    gl: rhi.Device, city: Scene
-) -> None:
+def test_a_renderer_destroys_its_own_algorithm_and_not_one_passed_in(gl: rhi.Device, city: Scene) -> None:
     cameras = [city.paths["ground"].camera(frame) for frame in range(12)]
     with Renderer(gl, city, size=(64, 36)) as renderer:  # auto, which tries one that asks
         for camera in cameras:
             renderer.render(camera)
         assert queries_left(gl) > 0
     assert queries_left(gl) == 0
-    given = make_visibility("chc_plus_plus", city, gl)
-    with Renderer(gl, city, visibility=given, size=(64, 36)) as renderer:
+    algorithm = make_visibility("chc_plus_plus", city, gl)
+    with Renderer(gl, city, visibility=algorithm, size=(64, 36)) as renderer:
         renderer.render(cameras[0])
     assert queries_left(gl) > 0
-    given.destroy()
+    algorithm.destroy()
     assert queries_left(gl) == 0

@@ -1,9 +1,9 @@
-"""Scenes on gl and cl, pixel by pixel: the same renderer code, the same picture.
+"""Scenes on gl and cl, pixel by pixel: the same renderer code, the same image.
 
 llvmpipe cuts what reaches beyond the viewport, at points that it rounds again; there an edge may pass on the other
 side of a sample that lies within 1/256 pixel of it, and another surface shows. In a viewport `WIDER` times as wide,
-through a lens as much wider, all has the same place in the window and is cut where nobody sees it. Levels of images
-differ as each backend rounds them (`test_levels_are_means_of_the_ones_before`), so here both have gl's.
+through a projection as much wider, all has the same place in the window and is cut where nobody sees it. Levels of
+images differ as each backend rounds them (`test_levels_are_means_of_the_ones_before`), so here both have gl's.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 import rhi
 from renderer import shaders
-from renderer.content import find_path, load_scene
-from renderer.lab.measure.backends import BackendPasses, BoxDepthShader
+from renderer.content import load_scene, parse_camera_path
+from renderer.lab.measure.backend_passes import BackendPasses, BoxDepthShader
 from renderer.scene import Scene
 from rhi import BlendFunction, DepthFunction, DepthWrite, Device, Format, Viewport
 from rhi.shading import vec4
@@ -52,7 +52,7 @@ def draw(
     device: Device, scene: Scene, path: str, frame: int, name: str, levels: list[NDArray[Any]] | None = None
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return colour as integers, and depth; `levels` are the mip levels of the scene's images below the first."""
-    passes = BackendPasses(device, scene, find_path(path, scene).camera(frame), SIZE)
+    passes = BackendPasses(device, scene, parse_camera_path(path, scene).camera(frame), SIZE)
     for level, texels in enumerate(levels or [], 1):
         assert passes.resources.images is not None
         passes.resources.images.textures[0].write(texels, level=level)
@@ -65,7 +65,7 @@ def draw(
 
 def read_levels(device: Device, scene: Scene) -> list[NDArray[Any]]:
     """Read all layers of each mip level below the first, as the device generated them."""
-    passes = BackendPasses(device, scene, find_path("ground", scene).camera(0), SIZE)
+    passes = BackendPasses(device, scene, parse_camera_path("ground", scene).camera(0), SIZE)
     assert passes.resources.images is not None
     (images,) = passes.resources.images.textures
     levels = [
@@ -77,12 +77,14 @@ def read_levels(device: Device, scene: Scene) -> list[NDArray[Any]]:
 
 def draw_depth(device: Device, scene: Scene, path: str, frame: int, size: tuple[int, int], wider: int) -> NDArray[Any]:
     """Draw the depth pass in a viewport several times as wide as the target."""
-    passes = BackendPasses(device, scene, find_path(path, scene).camera(frame), size)
-    lens, eye = passes.camera.relative_view_projection.copy(), passes.camera.position
-    lens[:2] /= wider
+    passes = BackendPasses(device, scene, parse_camera_path(path, scene).camera(frame), size)
+    projection, eye = passes.camera.relative_view_projection.copy(), passes.camera.position
+    projection[:2] /= wider
     high = eye.astype(np.float32)
     passes.view.buffer.write(
-        shaders.ViewConstants(relative_view_projection=lens, eye_high=high, eye_low=(eye - high).astype(np.float32))
+        shaders.ViewConstants(
+            relative_view_projection=projection, eye_high=high, eye_low=(eye - high).astype(np.float32)
+        )
     )
     width, height = size
     view = Viewport((1 - wider) * width / 2, (1 - wider) * height / 2, wider * width, wider * height)
@@ -153,7 +155,7 @@ def test_gl_and_cl_count_the_same_samples(devices: tuple[Device, Device], scene:
     """For 1,000 boxes against the scene's depth; at an edge a sample more or less may be counted."""
     counts = []
     for device in devices:
-        passes = BackendPasses(device, scene, find_path(path, scene).camera(900), SIZE)
+        passes = BackendPasses(device, scene, parse_camera_path(path, scene).camera(900), SIZE)
         passes.work("queries")(0)
         counts.append(np.array(passes.count_boxes()))
         passes.destroy()
@@ -167,10 +169,10 @@ def test_gl_and_cl_count_the_same_samples(devices: tuple[Device, Device], scene:
 @pytest.mark.nightly_cases("city-*", "hall-sky", reason=FEWER_CASES)
 @pytest.mark.parametrize("path", ["ground", "sky"])
 def test_cl_counts_the_samples_that_its_boxes_cover(devices: tuple[Device, Device], scene: Scene, path: str) -> None:
-    """Of up to 1,000 boxes, all at once and one by one; judged by each box drawn alone, every sample that passes
+    """Of up to 1,000 boxes, all at once and one by one; compared with each box drawn alone, every sample that passes
     adding one to its pixel."""
     device = devices[1]
-    passes = BackendPasses(device, scene, find_path(path, scene).camera(900), SIZE)
+    passes = BackendPasses(device, scene, parse_camera_path(path, scene).camera(900), SIZE)
     passes.work("queries")
     together, one_by_one = passes.count_boxes(), passes.wait_for_boxes()
     alone = []

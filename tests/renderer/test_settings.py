@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from refusals import find_rule
+from refusals import refused_rule
 
 import rhi
 from renderer.content import load_scene
-from renderer.frame import Blending, GlowSettings, TextureSettings
+from renderer.frame import Blending, BloomSettings, TextureSettings
 from renderer.scene import Depth, StereoRig
 from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.techniques import TECHNIQUES, Clustered, Forward, Inferred, TechniqueSettings
-from renderer.techniques.parts.cell_lists import LightCells
+from renderer.techniques.parts.light_list_reader import ClusterSettings
 from renderer.tessellation import TessellationSettings
 from renderer.visibility import ChcPlusPlus, FrustumCulling, VisibilitySettings
 from rhi import Filter, SamplerDescriptor
@@ -30,7 +30,7 @@ from rhi.shading import Precision, Shader
 from tests.renderer.conftest import open_device
 
 OTHERS = RenderSettings(
-    TechniqueSettings("clustered", fxaa=True, clusters=LightCells(32, 7, "hybrid"), scale=0.5, stippled=False),
+    TechniqueSettings("clustered", fxaa=True, clusters=ClusterSettings(32, 7, "hybrid"), scale=0.5, stippled=False),
     "frustum",
     VisibilitySettings(batch=7, threshold=3),
     ShadowSettings(ShadowFilter.HARD, cascades=2, bias=0.5),
@@ -40,7 +40,7 @@ OTHERS = RenderSettings(
     depth=Depth.STANDARD,
     animation_step=0.25,
     animation_lag=2.0,
-    simulates_unseen=True,
+    simulates_hidden=True,
     reprojects=True,
     scale=0.5,
 )
@@ -62,16 +62,16 @@ def test_what_a_file_lacks_has_its_default(tmp_path: Path) -> None:
 
 
 def test_cells_that_a_file_gives_in_part_are_otherwise_those_of_their_technique(tmp_path: Path) -> None:
-    given = {"tiles": {"sphere_test": "hybrid"}, "clusters": {"slices": 12}}
-    (tmp_path / "s.json").write_text(json.dumps({"rendering": {"technique": given}}))
+    technique_fields = {"tiles": {"sphere_test": "hybrid"}, "clusters": {"slices": 12}}
+    (tmp_path / "s.json").write_text(json.dumps({"rendering": {"technique": technique_fields}}))
     technique = RenderSettings.load(tmp_path / "s.json").technique
-    assert (technique.tiles, technique.clusters) == (LightCells(16, 1, "hybrid"), LightCells(64, 12, "exact"))
+    assert (technique.tiles, technique.clusters) == (ClusterSettings(16, 1, "hybrid"), ClusterSettings(64, 12, "exact"))
 
 
 @pytest.mark.parametrize("text", ["[]", "{}"])
 def test_a_file_without_settings_is_refused(text: str, tmp_path: Path) -> None:
     (tmp_path / "s.json").write_text(text)
-    assert find_rule(lambda: RenderSettings.load(tmp_path / "s.json")) == "visibility-bad-settings"
+    assert refused_rule(lambda: RenderSettings.load(tmp_path / "s.json")) == "visibility-bad-settings"
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_a_setting_that_no_frame_could_have_is_refused_as_its_file_is_read(
     text: str, rule: str, tmp_path: Path
 ) -> None:
     (tmp_path / "s.json").write_text(f'{{"rendering": {text}}}')
-    assert find_rule(lambda: RenderSettings.load(tmp_path / "s.json")) == rule
+    assert refused_rule(lambda: RenderSettings.load(tmp_path / "s.json")) == rule
 
 
 PARTS = (
@@ -108,17 +108,17 @@ PARTS = (
     ShadowSettings,
     TextureSettings,
     TessellationSettings,
-    GlowSettings,
+    BloomSettings,
 )
-FIELDS = [(part, one.name) for part in PARTS for one in fields(part)]
+FIELDS = [(part, setting.name) for part in PARTS for setting in fields(part)]
 
 
-@pytest.mark.parametrize(("part", "name"), FIELDS, ids=lambda one: getattr(one, "__name__", one))
+@pytest.mark.parametrize(("part", "name"), FIELDS, ids=lambda setting: getattr(setting, "__name__", setting))
 def test_a_value_of_another_kind_is_refused_by_name(part: type[Any], name: str) -> None:
-    given = getattr(part(), name)
-    others: list[Any] = ["text" if not isinstance(given, str) else 3, [], float("nan")]
-    others += [1] if isinstance(given, bool) else [True]
-    others += [1.5] if type(given) is int else []
+    default = getattr(part(), name)
+    others: list[Any] = ["text" if not isinstance(default, str) else 3, [], float("nan")]
+    others += [1] if isinstance(default, bool) else [True]
+    others += [1.5] if type(default) is int else []
     for other in others:
         with pytest.raises(rhi.ValidationError, match=re.escape(f"{part.__name__}({name}=")):
             part(**{name: other})
@@ -132,7 +132,7 @@ def mutate(rng: random.Random, value: Any) -> Any:
     if not isinstance(value, dict) or not value or rng.random() < 0.1:
         return rng.choice(STRANGE)
     name = rng.choice(list(value))
-    others = {one: it for one, it in value.items() if one != name}
+    others = {setting: it for setting, it in value.items() if setting != name}
     way = rng.random()
     return others if way < 0.1 else {**others, f"{name}s" if way < 0.2 else name: mutate(rng, value[name])}
 
@@ -144,13 +144,13 @@ def test_a_mutated_file_is_refused_by_a_rule_or_draws_a_frame(seed: int, tmp_pat
     text, scene = (tmp_path / "s.json").read_text(), load_scene("grid:count=4,lights=2")
     rng, drawn = random.Random(seed), 0
     for _ in range(300):
-        made = json.dumps(mutate(rng, json.loads(text)))
-        cut = rng.randrange(len(made)) if rng.random() < 0.1 else len(made)
-        (tmp_path / "s.json").write_text(made[:cut])
+        mutated = json.dumps(mutate(rng, json.loads(text)))
+        cut = rng.randrange(len(mutated)) if rng.random() < 0.1 else len(mutated)
+        (tmp_path / "s.json").write_text(mutated[:cut])
         with suppress(rhi.RhiError):
             settings = RenderSettings.load(tmp_path / "s.json")
             with settings.open(null, scene, (32, 24)) as renderer:
-                renderer.render(settings.aim(next(iter(scene.views.values()))))
+                renderer.render(settings.adapt_camera(next(iter(scene.views.values()))))
                 drawn += 1
     assert 30 < drawn < 290  # some are as good as others, and most of what isn't is refused
 
@@ -164,21 +164,21 @@ def test_numbers_of_numpy_become_python_s_own() -> None:
 
 @pytest.mark.parametrize("anisotropy", [0.99, inf])
 def test_an_anisotropy_out_of_its_range_is_refused(anisotropy: float) -> None:
-    assert find_rule(lambda: TextureSettings(anisotropy=anisotropy)) == "texture-settings"
+    assert refused_rule(lambda: TextureSettings(anisotropy=anisotropy)) == "texture-settings"
     assert TextureSettings(anisotropy=1.0).anisotropy == 1.0
 
 
 @pytest.mark.parametrize("bias", [-16.01, 16.01, nan])
 def test_a_mip_bias_of_more_levels_than_there_are_is_refused(bias: float) -> None:
-    assert find_rule(lambda: TextureSettings(mip_bias=bias)) == "texture-settings"
+    assert refused_rule(lambda: TextureSettings(mip_bias=bias)) == "texture-settings"
     assert [TextureSettings(mip_bias=most).mip_bias for most in (-16.0, 16.0)] == [-16.0, 16.0]
 
 
 @pytest.mark.parametrize("least", [-0.1, inf, nan])
 def test_a_cutoff_of_no_light_is_refused(least: float, null: rhi.Device) -> None:
-    assert find_rule(lambda: RenderSettings(light_cutoff=least)) == "light-cutoff"
+    assert refused_rule(lambda: RenderSettings(light_cutoff=least)) == "light-cutoff"
     with RenderSettings(light_cutoff=0.5).open(null, load_scene("grid:count=1"), (8, 8)) as renderer:
-        assert find_rule(lambda: setattr(renderer, "light_cutoff", least)) == "light-cutoff"
+        assert refused_rule(lambda: setattr(renderer, "light_cutoff", least)) == "light-cutoff"
         assert renderer.light_cutoff == 0.5
 
 
@@ -209,21 +209,21 @@ def test_settings_at_the_ends_of_their_ranges_are_taken(tmp_path: Path) -> None:
 )
 def test_other_ways_of_techniques_can_be_set(technique: str, way: str, null: rhi.Device) -> None:
     scene = load_scene("grid:count=1")
-    for chosen in (False, True):
-        settings = RenderSettings().change_all({"technique.name": technique, f"technique.{way}": chosen})
-        assert getattr(settings.technique.make(scene, null), way) is chosen
+    for is_on in (False, True):
+        settings = RenderSettings().change_all({"technique.name": technique, f"technique.{way}": is_on})
+        assert getattr(settings.technique.make(scene, null), way) is is_on
 
 
 def test_settings_change_by_their_paths() -> None:
     changed = RenderSettings().change_all({"shadows.cascades": 2, "technique.clusters.slices": 8})
-    assert (changed.get("shadows.cascades"), changed.technique.clusters) == (2, LightCells(64, 8))
+    assert (changed.get("shadows.cascades"), changed.technique.clusters) == (2, ClusterSettings(64, 8))
     assert changed.change("shadows.cascades", 4).change("technique.clusters.slices", 24) == RenderSettings()
 
 
 def test_a_renderer_has_the_settings(null: rhi.Device) -> None:
     scene = load_scene("city:blocks=2,shadows=1")
     with OTHERS.open(null, scene, (16, 16), StereoRig()) as renderer:
-        camera = OTHERS.aim(next(iter(scene.views.values())))
+        camera = OTHERS.adapt_camera(next(iter(scene.views.values())))
         result = renderer.render(camera)
         assert renderer.shadows.settings is OTHERS.shadows
         assert isinstance(renderer.visibility, FrustumCulling)
@@ -231,18 +231,18 @@ def test_a_renderer_has_the_settings(null: rhi.Device) -> None:
         assert renderer.stereo is not None
         assert renderer.stereo.is_reprojected
         assert camera.projection.depth is Depth.STANDARD
-        assert len(result.pictures) == 2
+        assert len(result.eye_images) == 2
 
 
 def test_techniques_have_the_settings_that_are_theirs(null: rhi.Device) -> None:
     scene = load_scene("grid:count=1")
-    settings = TechniqueSettings("clustered", clusters=LightCells(32), scale=0.25, stippled=False)
+    settings = TechniqueSettings("clustered", clusters=ClusterSettings(32), scale=0.25, stippled=False)
     clustered, inferred = settings.make(scene, null), RenderSettings(settings).change("technique.name", "inferred")
-    made = inferred.technique.make(scene, null)
+    technique = inferred.technique.make(scene, null)
     assert isinstance(clustered, Clustered)
-    assert clustered.cells == LightCells(32)
-    assert isinstance(made, Inferred)
-    assert (made.scale, made.stippled) == (0.25, False)
+    assert clustered.cells == ClusterSettings(32)
+    assert isinstance(technique, Inferred)
+    assert (technique.scale, technique.stippled) == (0.25, False)
     sampled = TechniqueSettings(samples=4).make(scene, null)
     assert isinstance(sampled, Forward)
     assert sampled.samples == 4
@@ -257,7 +257,7 @@ def test_an_algorithm_has_the_settings() -> None:
 def test_textures_are_read_no_better_than_the_settings_say() -> None:
     plain, best = SamplerDescriptor(), SamplerDescriptor(max_anisotropy=8.0)
     pixels = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None)
-    assert [TextureSettings().adjust(one, 16.0) for one in (plain, best, pixels)] == [plain, best, pixels]
+    assert [TextureSettings().adjust(setting, 16.0) for setting in (plain, best, pixels)] == [plain, best, pixels]
     flat = TextureSettings(mip=None)
     assert flat.adjust(plain, 16.0) == SamplerDescriptor(mip=None)
     nearest = TextureSettings(Filter.NEAREST, Filter.NEAREST)

@@ -25,7 +25,7 @@ def screen() -> Iterator[Screen]:
 
 
 def test_an_orbit_begins_where_it_is_told_with_the_proportions_of_the_screen(screen: Screen) -> None:
-    camera = OrbitCamera(screen, (1.0, 2.0, 3.0), 7.0, yaw=0.4, pitch=-0.3, lens=Perspective(fov=0.8)).update()
+    camera = OrbitCamera(screen, (1.0, 2.0, 3.0), 7.0, yaw=0.4, pitch=-0.3, projection=Perspective(fov=0.8)).update()
     assert np.allclose(camera.view, rhi.math.orbit((1.0, 2.0, 3.0), 7.0, 0.4, -0.3))
     assert np.allclose(camera.projection.matrix, rhi.math.perspective(0.8, 60 / 40))
 
@@ -92,13 +92,13 @@ def test_an_event_that_was_stopped_moves_no_camera_and_a_closed_one_listens_no_m
 
 @pytest.mark.parametrize("frames", [1, 7, 10, 100])
 def test_a_second_has_as_many_steps_in_any_number_of_frames(frames: int) -> None:
-    steps = FixedSteps(60, most=60)
+    steps = FixedSteps(60, max_steps=60)
     assert sum(len(steps.advance(1 / frames)) for _ in range(frames)) == 60
     assert steps.part == pytest.approx(0.0, abs=1e-6)
 
 
 def test_what_has_passed_of_a_step_is_its_part_and_a_slow_frame_drops_time() -> None:
-    steps = FixedSteps(10, most=3)
+    steps = FixedSteps(10, max_steps=3)
     assert (list(steps.advance(0.25)), steps.part) == ([0, 1], pytest.approx(0.5))
     assert list(steps.advance(10.0)) == [0, 1, 2]
     assert len(steps.advance(0.1)) == 1, "the rest of ten seconds isn't made up for"

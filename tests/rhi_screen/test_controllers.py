@@ -50,12 +50,12 @@ def test_a_key_reaches_the_speed_and_its_release_ends_the_motion() -> None:
 
 def test_a_glide_is_the_integral_of_its_speed() -> None:
     glide, steps = Glide(), 100_000
-    wanted, way, speeds = np.array((2.0, 0.0, 0.0)), 0.0, []
+    target_speed, way, speeds = np.array((2.0, 0.0, 0.0)), 0.0, []
     fine = Glide()
     for _ in range(steps):
         speeds.append(fine.speed[0])
-        fine.advance(wanted, 0.5 / steps)
-    way = float(glide.advance(wanted, 0.5)[0])
+        fine.advance(target_speed, 0.5 / steps)
+    way = float(glide.advance(target_speed, 0.5)[0])
     assert way == pytest.approx(np.mean(speeds) * 0.5, rel=1e-4)
 
 
@@ -73,11 +73,11 @@ def test_the_view_never_turns_over(kind: str) -> None:
 @pytest.mark.parametrize("pitch", [-np.pi / 2, -0.7, 0.0, 0.7, np.pi / 2])
 @pytest.mark.parametrize("yaw", [-3.0, -1.0, 0.0, 2.0])
 def test_a_heading_is_found_again_in_its_camera(yaw: float, pitch: float) -> None:
-    given = Heading(yaw, pitch)
-    camera = Camera(np.zeros(3), given.rotation, Perspective())
-    assert np.allclose(Heading.of(camera).rotation, given.rotation, atol=1e-9)
-    assert np.allclose(given.rotation @ given.rotation.T, np.eye(3), atol=1e-15)
-    assert np.linalg.det(given.rotation) == pytest.approx(1.0)
+    heading = Heading(yaw, pitch)
+    camera = Camera(np.zeros(3), heading.rotation, Perspective())
+    assert np.allclose(Heading.of(camera).rotation, heading.rotation, atol=1e-9)
+    assert np.allclose(heading.rotation @ heading.rotation.T, np.eye(3), atol=1e-15)
+    assert np.linalg.det(heading.rotation) == pytest.approx(1.0)
 
 
 def test_a_drag_in_an_orbit_keeps_the_point_below_the_pointer() -> None:
@@ -87,11 +87,11 @@ def test_a_drag_in_an_orbit_keeps_the_point_below_the_pointer() -> None:
     orbit.drag(0.2, -0.1)
     after = orbit.camera
 
-    def place(camera: Camera) -> np.ndarray:
+    def position_in_view(camera: Camera) -> np.ndarray:
         clip = camera.view_projection @ np.append(point, 1.0)
         return np.asarray(clip[:2] / clip[3] * (camera.projection.aspect, 1.0) / 2.0)  # type: ignore[attr-defined]
 
-    assert place(after) - place(before) == pytest.approx((0.2, -0.1), abs=1e-9)
+    assert position_in_view(after) - position_in_view(before) == pytest.approx((0.2, -0.1), abs=1e-9)
 
 
 def test_zooming_an_orbit_in_and_out_comes_back() -> None:
@@ -105,7 +105,7 @@ def test_zooming_an_orbit_in_and_out_comes_back() -> None:
 
 
 @pytest.mark.parametrize("kind", ["fly", "orbit"])
-def test_zooming_a_parallel_lens_shows_less(kind: str) -> None:
+def test_zooming_an_orthographic_projection_shows_less(kind: str) -> None:
     controller = make(kind, BEGIN.with_projection(Orthographic(10.0)))
     controller.zoom(1.0)
     assert image_height(controller.camera.projection, 1.0) == pytest.approx(10.0 / 1.15)

@@ -60,16 +60,16 @@ def draw_on(backend: str) -> np.ndarray:
 
 
 def test_widgets_are_drawn_over_the_image() -> None:
-    picture = draw_on("gl")
-    assert (picture[120:, 150:] == (51, 102, 153, 255)).all(), "beside the panel is the picture"
-    assert len(np.unique(picture.reshape(-1, 4), axis=0)) > 20
+    image = draw_on("gl")
+    assert (image[120:, 150:] == (51, 102, 153, 255)).all(), "beside the panel is the image"
+    assert len(np.unique(image.reshape(-1, 4), axis=0)) > 20
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("backend", ["cl", "wgpu"])
-def test_widgets_are_the_same_picture_on_each_backend(backend: str) -> None:
+def test_widgets_are_the_same_image_on_each_backend(backend: str) -> None:
     """Within 2/255 where textures are filtered."""
-    if not any(one.name == backend and one.usable for one in rhi.report()):
+    if not any(candidate.name == backend and candidate.usable for candidate in rhi.report()):
         pytest.skip(f"no {backend} on this machine")
     assert np.abs(draw_on(backend) - draw_on("gl")).max() <= 2
 
@@ -82,7 +82,7 @@ def test_a_texture_is_shown_texel_by_texel_and_cut_by_its_window() -> None:
         texture = screen.device.texture(texels)
 
         def widgets() -> None:
-            imgui.begin("picture", None, PLAIN)
+            imgui.begin("image", None, PLAIN)
             imgui.set_cursor_pos(imgui.ImVec2(20, 20))
             imgui.image(gui.renderer.texture(texture), imgui.ImVec2(16, 400))
             imgui.end()
@@ -108,7 +108,7 @@ def test_colors_are_the_same_in_linear_light(texels_are_light: bool, image_is_li
         texture = screen.device.texture(texels.astype(np.uint8), formats[texels_are_light])
 
         def widgets() -> None:
-            imgui.begin("picture", None, PLAIN)
+            imgui.begin("image", None, PLAIN)
             imgui.set_cursor_pos(imgui.ImVec2(20, 20))
             imgui.image(gui.renderer.texture(texture), imgui.ImVec2(16, 16))
             imgui.get_window_draw_list().add_rect_filled((60, 60), (80, 80), imgui.IM_COL32(200, 100, 50, 255))

@@ -30,7 +30,7 @@ KEY = {"type": "key_down", "key": "x", "modifiers": [], "timestamp": 1.0}
 Visit = Callable[[Any], Awaitable[None]]
 
 
-class Shown:
+class PageLog:
     """What a page has shown and was told, in the end."""
 
     def __init__(self) -> None:
@@ -38,9 +38,9 @@ class Shown:
         self.keys: list[str] = []
 
 
-def show(visit: Visit, **options: Any) -> Shown:
+def show(visit: Visit, **options: Any) -> PageLog:
     """Run a page that shows red images until a visitor is done with it."""
-    seen, errors = Shown(), []
+    seen, errors = PageLog(), []
     canvas = open_canvas("page", title="a <b>", size=SIZE, **options)
 
     async def go() -> None:
@@ -87,11 +87,11 @@ async def fetch(page: Any, path: str, host: str = "") -> tuple[int, str]:
     return int(answer.split()[1]), answer
 
 
-async def take_picture(client: ClientConnection, index: int) -> np.ndarray:
-    """Return the next picture, say that it is shown."""
+async def receive_frame(client: ClientConnection, index: int) -> np.ndarray:
+    """Return the next image, say that it is shown."""
     while True:
-        told = json.loads(await client.recv())
-        if told["type"] == "framebufferdata":
+        event = json.loads(await client.recv())
+        if event["type"] == "framebufferdata":
             data = await client.recv()
             await client.send(json.dumps({"type": "_framefeedback", "index": index, "timestamp": 1.0}))
             with Image.open(io.BytesIO(data)) as image:
@@ -102,7 +102,7 @@ def token_of(page: Any) -> str:
     return str(page.address.split("/")[3])
 
 
-def test_the_address_shows_the_picture_in_the_size_and_with_the_title() -> None:
+def test_the_address_shows_the_image_in_the_size_and_with_the_title() -> None:
     async def visit(page: Any) -> None:
         status, text = await fetch(page, f"/{token_of(page)}/")
         assert status == 200
@@ -116,11 +116,11 @@ def test_the_address_shows_the_picture_in_the_size_and_with_the_title() -> None:
         await asyncio.sleep(0.1)  # a frame was asked for before anybody looked
         async with enter(page) as client:
             assert json.loads(await client.recv()) == {"type": "title", "value": "a <b>"}
-            picture = await take_picture(client, 1)
-            assert picture.shape[:2] == SIZE[::-1]
+            image = await receive_frame(client, 1)
+            assert image.shape[:2] == SIZE[::-1]
             await client.send(json.dumps(RESIZE))
-            while picture.shape[:2] != (20, 30):
-                picture = await take_picture(client, 9)
+            while image.shape[:2] != (20, 30):
+                image = await receive_frame(client, 9)
             await client.send(json.dumps(KEY | {"type": "unknown"}))  # is passed over
             await client.send(json.dumps(KEY))
             while not seen_keys:
@@ -132,9 +132,9 @@ def test_the_address_shows_the_picture_in_the_size_and_with_the_title() -> None:
         page.add_event_handler(lambda event: seen_keys.append(event["key"]), "key_down")
         await visit(page)
 
-    shown = show(visit_and_listen)
-    assert {SIZE, (30, 20)} <= set(shown.sizes)
-    assert shown.keys == ["x"]
+    record = show(visit_and_listen)
+    assert {SIZE, (30, 20)} <= set(record.sizes)
+    assert record.keys == ["x"]
 
 
 @pytest.mark.parametrize("origin", ["https://evil.example", "http://127.0.0.1:1", "null", "file://", None])
@@ -182,9 +182,9 @@ def test_one_client_at_a_time_unless_more_are_asked_for() -> None:
                 async with enter(page):
                     pass
             await page._attend(None)  # one that was admitted at the same time
-            await take_picture(first, 1)
+            await receive_frame(first, 1)
         async with enter(page) as next_one:
-            await take_picture(next_one, 1)
+            await receive_frame(next_one, 1)
         while page._clients:
             await asyncio.sleep(0.01)
         page._is_closed = True  # while one is let in
@@ -193,8 +193,8 @@ def test_one_client_at_a_time_unless_more_are_asked_for() -> None:
 
     async def visit_both(page: Any) -> None:
         async with enter(page) as first, enter(page) as second:
-            await take_picture(first, 1)
-            assert (await take_picture(second, 1)).shape[:2] == SIZE[::-1]
+            await receive_frame(first, 1)
+            assert (await receive_frame(second, 1)).shape[:2] == SIZE[::-1]
             await second.send(json.dumps(KEY | {"key": "passive"}))
             await second.ping()
             await first.send(json.dumps(KEY | {"key": "active"}))
@@ -234,7 +234,7 @@ def test_what_is_no_event_closes_the_connection_and_the_loop_goes_on(
                 while True:
                     await client.recv()
         async with enter(page) as client:
-            await take_picture(client, 1)
+            await receive_frame(client, 1)
 
     assert show(visit).sizes[-1] == SIZE
     assert ("closed a page that sent no event" in caplog.text) == (len(message) < 1 << 16)
@@ -251,8 +251,8 @@ def test_no_more_than_two_frames_are_sent_that_a_page_has_not_shown() -> None:
                 await asyncio.sleep(0.02)
             with pytest.raises(asyncio.TimeoutError):
                 while True:
-                    told.append(await asyncio.wait_for(client.recv(), 0.5))
-        assert len([each for each in told if isinstance(each, bytes)]) in (2, 3)  # one may precede what it said
+                    received.append(await asyncio.wait_for(client.recv(), 0.5))
+        assert len([each for each in received if isinstance(each, bytes)]) in (2, 3)  # one may precede what it said
 
-    told: list[str | bytes] = []
+    received: list[str | bytes] = []
     show(visit)

@@ -39,9 +39,9 @@ def test_a_canvas_shows_the_images_colors_opaque(backend: str, format: Format) -
             image.destroy()  # it is needed no longer
 
         screen.canvas.request_draw(draw)
-        shown = screen.canvas.draw()
-    assert (shown[..., :3] == texels[..., :3]).all()
-    assert (shown[..., 3] == 255).all()
+        displayed = screen.canvas.draw()
+    assert (displayed[..., :3] == texels[..., :3]).all()
+    assert (displayed[..., 3] == 255).all()
 
 
 def test_showing_an_image_ends_the_frame(screen: Screen) -> None:

@@ -27,7 +27,7 @@ pytest.importorskip("rendercanvas", reason="no rendercanvas: pip install rhi[vie
 from rhi_screen import Screen, open_screen
 
 Check = Callable[..., None]
-needs_xdotool = pytest.mark.skipif(
+requires_xdotool = pytest.mark.skipif(
     shutil.which("xdotool") is None, reason="nothing that moves a pointer: apt install xdotool"
 )
 SIZE = (64, 48)
@@ -77,7 +77,7 @@ def make_image(screen: Screen, seed: int = 1, format: Format = Format.RGBA8) -> 
     return screen.device.texture(texels, format)
 
 
-def window_place(screen: Screen) -> tuple[int, int]:
+def window_position(screen: Screen) -> tuple[int, int]:
     import glfw
 
     x, y = glfw.get_window_pos(screen.canvas._window)
@@ -86,10 +86,10 @@ def window_place(screen: Screen) -> tuple[int, int]:
 
 def shows(display: Display, screen: Screen, image: rhi.Texture) -> bool:
     """Whether the window's pixels on the screen are, or become without another frame, the image's."""
-    wanted = image.read()[..., :3]
+    expected = image.read()[..., :3]
     for _ in range(100):
-        seen = display.look(*window_place(screen), *screen.size)
-        if seen.shape == wanted.shape and (seen == wanted).all():
+        seen = display.look(*window_position(screen), *screen.size)
+        if seen.shape == expected.shape and (seen == expected).all():
             return True
         time.sleep(0.02)
     return False
@@ -177,19 +177,19 @@ def check_pixels(display: Display, backend: str) -> None:
 
 def check_resize(display: Display, backend: str) -> None:
     with open_screen(backend, size=SIZE, update_mode="fastest") as screen:
-        told = []
-        screen.canvas.add_event_handler(lambda event: told.append((event["width"], event["height"])), "resize")
+        sizes = []
+        screen.canvas.add_event_handler(lambda event: sizes.append((event["width"], event["height"])), "resize")
 
         def steps() -> Iterator[None]:
             for size in ((101, 67), (40, 90), SIZE):
                 screen.canvas.set_logical_size(*size)
                 yield
                 assert screen.size == size, "the next frame has the new size"
-                assert told[-1] == size
+                assert sizes[-1] == size
                 image = make_image(screen)
                 screen.show(image)
                 yield
-                assert shows(display, screen, image), f"the first picture of {size}"
+                assert shows(display, screen, image), f"the first image of {size}"
 
         play(screen, steps())
 
@@ -276,8 +276,8 @@ def check_density(_display: Display, density: int, ratio: float) -> None:
         def steps() -> Iterator[None]:
             yield
             for _ in range(1000):
-                place = [str(round(each * ratio)) for each in (30, 12)]
-                subprocess.run(["xdotool", "mousemove", "--window", str(x_window(screen)), *place], check=True)
+                coordinates = [str(round(each * ratio)) for each in (30, 12)]
+                subprocess.run(["xdotool", "mousemove", "--window", str(x_window(screen)), *coordinates], check=True)
                 yield
                 if moves:
                     break
@@ -313,9 +313,9 @@ def check_minimised(_display: Display) -> None:
 
 
 def check_closing(_display: Display, backend: str) -> None:
-    manager, told = WindowManager(), []
+    manager, events = WindowManager(), []
     with open_screen(backend, size=SIZE, update_mode="fastest") as screen:
-        screen.canvas.add_event_handler(lambda event: told.append(event["event_type"]), "close")
+        screen.canvas.add_event_handler(lambda event: events.append(event["event_type"]), "close")
         image = make_image(screen)
 
         def steps() -> Iterator[None]:
@@ -329,32 +329,32 @@ def check_closing(_display: Display, backend: str) -> None:
 
         play(screen, steps())
         assert screen.canvas.get_closed()
-        assert told == ["close"]
+        assert events == ["close"]
         screen.show(image)  # nowhere
         assert image.read().shape == (48, 64, 4), "the device lives on"
 
 
 def check_two(display: Display, backend: str) -> None:
-    with open_screen(backend, size=SIZE, update_mode="fastest") as one, open_screen(backend, size=(30, 20)) as other:
+    with open_screen(backend, size=SIZE, update_mode="fastest") as first, open_screen(backend, size=(30, 20)) as second:
         import glfw
 
-        glfw.set_window_pos(other.canvas._window, 200, 100)
-        other.canvas.set_update_mode("fastest")
-        images = {screen: make_image(screen, seed) for seed, screen in enumerate((one, other))}
-        other.canvas.request_draw(lambda: other.show(images[other]))
+        glfw.set_window_pos(second.canvas._window, 200, 100)
+        second.canvas.set_update_mode("fastest")
+        images = {screen: make_image(screen, seed) for seed, screen in enumerate((first, second))}
+        second.canvas.request_draw(lambda: second.show(images[second]))
 
         def steps() -> Iterator[None]:
             for _ in range(5):
-                one.show(images[one])
+                first.show(images[first])
                 yield
             for screen, image in images.items():
                 assert shows(display, screen, image), screen.size
-            other.canvas.close()
+            second.canvas.close()
 
-        play(one, steps())
+        play(first, steps())
 
 
-def check_pace(_display: Display, options: dict[str, Any], least: int, most: int) -> None:
+def check_pace(_display: Display, options: dict[str, Any], min_rate: int, max_rate: int) -> None:
     with open_screen("null", size=SIZE, vsync=False, **options) as screen:
         times: list[float] = []
 
@@ -365,7 +365,7 @@ def check_pace(_display: Display, options: dict[str, Any], least: int, most: int
             screen.canvas.request_draw()
 
         screen.run(draw)
-    assert least <= len(times) - 1 <= most, len(times)
+    assert min_rate <= len(times) - 1 <= max_rate, len(times)
 
 
 def check_many(_display: Display, count: int) -> None:
@@ -399,12 +399,12 @@ def test_a_resize_draws_also_if_nobody_asks(windows: Check) -> None:
     windows(check_resize_wakes)
 
 
-@needs_xdotool
+@requires_xdotool
 def test_events_arrive(windows: Check) -> None:
     windows(check_events)
 
 
-@needs_xdotool
+@requires_xdotool
 @pytest.mark.parametrize(("density", "ratio"), [(192, 2.0), pytest.param(144, 1.5, marks=pytest.mark.nightly)])
 def test_a_dense_display_has_more_pixels_than_the_logical_size(display: Display, density: int, ratio: float) -> None:
     with begin_process(display) as run:
@@ -434,11 +434,11 @@ def check_surface(display: Display) -> None:
                 with screen.device.render_pass(image, clear=(shade, 0.4, 0.6, 0.0)):
                     pass
                 with pytest.MonkeyPatch.context() as patch:
-                    patch.setattr(rhi.Texture, "read", lambda *_: pytest.fail("the CPU copies the picture"))
+                    patch.setattr(rhi.Texture, "read", lambda *_: pytest.fail("the CPU copies the image"))
                     screen.show(image)
                 yield
             texels = np.broadcast_to(np.uint8([255, 102, 153]), (*SIZE[::-1], 3))
-            assert (display.look(*window_place(screen), *SIZE) == texels).all(), "scaled, and opaque"
+            assert (display.look(*window_position(screen), *SIZE) == texels).all(), "scaled, and opaque"
 
         play(screen, steps())
 
@@ -449,7 +449,7 @@ def test_wgpu_shows_on_the_window_s_surface(windows: Check) -> None:
 
 @pytest.mark.nightly_cases("options2-30-1000000", reason=CHEAPER_TEST)
 @pytest.mark.parametrize(
-    ("options", "least", "most"),
+    ("options", "min_rate", "max_rate"),
     [
         ({"update_mode": "continuous", "max_fps": 20}, 3, 11),
         ({"update_mode": "ondemand", "max_fps": 20}, 3, 11),
@@ -457,9 +457,9 @@ def test_wgpu_shows_on_the_window_s_surface(windows: Check) -> None:
     ],
 )
 def test_frames_come_at_the_rate_that_was_asked_for(
-    windows: Check, options: dict[str, Any], least: int, most: int
+    windows: Check, options: dict[str, Any], min_rate: int, max_rate: int
 ) -> None:
-    windows(check_pace, options, least, most)
+    windows(check_pace, options, min_rate, max_rate)
 
 
 @pytest.mark.nightly

@@ -49,7 +49,7 @@ class Plain(Shader):
         pass
 
 
-class Scaled(Shader):
+class ScalingShader(Shader):
     scale: Uniform[float]
     turn: Uniform[mat4]
 
@@ -88,7 +88,9 @@ def use(device: rhi.Device) -> None:
         with device.immediate(flat, Primitive.QUADS, tint=tint, many=many, albedo=image) as quads:
             quads.vertex(position=(0, 0))
     device.dispatch(plain, (1, 1, 1))
-    device.dispatch(device.program(Scaled), 1, scale=device.uniform(0.5), turn=device.transient.uniform(np.eye(4)))
+    device.dispatch(
+        device.program(ScalingShader), 1, scale=device.uniform(0.5), turn=device.transient.uniform(np.eye(4))
+    )
     with device.record() as commands, commands.render_pass(image), commands.states(CullMode.NONE):
         constants = commands.transient.uniform(Tint(color=(0, 0, 0, 1)))
         commands.draw(flat, mesh, 3, tint=constants, many=many, albedo=image)

@@ -48,7 +48,7 @@ def apply(source: str, file: dict[int, tuple[int, str, str]]) -> str:
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[int]]:
+def mistakes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[int]]:
     """The lines of errors by file, of the right programs and of those with mistakes, in one run."""
     pytest.importorskip("pyright")
     folder = tmp_path_factory.mktemp("pyright")
@@ -70,17 +70,17 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[int]]:
 
 
 @pytest.mark.parametrize("suite", SUITES, ids=lambda suite: suite.__name__)
-def test_right_use_passes_pyright(found: dict[str, set[int]], suite: Any) -> None:
-    assert suite.RIGHT.name not in found
+def test_right_use_passes_pyright(mistakes: dict[str, set[int]], suite: Any) -> None:
+    assert suite.RIGHT.name not in mistakes
 
 
 @pytest.mark.parametrize("suite", SUITES, ids=lambda suite: suite.__name__)
-def test_pyright_refuses_every_mistake_on_its_line(found: dict[str, set[int]], suite: ModuleType | Any) -> None:
+def test_pyright_refuses_every_mistake_on_its_line(mistakes: dict[str, set[int]], suite: ModuleType | Any) -> None:
     files = pack(suite.RIGHT.read_text(), suite.MISTAKES)
     assert sum(map(len, files)) == len(suite.MISTAKES)
     accepted = [
         file[line][2]
         for number, file in enumerate(files)
-        for line in file.keys() - found.get(f"{suite.__name__}_{number}.py", set())
+        for line in file.keys() - mistakes.get(f"{suite.__name__}_{number}.py", set())
     ]
     assert accepted == []

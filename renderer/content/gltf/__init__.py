@@ -4,8 +4,8 @@ add_gltf(builder, "model.glb")
 write_gltf(scene, "scene.glb")
 """
 
-from renderer.content.gltf.extras import Surroundings
+from renderer.content.gltf.extras import SceneExtras
 from renderer.content.gltf.reader import add_gltf
 from renderer.content.gltf.writer import write_gltf
 
-__all__ = ["Surroundings", "add_gltf", "write_gltf"]
+__all__ = ["SceneExtras", "add_gltf", "write_gltf"]

@@ -50,49 +50,49 @@ class Accessors:
             components: the kinds of components that are allowed, as NumPy's letters: i, u, f.
         """
         fields = self.fields[number]
-        wanted = (types,) if isinstance(types, str) else types
+        allowed_types = (types,) if isinstance(types, str) else types
         kind = fields.choice("type", _SIZES)
-        if kind not in wanted:
-            fields.refuse("type", kind, ", ".join(wanted))
+        if kind not in allowed_types:
+            fields.refuse("type", kind, ", ".join(allowed_types))
         dtype = _component(fields)
         if dtype.kind not in components:
             fields.refuse("componentType", int(fields.values["componentType"]), _list_components(components))
         if number not in self._arrays:
             self._arrays[number] = self._read(fields, dtype, _SIZES[kind])
             self._arrays[number].flags.writeable = False
-        found = self._arrays[number]
-        return found[:, 0] if kind == "SCALAR" else found
+        elements = self._arrays[number]
+        return elements[:, 0] if kind == "SCALAR" else elements
 
     def floats(self, number: int, types: tuple[str, ...] | str) -> NDArray[np.float32]:
         """Return the elements (n, size) of an accessor as float32: normalised integers are in -1 to 1 or 0 to 1."""
-        found = self.array(number, types)
-        if found.dtype.kind == "f":
-            return found
-        values = found.astype(np.float32)
+        array = self.array(number, types)
+        if array.dtype.kind == "f":
+            return array
+        values = array.astype(np.float32)
         if self.fields[number].flag("normalized"):
             # The quotient is rounded once, so that it is the float32 nearest to c / 255.
-            values = (found / np.float64(np.iinfo(found.dtype).max)).astype(np.float32)
+            values = (array / np.float64(np.iinfo(array.dtype).max)).astype(np.float32)
             values = np.maximum(values, np.float32(-1.0))
         return values
 
     def times(self, number: int) -> Floats:
         """Return the times (n,) of an animation's keys, ascending."""
-        found = self.array(number, "SCALAR", "f").astype(np.float64)
+        seconds = self.array(number, "SCALAR", "f").astype(np.float64)
         fields = self.fields[number]
-        if not np.isfinite(found).all() or not (np.diff(found) >= 0.0).all() or found[0] < 0.0:
+        if not np.isfinite(seconds).all() or not (np.diff(seconds) >= 0.0).all() or seconds[0] < 0.0:
             fields.refuse("", "times that aren't ascending", "finite seconds, 0 or more, ascending")
-        return found
+        return seconds
 
     def _read(self, fields: JsonObject, dtype: np.dtype[Any], size: int) -> NDArray[Any]:
         view = fields.index("bufferView", len(self.file.views))
         count = fields.whole("count", low=1, high=2**32)
         if view >= 0:
             stride = self.file.views[view].whole("byteStride", 0, 0, 252)
-            found = self._elements(fields, view, fields.whole("byteOffset", 0), count, dtype, size, stride)
+            array = self._elements(fields, view, fields.whole("byteOffset", 0), count, dtype, size, stride)
         else:
             self.file.budget.spend_zeros(count)
-            found = np.zeros((count, size), dtype)
-        return self._replaced(fields, found) if "sparse" in fields else found
+            array = np.zeros((count, size), dtype)
+        return self._apply_sparse(fields, array) if "sparse" in fields else array
 
     def _elements(
         self,
@@ -115,7 +115,7 @@ class Accessors:
             fields.refuse("", f"bytes {offset:,} to {end:,} of bufferViews[{view}]", f"0 to {len(data):,}")
         return np.ndarray((count, size), dtype, data, offset, (step, dtype.itemsize))
 
-    def _replaced(self, fields: JsonObject, base: NDArray[Any]) -> NDArray[Any]:
+    def _apply_sparse(self, fields: JsonObject, base: NDArray[Any]) -> NDArray[Any]:
         """Return a copy of an accessor in which its sparse elements are replaced."""
         sparse = fields.child("sparse")
         count = sparse.whole("count", low=1, high=len(base))
@@ -126,7 +126,7 @@ class Accessors:
             where.refuse("componentType", int(where.values["componentType"]), _list_components("u"))
         rows = self._elements(
             where,
-            where.index("bufferView", views, needed=True),
+            where.index("bufferView", views, required=True),
             where.whole("byteOffset", 0),
             count,
             kind,
@@ -136,7 +136,7 @@ class Accessors:
         if rows.max() >= len(base):
             where.refuse("", f"index {rows.max()}", f"0 to {len(base) - 1}")
         values = self._elements(
-            what, what.index("bufferView", views, needed=True), what.whole("byteOffset", 0), count, base.dtype,
+            what, what.index("bufferView", views, required=True), what.whole("byteOffset", 0), count, base.dtype,
             base.shape[1], 0,
         )  # fmt: skip
         changed = base.copy()
@@ -145,10 +145,10 @@ class Accessors:
 
 
 def _component(fields: JsonObject) -> np.dtype[Any]:
-    given = fields.whole("componentType")
-    if given not in _COMPONENTS:
-        fields.refuse("componentType", given, ", ".join(map(str, _COMPONENTS)))
-    return _COMPONENTS[given]
+    code = fields.whole("componentType")
+    if code not in _COMPONENTS:
+        fields.refuse("componentType", code, ", ".join(map(str, _COMPONENTS)))
+    return _COMPONENTS[code]
 
 
 def _list_components(kinds: str) -> str:

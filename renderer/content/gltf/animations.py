@@ -25,7 +25,7 @@ from renderer.content.gltf.tracks import (
     NodeMotion,
     Track,
 )
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Indices
 from renderer.scene.clips import Clips
 from renderer.scene.omissions import Omissions
 
@@ -47,15 +47,15 @@ def read_tracks(root: JsonObject, accessors: Accessors, omissions: Omissions, cl
     for order, animation in enumerate(root.children("animations")):
         samplers = animation.children("samplers")
         channels = animation.children("channels")
-        used = [channel.index("sampler", len(samplers), needed=True) for channel in channels]
-        times = {n: accessors.times(samplers[n].index("input", len(accessors), needed=True)) for n in set(used)}
+        used = [channel.index("sampler", len(samplers), required=True) for channel in channels]
+        times = {n: accessors.times(samplers[n].index("input", len(accessors), required=True)) for n in set(used)}
         moved: dict[tuple[int, int], Track] = {}
         for channel, number in zip(channels, used, strict=True):
             target = channel.child("target")
             if "node" not in target:
                 omissions.add("animations of something else than a node", channel.where)
                 continue
-            node = target.index("node", count, needed=True)
+            node = target.index("node", count, required=True)
             path = target.text("path")
             if path not in TARGETS:
                 omissions.add(f"animations of {path!r}", channel.where)
@@ -64,7 +64,7 @@ def read_tracks(root: JsonObject, accessors: Accessors, omissions: Omissions, cl
             if key in moved:
                 channel.refuse("target", f"{path} of nodes[{node}] again", "each once in an animation")
             moved[key] = _read_track(samplers[number], accessors, TARGETS[path], times[number], len(clips))
-        duration = float(max((held[-1] for held in times.values()), default=0.0))
+        duration = float(max((seconds[-1] for seconds in times.values()), default=0.0))
         name = animation.text("name", "") or f"animation {order}"
         is_played = played.isdisjoint(moved)
         clips.add(name, duration, is_played=is_played)
@@ -76,10 +76,10 @@ def read_tracks(root: JsonObject, accessors: Accessors, omissions: Omissions, cl
 
 def make_motion(
     nodes: list[GltfNode], tracks: Tracks, omissions: Omissions, clips: Clips
-) -> tuple[Rows, NodeMotion] | None:
+) -> tuple[Indices, NodeMotion] | None:
     """Return the rows of the animated nodes and their motion, or None if none is animated."""
     row_of = {node.number: row for row, node in enumerate(nodes)}
-    chosen: dict[int, list[Track]] = {}
+    tracks_of_rows: dict[int, list[Track]] = {}
     for (number, target), several in tracks.items():
         if target == WEIGHTS or number not in row_of:
             continue
@@ -87,20 +87,20 @@ def make_motion(
         if nodes[row].parts is None:
             omissions.add("animations of nodes with a matrix", nodes[row].fields.where)
         else:
-            chosen.setdefault(row, []).extend(several)
-    if not chosen:
+            tracks_of_rows.setdefault(row, []).extend(several)
+    if not tracks_of_rows:
         return None
-    rows = sorted(chosen)
+    rows = sorted(tracks_of_rows)
     parts = [nodes[row].parts or () for row in rows]
     rest = tuple(np.array([part[at] for part in parts]) for at in range(3))
-    owners = np.repeat(np.arange(len(rows)), [len(chosen[row]) for row in rows])
-    listed = [track for row in rows for track in chosen[row]]
+    owners = np.repeat(np.arange(len(rows)), [len(tracks_of_rows[row]) for row in rows])
+    listed = [track for row in rows for track in tracks_of_rows[row]]
     return np.array(rows), NodeMotion(listed, owners, (rest[0], rest[1], rest[2]), clips)
 
 
 def _read_track(sampler: JsonObject, accessors: Accessors, target: int, times: Floats, clip: int) -> Track:
     kind = KINDS[sampler.choice("interpolation", KINDS, "LINEAR")]
-    number = sampler.index("output", len(accessors), needed=True)
+    number = sampler.index("output", len(accessors), required=True)
     types = {ROTATION: "VEC4", WEIGHTS: "SCALAR"}.get(target, "VEC3")
     values = accessors.floats(number, types).astype(np.float64)
     if not (np.abs(values) <= _LARGEST).all():

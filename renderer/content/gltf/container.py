@@ -30,10 +30,10 @@ EXTENSIONS: Final = {
     "KHR_texture_transform": "texture",
 }
 """The extensions that are read, and the kind of object of the file that uses each."""
-NOTED_IN_USE: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_")
+LISTED_WHERE_USED: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_")
 """The beginnings of extensions that the materials and textures which use them leave out, not the file."""
 
-PLAIN: Final = "export it without compression and other extensions, with textures as PNG or JPEG"
+EXPORT_TIP: Final = "export it without compression and other extensions, with textures as PNG or JPEG"
 """The tip for files that need extensions which aren't read."""
 
 MAGIC: Final = b"glTF"
@@ -78,7 +78,7 @@ class GltfFile:
     def view(self, number: int) -> ByteArray:
         """Return the bytes of a buffer view."""
         fields = self.views[number]
-        buffer = self.buffer(fields.index("buffer", len(self._declared), needed=True))
+        buffer = self.buffer(fields.index("buffer", len(self._declared), required=True))
         offset = fields.whole("byteOffset", 0)
         length = fields.whole("byteLength", low=1)
         if offset + length > len(buffer):
@@ -91,20 +91,20 @@ class GltfFile:
             fields = self._declared[number]
             length = fields.whole("byteLength", low=1)
             if "uri" in fields:
-                held = self.read(fields)
+                data = self.read(fields)
             elif number == 0 and self._binary is not None:
-                held = self._binary
+                data = self._binary
             else:
                 others = ", ".join(fields.child("extensions").values)  # such as EXT_meshopt_compression
-                given = f"missing, with {others}" if others else "missing"
-                fields.refuse("uri", given, "the buffer's file, or data:…;base64,…", PLAIN if others else "")
-            if len(held) < length:
-                fields.refuse("byteLength", f"{length:,}", f"{len(held):,}, the bytes that are there, or less")
-            self._buffers[number] = held[:length]
+                problem = f"missing, with {others}" if others else "missing"
+                fields.refuse("uri", problem, "the buffer's file, or data:…;base64,…", EXPORT_TIP if others else "")
+            if len(data) < length:
+                fields.refuse("byteLength", f"{length:,}", f"{len(data):,}, the bytes that are there, or less")
+            self._buffers[number] = data[:length]
         return self._buffers[number]
 
     def read(self, fields: JsonObject) -> ByteArray:
-        """Return the bytes that the field `uri` names: those of a file beside this one, or the field's own."""
+        """Return the bytes that the field `uri` names: a file beside this one, or data in the field itself."""
         uri = fields.text("uri")
         if uri.startswith("data:"):
             header, _, data = uri.partition(",")
@@ -168,16 +168,16 @@ class GltfFile:
         version = asset.text("minVersion", asset.text("version", "missing"))
         if version.partition(".")[0] != "2":
             asset.refuse("version", version, "2.0")
-        needed = [name for name in self.names("extensionsRequired") if name not in EXTENSIONS]
-        if needed:
-            self.root.refuse("extensionsRequired", ", ".join(needed), ", ".join(EXTENSIONS), PLAIN)
+        required = [name for name in self.names("extensionsRequired") if name not in EXTENSIONS]
+        if required:
+            self.root.refuse("extensionsRequired", ", ".join(required), ", ".join(EXTENSIONS), EXPORT_TIP)
 
     def names(self, field: str) -> list[str]:
         """Return a list of texts in the document."""
-        held = self.root.values.get(field, [])
-        if not isinstance(held, list) or not all(isinstance(name, str) for name in held):
-            self.root.refuse(field, held, "a list of texts")
-        return held
+        listed = self.root.values.get(field, [])
+        if not isinstance(listed, list) or not all(isinstance(name, str) for name in listed):
+            self.root.refuse(field, listed, "a list of texts")
+        return listed
 
 
 def _read_bytes(path: str, budget: Budget) -> ByteArray:
@@ -189,5 +189,5 @@ def _read_bytes(path: str, budget: Budget) -> ByteArray:
         _refuse(path, getattr(error, "strerror", None) or str(error))
 
 
-def _refuse(path: str, given: str, allowed: str = "") -> NoReturn:
-    refuse(rules.UNREADABLE_MODEL, f"load_model({path!r})", f"{path}: {given}", allowed)
+def _refuse(path: str, value: str, allowed: str = "") -> NoReturn:
+    refuse(rules.UNREADABLE_MODEL, f"load_model({path!r})", f"{path}: {value}", allowed)

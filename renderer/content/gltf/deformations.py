@@ -24,8 +24,8 @@ from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.nodes import GltfNode
 from renderer.content.gltf.primitives import PrimitiveMesh
 from renderer.content.gltf.tracks import NodeMotion, PropertyTracks, Track
-from renderer.scene.arrays import Floats, Rows
-from renderer.scene.catching_up import Recompute
+from renderer.scene.arrays import Floats, Indices
+from renderer.scene.catch_up import Recompute
 from renderer.scene.clips import Clips
 from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry
 from rhi.math import multiply, transform_bounds
@@ -46,12 +46,12 @@ class NodeTree:
     """
 
     nodes: list[GltfNode]
-    member: Rows
+    member: Indices
     moves: NDArray[np.bool_]
     motion: NodeMotion | None
 
     @classmethod
-    def make(cls, nodes: list[GltfNode], animated: tuple[Rows, NodeMotion] | None) -> NodeTree:
+    def make(cls, nodes: list[GltfNode], animated: tuple[Indices, NodeMotion] | None) -> NodeTree:
         """Create the tree of `nodes`, given the rows of those that are animated and their motion."""
         member = np.full(len(nodes), -1)
         if animated is not None:
@@ -63,13 +63,13 @@ class NodeTree:
 
     def chain(self, row: int) -> list[int]:
         """Return a node and all above it, from the root downwards."""
-        found = []
+        ancestors = []
         while row >= 0:
-            found.append(row)
+            ancestors.append(row)
             row = self.nodes[row].parent
-        return found[::-1]
+        return ancestors[::-1]
 
-    def find_anchor(self, rows: Sequence[int]) -> int:
+    def common_anchor(self, rows: Sequence[int]) -> int:
         """Return the deepest node that is above or at all `rows` and never moves, or -1."""
         chains = [self.chain(row) for row in rows]
         anchor = -1
@@ -90,21 +90,21 @@ class NodeTree:
             row = self.nodes[row].parent
         return box
 
-    def find_bounds(self, contents: Sequence[tuple[int, MeshBounds]]) -> MeshBounds:
+    def compute_bounds(self, contents: Sequence[tuple[int, MeshBounds]]) -> MeshBounds:
         """Return the boxes (k, 3) that hold at all times what is at the animated nodes, down to the next ones.
 
         They are in the space of the first node above that isn't animated. `contents` are boxes, each at a node.
         """
-        held: dict[int, list[MeshBounds]] = {}
+        boxes_of_nodes: dict[int, list[MeshBounds]] = {}
         for row, box in contents:
             if self.moves[row]:
                 nearest = row
                 while self.member[nearest] < 0:
                     nearest = self.nodes[nearest].parent
-                held.setdefault(nearest, []).append(self.sweep(row, nearest, box))
+                boxes_of_nodes.setdefault(nearest, []).append(self.sweep(row, nearest, box))
         count = int(self.member.max()) + 1
         lower, upper = np.zeros((count, 3)), np.zeros((count, 3))
-        for row, boxes in held.items():
+        for row, boxes in boxes_of_nodes.items():
             above = row
             while above >= 0 and self.moves[above]:
                 above = self.nodes[above].parent
@@ -116,20 +116,22 @@ class NodeTree:
 class Skeleton:
     """The joints of a skin: matrices from the mesh, where it was bound, to the space of the `anchor`."""
 
-    def __init__(self, tree: NodeTree, joints: list[int], binds: Floats) -> None:
-        self.tree, self.joints, self.binds = tree, joints, binds
-        self.anchor = tree.find_anchor(joints)
+    def __init__(self, tree: NodeTree, joints: list[int], inverse_bind_matrices: Floats) -> None:
+        self.tree = tree
+        self.joints = joints
+        self.inverse_bind_matrices = inverse_bind_matrices
+        self.anchor = tree.common_anchor(joints)
         below = {row for joint in joints for row in tree.chain(joint)} - set(tree.chain(self.anchor))
         rows = sorted(below)
         at = {row: number for number, row in enumerate(rows)}
         self._parents = [at.get(tree.nodes[row].parent, -1) for row in rows]
         self._locals = np.array([tree.nodes[row].local for row in rows]).reshape(-1, 4, 4)
         self._joint_at = [at.get(joint, -1) for joint in joints]  # -1: the anchor itself
-        self._moving: Rows = np.flatnonzero(tree.member[rows] >= 0)
-        self._members: Rows = tree.member[rows][self._moving]
+        self._moving: Indices = np.flatnonzero(tree.member[rows] >= 0)
+        self._members: Indices = tree.member[rows][self._moving]
         self._motion = tree.motion
-        self._computed = (np.nan, 0)  # for a time and a version of the clips
-        self._found: Floats = binds
+        self._cache_key = (np.nan, 0)  # for a time and a version of the clips
+        self._cached: Floats = inverse_bind_matrices
 
     @property
     def moves(self) -> bool:
@@ -138,9 +140,9 @@ class Skeleton:
 
     def matrices(self, seconds: float) -> Floats:
         """Return the matrices (j, 4, 4) of all joints at a time."""
-        wanted = (seconds, 0 if self._motion is None else self._motion.version)
-        if wanted == self._computed:
-            return self._found
+        key = (seconds, 0 if self._motion is None else self._motion.version)
+        if key == self._cache_key:
+            return self._cached
         if self._motion is not None and self.moves:
             self._motion.set_time(self._members, seconds)
             self._locals[self._moving] = self._motion.transforms(self._members)
@@ -148,8 +150,8 @@ class Skeleton:
         worlds[-1] = np.eye(4)
         for row, parent in enumerate(self._parents):
             worlds[row] = multiply(worlds[parent], self._locals[row])
-        self._found, self._computed = multiply(worlds[self._joint_at], self.binds), wanted
-        return self._found
+        self._cached, self._cache_key = multiply(worlds[self._joint_at], self.inverse_bind_matrices), key
+        return self._cached
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -163,12 +165,12 @@ class DeformedMesh:
     """
 
     geometry: MeshGeometry
-    offsets: NDArray[np.float32]
-    turns: NDArray[np.float32]
+    position_offsets: NDArray[np.float32]
+    normal_offsets: NDArray[np.float32]
     weights: PropertyTracks
     skeleton: Skeleton | None
-    joints: Rows | None
-    shares: Floats | None
+    joints: Indices | None
+    joint_weights: Floats | None
 
     @property
     def is_animated(self) -> bool:
@@ -177,37 +179,37 @@ class DeformedMesh:
 
     def vertices(self, seconds: float) -> NDArray[Any]:
         """Return the vertices (v,) of `VERTEX` at a time."""
-        made = np.zeros(len(self.geometry.vertices), VERTEX)
+        deformed = np.zeros(len(self.geometry.vertices), VERTEX)
         for name in VERTEX.names or ():
-            made[name] = self.geometry.vertices[name]
-        if len(self.offsets):
-            weights = self.weights.at(_FIRST, seconds)[0]
-            made["position"] += np.tensordot(weights, self.offsets, 1)
-            made["normal"] += np.tensordot(weights, self.turns, 1)
-        if self.skeleton is not None and self.joints is not None and self.shares is not None:
+            deformed[name] = self.geometry.vertices[name]
+        if len(self.position_offsets):
+            weights = self.weights.evaluate(_FIRST, seconds)[0]
+            deformed["position"] += np.tensordot(weights, self.position_offsets, 1)
+            deformed["normal"] += np.tensordot(weights, self.normal_offsets, 1)
+        if self.skeleton is not None and self.joints is not None and self.joint_weights is not None:
             matrices = self.skeleton.matrices(seconds)[:, :3]
-            blend = np.einsum("vk,vkij->vij", self.shares, matrices[self.joints])
-            made["position"] = np.einsum("vij,vj->vi", blend[:, :, :3], made["position"]) + blend[:, :, 3]
-            made["normal"] = np.einsum("vij,vj->vi", blend[:, :, :3], made["normal"])
-        length = np.linalg.norm(made["normal"], axis=1, keepdims=True)
-        made["normal"] = np.where(length > 1e-20, made["normal"] / np.maximum(length, 1e-20), (0.0, 1.0, 0.0))
-        return made
+            blend = np.einsum("vk,vkij->vij", self.joint_weights, matrices[self.joints])
+            deformed["position"] = np.einsum("vij,vj->vi", blend[:, :, :3], deformed["position"]) + blend[:, :, 3]
+            deformed["normal"] = np.einsum("vij,vj->vi", blend[:, :, :3], deformed["normal"])
+        length = np.linalg.norm(deformed["normal"], axis=1, keepdims=True)
+        deformed["normal"] = np.where(length > 1e-20, deformed["normal"] / np.maximum(length, 1e-20), (0.0, 1.0, 0.0))
+        return deformed
 
     def bounds(self) -> MeshBounds:
         """Return a box that holds all vertices at all times."""
         position = self.geometry.vertices["position"].astype(np.float64)
-        least, most = self.weights.find_extremes(0)
-        ends = np.stack([least[:, None, None] * self.offsets, most[:, None, None] * self.offsets])
+        least, most = self.weights.value_bounds(0)
+        ends = np.stack([least[:, None, None] * self.position_offsets, most[:, None, None] * self.position_offsets])
         low, high = position + ends.min(0).sum(0), position + ends.max(0).sum(0)
         boxes: list[MeshBounds] = []
-        if self.skeleton is None or self.joints is None or self.shares is None:
+        if self.skeleton is None or self.joints is None or self.joint_weights is None:
             boxes.append((low.min(0), high.max(0)))
         else:
             for number, joint in enumerate(self.skeleton.joints):
-                held = ((self.joints == number) & (self.shares > 0.0)).any(1)
-                if held.any():
-                    corners = low[held].min(0)[None], high[held].max(0)[None]
-                    below, above = transform_bounds(self.skeleton.binds[number][None], *corners)
+                is_moved = ((self.joints == number) & (self.joint_weights > 0.0)).any(1)
+                if is_moved.any():
+                    corners = low[is_moved].min(0)[None], high[is_moved].max(0)[None]
+                    below, above = transform_bounds(self.skeleton.inverse_bind_matrices[number][None], *corners)
                     boxes.append(self.skeleton.tree.sweep(joint, self.skeleton.anchor, (below[0], above[0])))
         lower, upper = np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)
         slack = _ROUNDING * max(float(np.abs([lower, upper]).max()), 1e-30)
@@ -225,20 +227,20 @@ class Deformations:
 
     @property
     def version(self) -> int:
-        """That of the clips."""
+        """The version of the clips."""
         return self._clips.version
 
     def __deepcopy__(self, memo: object) -> Deformations:
         """Return a copy with times of its own; the meshes never change, and the clips are the scene's."""
-        made = copy(self)
-        made._seconds = self._seconds.copy()
-        return made
+        duplicate = copy(self)
+        duplicate._seconds = self._seconds.copy()
+        return duplicate
 
-    def set_time(self, members: Rows, seconds: float) -> None:
+    def set_time(self, members: Indices, seconds: float) -> None:
         """Set the time of `members` (j,)."""
         self._seconds[members] = seconds
 
-    def vertices(self, members: Rows) -> NDArray[Any]:
+    def vertices(self, members: Indices) -> NDArray[Any]:
         """Return the present vertices of `members` (j,), one after another, of `VERTEX`."""
         parts = [self.meshes[member].vertices(self._seconds[member]) for member in members.tolist()]
         return np.concatenate([np.zeros(0, VERTEX), *parts])
@@ -248,22 +250,24 @@ def read_skins(root: JsonObject, accessors: Accessors, tree: NodeTree) -> list[S
     """Return the skeletons of the file's skins; None for one whose joints aren't in the scene."""
     row_of = {node.number: row for row, node in enumerate(tree.nodes)}
     count = root.length("nodes")
-    found: list[Skeleton | None] = []
+    skeletons: list[Skeleton | None] = []
     for skin in root.children("skins"):
         joints = skin.indices("joints", count)
         if not joints:
             skin.refuse("joints", "none", "one or more nodes")
         number = skin.index("inverseBindMatrices", len(accessors))
-        binds = np.tile(np.eye(4), (len(joints), 1, 1))
+        inverse_bind_matrices = np.tile(np.eye(4), (len(joints), 1, 1))
         if number >= 0:
-            held = accessors.floats(number, "MAT4").astype(np.float64)
-            if len(held) < len(joints) or not (np.abs(held) <= 1e30).all():
-                accessors.fields[number].refuse("", f"{len(held)} matrices", f"{len(joints)} finite ones")
-            binds = held[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1).copy()
-            binds[:, 3] = (0.0, 0.0, 0.0, 1.0)
+            matrices = accessors.floats(number, "MAT4").astype(np.float64)
+            if len(matrices) < len(joints) or not (np.abs(matrices) <= 1e30).all():
+                accessors.fields[number].refuse("", f"{len(matrices)} matrices", f"{len(joints)} finite ones")
+            inverse_bind_matrices = matrices[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1).copy()
+            inverse_bind_matrices[:, 3] = (0.0, 0.0, 0.0, 1.0)
         is_here = all(joint in row_of for joint in joints)
-        found.append(Skeleton(tree, [row_of[joint] for joint in joints], binds) if is_here else None)
-    return found
+        skeletons.append(
+            Skeleton(tree, [row_of[joint] for joint in joints], inverse_bind_matrices) if is_here else None
+        )
+    return skeletons
 
 
 def read_deformed(
@@ -285,16 +289,16 @@ def read_deformed(
     targets = primitive.children("targets")
     if {len(weights), *(track.values.shape[-1] for track in tracks)} - {len(targets)}:
         primitive.refuse("targets", f"{len(targets)} targets", "as many as weights")
-    offsets = np.zeros((len(targets), len(mesh.rows), 3), np.float32)
+    offsets = np.zeros((len(targets), len(mesh.vertex_indices), 3), np.float32)
     turns = np.zeros_like(offsets)
     for number, target in enumerate(targets):
         for name, changed in (("POSITION", offsets), ("NORMAL", turns)):
             index = target.index(name, len(accessors))
             if index >= 0:
-                held = accessors.floats(index, "VEC3")
-                if len(held) <= int(mesh.rows.max()) or not (np.abs(held) <= 1e30).all():
-                    target.refuse(name, f"{len(held)} offsets", "a finite one for each vertex")
-                changed[number] = held[mesh.rows]
+                differences = accessors.floats(index, "VEC3")
+                if len(differences) <= int(mesh.vertex_indices.max()) or not (np.abs(differences) <= 1e30).all():
+                    target.refuse(name, f"{len(differences)} offsets", "a finite one for each vertex")
+                changed[number] = differences[mesh.vertex_indices]
     moved = PropertyTracks(tracks, np.zeros(len(tracks), np.int64), weights[None], clips)
     joints, shares = (None, None) if skeleton is None else _read_joints(primitive, mesh, accessors, skeleton)
     return DeformedMesh(mesh.geometry, offsets, turns, moved, skeleton, joints, shares)
@@ -302,15 +306,15 @@ def read_deformed(
 
 def _read_joints(
     primitive: JsonObject, mesh: PrimitiveMesh, accessors: Accessors, skeleton: Skeleton
-) -> tuple[Rows, Floats]:
+) -> tuple[Indices, Floats]:
     attributes = primitive.child("attributes")
     count = len(accessors)
-    joints = accessors.array(attributes.index("JOINTS_0", count, needed=True), "VEC4", "u").astype(np.int64)
-    shares = accessors.floats(attributes.index("WEIGHTS_0", count, needed=True), "VEC4").astype(np.float64)
-    last = int(mesh.rows.max())
+    joints = accessors.array(attributes.index("JOINTS_0", count, required=True), "VEC4", "u").astype(np.int64)
+    shares = accessors.floats(attributes.index("WEIGHTS_0", count, required=True), "VEC4").astype(np.float64)
+    last = int(mesh.vertex_indices.max())
     if len(joints) <= last or len(shares) <= last:
         attributes.refuse("JOINTS_0", f"{min(len(joints), len(shares))} vertices", f"{last + 1} or more")
-    joints, shares = joints[mesh.rows], np.maximum(np.nan_to_num(shares[mesh.rows]), 0.0)
+    joints, shares = joints[mesh.vertex_indices], np.maximum(np.nan_to_num(shares[mesh.vertex_indices]), 0.0)
     if joints.max() >= len(skeleton.joints):
         attributes.refuse("JOINTS_0", f"joint {joints.max()}", f"0 to {len(skeleton.joints) - 1}")
     total = shares.sum(1, keepdims=True)

@@ -26,7 +26,7 @@ from renderer.scene.scene import Scene
 from rhi.math import Depth, Orthographic, Perspective, Projection
 
 KEY: Final = "rhi"
-PLACED: Final = "placed"
+HOLDER: Final = "holder"
 INFINITE: Final = "infinite"
 FARTHEST: Final = 2.0**24
 """Of a camera without a far plane: its distance in the file over that of the near plane."""
@@ -37,7 +37,7 @@ _Color = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Surroundings:
+class SceneExtras:
     """The properties of a scene besides its parts: `background`, `haze`, the ambient light `sky` and `ground`, and
     `paths`."""
 
@@ -48,28 +48,28 @@ class Surroundings:
     paths: Mapping[str, CameraPath]
 
 
-def private(fields: JsonObject) -> JsonObject | None:
-    """Return what `save_scene` has kept in the extras of an object, or None."""
-    held = fields.values.get("extras")
-    found = held.get(KEY) if isinstance(held, dict) else None
-    return JsonObject(fields.file, f"{fields.where}.extras.{KEY}", found) if isinstance(found, dict) else None
+def get_extras(fields: JsonObject) -> JsonObject | None:
+    """Return the fields that `save_scene` has written to the extras of an object, or None."""
+    extras = fields.values.get("extras")
+    values = extras.get(KEY) if isinstance(extras, dict) else None
+    return JsonObject(fields.file, f"{fields.where}.extras.{KEY}", values) if isinstance(values, dict) else None
 
 
-def find_own_name(primitive: JsonObject, name: str) -> str:
-    """Return the name of a primitive: that in its extras, where exporters write any JSON, or else `name`."""
-    held = primitive.values.get("extras")
-    return str(held.get("name", name)) if isinstance(held, dict) else name
+def primitive_name(primitive: JsonObject, name: str) -> str:
+    """Return the name in a primitive's extras, where exporters write any JSON, or else `name`."""
+    extras = primitive.values.get("extras")
+    return str(extras.get("name", name)) if isinstance(extras, dict) else name
 
 
-def is_placed(fields: JsonObject) -> bool:
-    """Return whether a node only holds a light or a camera that `save_scene` has placed."""
-    held = private(fields)
+def is_holder(fields: JsonObject) -> bool:
+    """Whether `save_scene` has written a node only to hold a light or a camera."""
+    extras = get_extras(fields)
     is_used = "children" in fields or "mesh" in fields  # by another program
-    return held is not None and held.flag(PLACED) and not is_used
+    return extras is not None and extras.flag(HOLDER) and not is_used
 
 
-def write_surroundings(scene: Scene) -> dict[str, Any]:
-    """Return what `read_surroundings` reads."""
+def write_scene_extras(scene: Scene) -> dict[str, Any]:
+    """Return scene extras as JSON values, for `read_scene_extras`."""
     return {
         "background": list(map(float, scene.background)),
         "haze": float(scene.haze),
@@ -79,19 +79,21 @@ def write_surroundings(scene: Scene) -> dict[str, Any]:
     }
 
 
-def read_surroundings(fields: JsonObject) -> Surroundings:
-    """Return the surroundings that a scene was saved with."""
+def read_scene_extras(fields: JsonObject) -> SceneExtras:
+    """Read the scene extras that a scene was saved with."""
     colors = [tuple(fields.reals(name, 3).tolist()) for name in ("background", "sky", "ground")]
-    paths = {held.text("name"): _read_path(held) for held in fields.children("paths")}
-    return Surroundings(colors[0], fields.real("haze", low=0.0), colors[1], colors[2], paths)
+    paths = {path_fields.text("name"): _read_path(path_fields) for path_fields in fields.children("paths")}
+    return SceneExtras(colors[0], fields.real("haze", low=0.0), colors[1], colors[2], paths)
 
 
 def _write_path(name: str, path: CameraPath) -> dict[str, Any]:
-    lens = path.projection
-    assert isinstance(lens, Perspective | Orthographic)
-    kind = {"perspective": lens.fov} if isinstance(lens, Perspective) else {"orthographic": lens.height}
-    far = {} if np.isinf(lens.far) else {"far": lens.far}
-    rest = {"aspect": lens.aspect, "near": lens.near, **far, "depth": lens.depth.value}
+    projection = path.projection
+    assert isinstance(projection, Perspective | Orthographic)
+    kind = (
+        {"perspective": projection.fov} if isinstance(projection, Perspective) else {"orthographic": projection.height}
+    )
+    far = {} if np.isinf(projection.far) else {"far": projection.far}
+    rest = {"aspect": projection.aspect, "near": projection.near, **far, "depth": projection.depth.value}
     arrays = {"positions": path.positions, "targets": path.targets, "ups": path.ups}
     return {"name": name, **kind, **rest, **{key: rows.ravel().tolist() for key, rows in arrays.items()}}
 
@@ -102,18 +104,18 @@ def _read_path(fields: JsonObject) -> CameraPath:
     far = fields.real("far", low=float(np.nextafter(near, np.inf))) if is_parallel or "far" in fields else np.inf
     aspect, depth = (
         fields.real("aspect", low=1e-9),
-        Depth(fields.choice("depth", [one.value for one in Depth])),
+        Depth(fields.choice("depth", [is_constant.value for is_constant in Depth])),
     )
-    lens: Projection
+    projection: Projection
     if is_parallel:
-        lens = Orthographic(fields.real("orthographic", low=1e-12), aspect, near, far, depth)
+        projection = Orthographic(fields.real("orthographic", low=1e-12), aspect, near, far, depth)
     else:
-        lens = Perspective(fields.real("perspective", low=1e-9, high=3.14159), aspect, near, far, depth)
+        projection = Perspective(fields.real("perspective", low=1e-9, high=3.14159), aspect, near, far, depth)
     size = fields.length("positions")
     count = size - size % 3
     if not count:
         fields.refuse("positions", "no camera", "three numbers for each camera")
     positions, targets = (fields.reals(name, count).reshape(-1, 3) for name in ("positions", "targets"))
-    one = fields.length("ups") == 3
-    ups = fields.reals("ups", 3) if one else fields.reals("ups", count).reshape(-1, 3)
-    return CameraPath(positions, targets, lens, ups)
+    is_constant = fields.length("ups") == 3
+    ups = fields.reals("ups", 3) if is_constant else fields.reals("ups", count).reshape(-1, 3)
+    return CameraPath(positions, targets, projection, ups)

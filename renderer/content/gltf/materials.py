@@ -15,7 +15,7 @@ from renderer import rules
 from renderer.content.assets import decode_images
 from renderer.content.gltf.container import EXTENSIONS, GltfFile
 from renderer.content.gltf.document import JsonObject
-from renderer.content.gltf.extras import SPECULAR, private
+from renderer.content.gltf.extras import SPECULAR, get_extras
 from renderer.scene.materials import RANGES, AlphaMode, TextureMap
 from renderer.scene.omissions import Omissions
 from renderer.scene.scene import SceneBuilder
@@ -56,29 +56,29 @@ class Materials:
         self._samplers = [_read_sampler(fields) for fields in file.root.children("samplers")]
         self._ids: dict[int, int] = {}
         self._read_values: dict[int, tuple[dict[str, Any], dict[str, Any]]] = {-1: (_DEFAULT, {})}
-        self._found: dict[tuple[int, bool], int] = {}
+        self._material_ids: dict[tuple[int, bool], int] = {}
 
     def add_all(self) -> None:
         """Add all materials of the file, and the images that they use."""
         materials = self._file.root.children("materials")
         read = [self._read(fields) for fields in materials]
-        self._add_images({given[0] for _, maps in read for given in maps.values()})
+        self._add_images({use[0] for _, maps in read for use in maps.values()})
         for number, (values, maps) in enumerate(read):
             used = {name: (image, rest) for name, (image, rest) in maps.items() if image in self._ids}
             textures = {name: TextureMap(self._ids[image], **rest) for name, (image, rest) in used.items()}
             self._read_values[number] = values, textures
-            self.find(number)
+            self.get(number)
 
-    def find(self, number: int, is_unlit: bool = False) -> int:
+    def get(self, number: int, is_unlit: bool = False) -> int:
         """Return the id of a material of the file, or of the default one for -1; or of its unlit likeness. What isn't
         there yet is added."""
         key = number, is_unlit
-        if key not in self._found:
+        if key not in self._material_ids:
             values, textures = self._read_values[number]
             if is_unlit:
                 values, textures = _make_unlit(values), {name: textures[name] for name in textures.keys() & {"texture"}}
-            self._found[key] = self.builder.add_material(**values, **textures)
-        return self._found[key]
+            self._material_ids[key] = self.builder.add_material(**values, **textures)
+        return self._material_ids[key]
 
     def _read(self, fields: JsonObject) -> tuple[dict[str, Any], dict[str, tuple[int, dict[str, Any]]]]:
         """Return the arguments of `add_material`, and for each texture the image and how it is read."""
@@ -110,15 +110,15 @@ class Materials:
         emissive = np.minimum(_colors(fields, "emissiveFactor", 3, 0.0) * factor, _STRONGEST)
         values["emissive"] = tuple(emissive.tolist())
         self._read_map(maps, "emissive_texture", fields, "emissiveTexture")
-        held = private(fields)
-        return (values if held is None else _restore(held, values, maps)), maps
+        extras = get_extras(fields)
+        return (values if extras is None else _restore(extras, values, maps)), maps
 
     def _read_map(self, maps: dict[str, tuple[int, dict[str, Any]]], name: str, holder: JsonObject, field: str) -> bool:
         """Note the texture that a field of `holder` describes under `name`, if it has that field."""
         if field not in holder:
             return False
         fields = holder.child(field)
-        number = fields.index("index", len(self._textures), needed=True)
+        number = fields.index("index", len(self._textures), required=True)
         texture = self._textures[number]
         holder = texture.extension("EXT_texture_webp") or texture
         image = holder.index("source", len(self._images))
@@ -144,7 +144,7 @@ class Materials:
         return True
 
     def _add_images(self, numbers: set[int]) -> None:
-        """Decode and add those of `numbers` that can be read."""
+        """Decode the images `numbers`, and add the readable ones."""
         contents: dict[int, NDArray[np.uint8]] = {}
         for number in sorted(numbers):
             fields = self._images[number]
@@ -176,41 +176,41 @@ def _make_unlit(values: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _restore(held: JsonObject, values: dict[str, Any], maps: dict[str, tuple[int, dict[str, Any]]]) -> dict[str, Any]:
-    """Return a material's values with those that glTF can't say in place of their likeness."""
+def _restore(extras: JsonObject, values: dict[str, Any], maps: dict[str, tuple[int, dict[str, Any]]]) -> dict[str, Any]:
+    """Return a material's values, with the saved originals of values that glTF can only approximate."""
     restored = dict(values)
-    if "emission" in held:
-        if "shininess" not in held:
-            held.refuse("shininess", None, "a number beside emission, which only the specular model has")
-        restored["emission"] = held.real("emission", low=0.0, high=_STRONGEST)
-        restored["emissive"] = tuple(_colors(held, "emissive", 3, high=_STRONGEST).tolist())
-        if not held.flag("has_emissive_texture", True):
+    if "emission" in extras:
+        if "shininess" not in extras:
+            extras.refuse("shininess", None, "a number beside emission, which only the specular model has")
+        restored["emission"] = extras.real("emission", low=0.0, high=_STRONGEST)
+        restored["emissive"] = tuple(_colors(extras, "emissive", 3, high=_STRONGEST).tolist())
+        if not extras.flag("has_emissive_texture", True):
             maps.pop("emissive_texture", None)
-    if "shininess" in held:
+    if "shininess" in extras:
         for name in ("metallic", "roughness"):
             del restored[name]
         maps.pop("metallic_roughness_texture", None)
-        restored["specular_color"] = tuple(_colors(held, "specular_color", 3).tolist())
+        restored["specular_color"] = tuple(_colors(extras, "specular_color", 3).tolist())
         for name in SPECULAR:
             if name != "specular_color":
                 low, high = RANGES[name]
-                restored[name] = held.real(name, low=low, high=high)
+                restored[name] = extras.real(name, low=low, high=high)
     return restored
 
 
 def _colors(fields: JsonObject, name: str, size: int, default: float = 1.0, high: float = 1e4) -> NDArray[np.float64]:
-    found = fields.reals(name, size, (default,) * size)
-    if not ((found >= 0.0) & (found <= high)).all():
-        fields.refuse(name, found.tolist(), "0 to 1")
-    return found
+    color = fields.reals(name, size, (default,) * size)
+    if not ((color >= 0.0) & (color <= high)).all():
+        fields.refuse(name, color.tolist(), "0 to 1")
+    return color
 
 
 def _read_sampler(fields: JsonObject) -> SamplerDescriptor:
     def code(name: str, allowed: dict[int, Any], default: int) -> Any:
-        given = fields.whole(name, default)
-        if given not in allowed:
-            fields.refuse(name, given, ", ".join(map(str, allowed)))
-        return allowed[given]
+        value = fields.whole(name, default)
+        if value not in allowed:
+            fields.refuse(name, value, ", ".join(map(str, allowed)))
+        return allowed[value]
 
     minify, mip = code("minFilter", MINIFY, 9987)
     return SamplerDescriptor(

@@ -12,8 +12,9 @@ from typing import Any, Final
 import numpy as np
 
 from renderer.content.gltf.document import JsonObject
-from renderer.content.gltf.extras import INFINITE, private
+from renderer.content.gltf.extras import INFINITE, get_extras
 from renderer.content.gltf.tracks import compose
+from renderer.light_kinds.table import LIGHT_KINDS
 from renderer.scene.arrays import Floats
 from renderer.scene.lights import Lights
 from renderer.scene.omissions import Omissions
@@ -61,15 +62,15 @@ def list_nodes(root: JsonObject, omissions: Omissions) -> list[GltfNode]:
             above[child] = number
     scenes = root.children("scenes")
     if scenes:
-        chosen = scenes[max(root.index("scene", len(scenes)), 0)]
-        level = chosen.indices("nodes", len(nodes))
+        scene = scenes[max(root.index("scene", len(scenes)), 0)]
+        level = scene.indices("nodes", len(nodes))
         for position, number in enumerate(level):
             if above[number] >= 0:
-                chosen.refuse(f"nodes[{position}]", f"{number} is a child of nodes[{above[number]}]", "roots")
+                scene.refuse(f"nodes[{position}]", f"{number} is a child of nodes[{above[number]}]", "roots")
         if len(set(level)) < len(level):
-            chosen.refuse("nodes", level, "each node once")
+            scene.refuse("nodes", level, "each node once")
         for other in scenes:
-            if other is not chosen and set(other.indices("nodes", len(nodes))) - set(level):
+            if other is not scene and set(other.indices("nodes", len(nodes))) - set(level):
                 omissions.add("other scenes", other.where)
     else:
         level = np.flatnonzero(above < 0).tolist()
@@ -85,7 +86,7 @@ def list_nodes(root: JsonObject, omissions: Omissions) -> list[GltfNode]:
     return listed
 
 
-def find_worlds(nodes: list[GltfNode]) -> Floats:
+def compute_world_transforms(nodes: list[GltfNode]) -> Floats:
     """Return the world transforms (n, 4, 4) of nodes, at the beginning."""
     worlds = np.zeros((len(nodes), 4, 4))
     for row, node in enumerate(nodes):
@@ -98,72 +99,76 @@ def find_worlds(nodes: list[GltfNode]) -> Floats:
 def read_camera(fields: JsonObject, world: Floats) -> Camera | None:
     """Return a camera of the file at a node, or None if it looks nowhere; a camera looks along -Z of its node."""
     if fields.choice("type", ("perspective", "orthographic")) == "perspective":
-        lens = fields.child("perspective")
-        near = lens.real("znear", low=1e-12)
-        far = lens.real("zfar", low=near * (1.0 + 1e-9)) if "zfar" in lens else np.inf
-        held = private(fields)
-        if held is not None and held.values.get(INFINITE) == far:
+        perspective = fields.child("perspective")
+        near = perspective.real("znear", low=1e-12)
+        far = perspective.real("zfar", low=near * (1.0 + 1e-9)) if "zfar" in perspective else np.inf
+        extras = get_extras(fields)
+        if extras is not None and extras.values.get(INFINITE) == far:
             far = np.inf
         fov, aspect = (
-            lens.real("yfov", low=1e-6, high=3.14159),
-            lens.real("aspectRatio", 16.0 / 9.0, 1e-6, 1e6),
+            perspective.real("yfov", low=1e-6, high=3.14159),
+            perspective.real("aspectRatio", 16.0 / 9.0, 1e-6, 1e6),
         )
         projection: Perspective | Orthographic = Perspective(fov, aspect, near, far)
     else:
-        lens = fields.child("orthographic")
-        width, height = lens.real("xmag", low=1e-12), lens.real("ymag", low=1e-12)
-        near = lens.real("znear")
-        far = lens.real("zfar", low=near + 1e-9)
+        perspective = fields.child("orthographic")
+        width, height = perspective.real("xmag", low=1e-12), perspective.real("ymag", low=1e-12)
+        near = perspective.real("znear")
+        far = perspective.real("zfar", low=near + 1e-9)
         projection = Orthographic(2.0 * height, width / height, near, far)
     axes = _axes(world)
     return None if axes is None else Camera(world[:3, 3].copy(), axes, projection)
 
 
-class LightRows:
+_KINDS: Final = {kind.gltf.type: kind for kind in LIGHT_KINDS if kind.gltf is not None}
+"""The kinds of lights that glTF has, by their type in files."""
+
+
+class LightCollector:
     """Lights of KHR_lights_punctual at nodes, collected so that they are added as arrays."""
 
     def __init__(self) -> None:
-        self._rows: dict[str, list[dict[str, Any]]] = {"directional": [], "point": [], "spot": []}
+        self._rows: dict[str, list[dict[str, Any]]] = {name: [] for name in _KINDS}
 
     def add(self, fields: JsonObject, world: Floats, omissions: Omissions) -> None:
         """Add a light at a node, along whose -Z it shines."""
-        kind = fields.choice("type", self._rows)
+        kind = _KINDS[fields.choice("type", self._rows)]
         color = fields.reals("color", 3, (1.0, 1.0, 1.0))
         if color.min() < 0.0:
             fields.refuse("color", color.tolist(), "0 or more")
-        held = private(fields)
+        extras = get_extras(fields)
         row: dict[str, Any] = {
             "color": color,
             "intensity": fields.real("intensity", 1.0, 0.0) * CANDELA,
-            "casts_shadow": held is not None and held.flag("casts_shadow"),
+            "casts_shadow": extras is not None and extras.flag("casts_shadow"),
         }
-        if kind != "point":
+        if kind.has_direction:
             axes = _axes(world)
             if axes is None:
                 omissions.add("lights without a direction", fields.where)
                 return
             row["direction"] = -axes[2]
-        if kind != "directional":
+        if kind.has_range:
             faint = float(np.sqrt(row["intensity"] * color.max() / _FAINT))
             row["position"] = world[:3, 3]
             row["range"] = fields.real("range", min(max(faint, 1e-3), _FARTHEST), 1e-30)
-            row["source_radius"] = 0.0 if held is None else held.real("source_radius", 0.0, 0.0, row["range"])
-        if kind == "spot":
-            spot = fields.child("spot")
-            row["outer"] = spot.real("outerConeAngle", np.pi / 4.0, 0.0, np.pi)
-            row["inner"] = spot.real("innerConeAngle", 0.0, 0.0, row["outer"])
-        self._rows[kind].append(row)
+            row["source_radius"] = 0.0 if extras is None else extras.real("source_radius", 0.0, 0.0, row["range"])
+        assert kind.gltf is not None
+        row |= kind.gltf.read(fields)
+        self._rows[kind.gltf.type].append(row)
 
     def add_to(self, lights: Lights) -> None:
         """Add all lights, each kind in the order in which they were collected."""
-        for row in self._rows["directional"]:
-            lights.add_directional(**row)
-        for kind, add in (("point", lights.add_points), ("spot", lights.add_spots)):
-            if rows := self._rows[kind]:
+        for type, kind in _KINDS.items():
+            rows = self._rows[type]
+            if not kind.has_range:
+                for row in rows:
+                    getattr(lights, f"add_{kind.name}")(**row)
+            elif rows:
                 columns: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in rows[0]}
                 shadows = columns.pop("casts_shadow")
-                added = add(**columns)
-                getattr(lights, kind)["casts_shadow"][added] = shadows
+                added = getattr(lights, f"add_{kind.name}s")(**columns)
+                lights.of_kind(kind)["casts_shadow"][added] = shadows
 
 
 def _read_node(fields: JsonObject, number: int, parent: int) -> GltfNode:

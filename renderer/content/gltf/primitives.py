@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.content.gltf.accessors import Accessors
-from renderer.content.gltf.container import PLAIN
+from renderer.content.gltf.container import EXPORT_TIP
 from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.solids import LINES, POINT, SEGMENT, Solid, list_ends
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Indices
 from renderer.scene.meshes import VERTEX, MeshGeometry, compute_normals, vertex_format
 from renderer.scene.omissions import Omissions
 from rhi.errors import refuse
@@ -41,10 +41,10 @@ _UNIT: Final = 1e-4  # deviation of a squared length from 1 beyond which a norma
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PrimitiveMesh:
-    """A primitive's triangles, and the `rows` (v,) of its accessors that its vertices were read from."""
+    """A primitive's triangles, and the `vertex_indices` (v,) of its accessors that its vertices were read from."""
 
     geometry: MeshGeometry
-    rows: Rows
+    vertex_indices: Indices
 
 
 class Primitives:
@@ -71,10 +71,10 @@ class Primitives:
         return self._mode(primitive) < TRIANGLES and "NORMAL" not in primitive.child("attributes")
 
     def key(self, primitive: JsonObject) -> object:
-        """Return what identifies the triangles of a primitive: its accessors and its mode."""
+        """Return the key of a primitive's triangles: its accessors and its mode."""
         attributes = primitive.child("attributes")
         count = len(self.accessors)
-        used = [(name, attributes.index(name, count, needed=True)) for name in sorted(attributes.values)]
+        used = [(name, attributes.index(name, count, required=True)) for name in sorted(attributes.values)]
         return (tuple(used), primitive.index("indices", count), self._mode(primitive))
 
     def read(self, primitive: JsonObject) -> PrimitiveMesh | None:
@@ -89,7 +89,7 @@ class Primitives:
         attributes = primitive.child("attributes")
         packed = primitive.extension("KHR_draco_mesh_compression")
         if packed is not None and "bufferView" not in self.accessors.fields[self._number(attributes, "POSITION")]:
-            packed.refuse("", "the vertices are there only compressed", "also as accessors", PLAIN)
+            packed.refuse("", "the vertices are there only compressed", "also as accessors", EXPORT_TIP)
         for name in sorted(attributes.values.keys() - ATTRIBUTES.keys()):
             if name not in ("JOINTS_0", "WEIGHTS_0"):
                 self.omissions.add(f"vertex attribute {name}", attributes.where)
@@ -113,7 +113,7 @@ class Primitives:
             rows = corners.reshape(-1).astype(np.int64)
             corners = np.arange(len(rows), dtype=np.uint32)
         else:
-            rows, corners = _used_rows(corners.reshape(-1), count)
+            rows, corners = _used_vertices(corners.reshape(-1), count)
         return PrimitiveMesh(self._assemble(attributes, columns, rows, corners), rows)
 
     def _make_solids(
@@ -124,7 +124,7 @@ class Primitives:
             self.omissions.add("primitives without a line", primitive.where)
             return None
         self.accessors.file.budget.spend("vertices", solid.size * len(ends))
-        rows, corners, outward, radius = solid.place(columns["POSITION"], ends)
+        rows, corners, outward, radius = solid.make_vertices(columns["POSITION"], ends)
         indices = corners.reshape(-1).astype(np.uint32)
         geometry = self._assemble(primitive.child("attributes"), columns, rows, indices, outward, radius)
         return PrimitiveMesh(geometry, rows)
@@ -136,29 +136,29 @@ class Primitives:
         return self.accessors.floats(self._number(attributes, name), types)
 
     def _number(self, attributes: JsonObject, name: str) -> int:
-        return attributes.index(name, len(self.accessors), needed=True)
+        return attributes.index(name, len(self.accessors), required=True)
 
     def _corners(self, primitive: JsonObject, count: int) -> NDArray[np.uint32]:
-        """Return the indices of a primitive, all of which are below `count`."""
+        """Return the indices of a primitive; refuse one that isn't below `count`."""
         number = primitive.index("indices", len(self.accessors))
         if number < 0:
             return np.arange(count, dtype=np.uint32)
-        found = self.accessors.array(number, "SCALAR", "u")
-        if int(found.max()) >= count:
-            worst = int(np.argmax(found >= count))
-            self.accessors.fields[number].refuse("", f"element {worst} is index {found[worst]}", f"0 to {count - 1}")
-        return found.astype(np.uint32)
+        corners = self.accessors.array(number, "SCALAR", "u")
+        if int(corners.max()) >= count:
+            worst = int(np.argmax(corners >= count))
+            self.accessors.fields[number].refuse("", f"element {worst} is index {corners[worst]}", f"0 to {count - 1}")
+        return corners.astype(np.uint32)
 
     def _assemble(
         self,
         attributes: JsonObject,
         columns: dict[str, NDArray[np.float32]],
-        rows: Rows,
+        rows: Indices,
         corners: NDArray[np.uint32],
         outward: Floats | None = None,
         radius: float = 0.0,
     ) -> MeshGeometry:
-        """Return the mesh of the vertices of these `rows`: those of solids are moved `outward` (v, 3) by `radius`."""
+        """Return the mesh of the vertices `rows`; vertices of solids are moved `outward` (v, 3) by `radius`."""
         position = columns["POSITION"][rows]
         if outward is not None:
             with np.errstate(over="ignore"):
@@ -169,7 +169,7 @@ class Primitives:
             refuse(
                 rules.BAD_VERTICES,
                 f"load_model({attributes.file!r})",
-                f"{attributes.file}: {attributes.place('POSITION')}: vertex {worst} is {columns['POSITION'][worst]}",
+                f"{attributes.file}: {attributes.path_of('POSITION')}: vertex {worst} is {columns['POSITION'][worst]}",
                 "finite numbers",
             )
         more = {ATTRIBUTES[name][0] for name in columns} - set(VERTEX.names or ())
@@ -188,7 +188,7 @@ class Primitives:
         self,
         attributes: JsonObject,
         stored: NDArray[np.float32] | None,
-        rows: Rows,
+        rows: Indices,
         position: NDArray[np.float32],
         corners: NDArray[np.uint32],
     ) -> NDArray[Any]:
@@ -202,7 +202,7 @@ class Primitives:
         if off.any():
             normals[off] = normals[off] / np.sqrt(squared[off])[:, None]
         if bad.any():
-            self.omissions.add("normals that aren't directions", attributes.place("NORMAL"), int(bad.sum()))
+            self.omissions.add("normals that aren't directions", attributes.path_of("NORMAL"), int(bad.sum()))
             normals[bad] = compute_normals(position, corners)[bad]
         return normals
 
@@ -210,7 +210,7 @@ class Primitives:
         """Return the values (v, size) of an attribute: 0 where they aren't finite, and colours with alpha."""
         bad = ~np.isfinite(values).all(1)
         if bad.any():
-            self.omissions.add(f"{name} that isn't a number", attributes.place(name), int(bad.sum()))
+            self.omissions.add(f"{name} that isn't a number", attributes.path_of(name), int(bad.sum()))
             values[bad] = 0.0
         if name == "COLOR_0" and values.shape[1] == 3:
             values = np.concatenate([values, np.ones((len(values), 1), np.float32)], axis=1)
@@ -229,7 +229,7 @@ def _list_triangles(corners: NDArray[np.uint32], mode: int) -> NDArray[np.uint32
     return corners[np.stack([first + 1, first + 2, np.zeros_like(first)], axis=1)]
 
 
-def _used_rows(corners: NDArray[np.uint32], count: int) -> tuple[Rows, NDArray[np.uint32]]:
+def _used_vertices(corners: NDArray[np.uint32], count: int) -> tuple[Indices, NDArray[np.uint32]]:
     """Return the rows of the vertices to keep, and the indices of these: all rows, if at least half are used."""
     if len(corners) * 2 >= count:
         used = np.zeros(count, bool)

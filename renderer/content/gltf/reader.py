@@ -20,14 +20,14 @@ from renderer.content.assets import share_geometry
 from renderer.content.gltf import deformations
 from renderer.content.gltf.accessors import Accessors
 from renderer.content.gltf.animations import Tracks, make_motion, read_tracks
-from renderer.content.gltf.container import EXTENSIONS, NOTED_IN_USE, GltfFile
+from renderer.content.gltf.container import EXTENSIONS, LISTED_WHERE_USED, GltfFile
 from renderer.content.gltf.document import JsonObject
-from renderer.content.gltf.extras import Surroundings, find_own_name, is_placed, private, read_surroundings
+from renderer.content.gltf.extras import SceneExtras, get_extras, is_holder, primitive_name, read_scene_extras
 from renderer.content.gltf.materials import Materials
 from renderer.content.gltf.nodes import (
     GltfNode,
-    LightRows,
-    find_worlds,
+    LightCollector,
+    compute_world_transforms,
     list_nodes,
     read_camera,
 )
@@ -40,8 +40,8 @@ from renderer.scene.scene import SceneBuilder
 from rhi.errors import refuse
 
 
-def add_gltf(builder: SceneBuilder, path: str, budget: Budget | None = None) -> Surroundings | None:
-    """Add everything in a glTF file to a scene under construction; return the surroundings of a scene that
+def add_gltf(builder: SceneBuilder, path: str, budget: Budget | None = None) -> SceneExtras | None:
+    """Add everything in a glTF file to a scene under construction; return the scene extras of a scene that
     `save_scene` has written, or None.
 
     Cameras become views, named after their nodes. Refused, naming the file: `scene-unreadable-model`,
@@ -53,10 +53,10 @@ def add_gltf(builder: SceneBuilder, path: str, budget: Budget | None = None) -> 
     reader.add_all()
     if builder.object_count == before and (reason := reader.explain_emptiness()):
         others = "; ".join(map(str, builder.omissions))
-        given = f"{path}: {reason}"
-        refuse(rules.EMPTY_MODEL, f"load_model({path!r})", f"{given}, with {others}" if others else given)
+        problem = f"{path}: {reason}"
+        refuse(rules.EMPTY_MODEL, f"load_model({path!r})", f"{problem}, with {others}" if others else problem)
     builder.files += file.files
-    return reader.surroundings
+    return reader.scene_extras
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +73,14 @@ class _GltfReader:
     """Adds one file to a builder."""
 
     def __init__(self, builder: SceneBuilder, file: GltfFile) -> None:
-        self._builder, self._file, self._omissions = builder, file, builder.omissions
+        self._builder = builder
+        self._file = file
+        self._omissions = builder.omissions
         self._root = file.root
         scenes = file.root.children("scenes")
-        held = private(scenes[max(file.root.index("scene", len(scenes)), 0)]) if scenes else None
-        self._private = JsonObject(file.path, "", {}) if held is None else held
-        self.surroundings = None if held is None else read_surroundings(held)
+        scene_fields = get_extras(scenes[max(file.root.index("scene", len(scenes)), 0)]) if scenes else None
+        self._private = JsonObject(file.path, "", {}) if scene_fields is None else scene_fields
+        self.scene_extras = None if scene_fields is None else read_scene_extras(scene_fields)
         self._accessors = Accessors(file)
         self._materials = Materials(file, builder, builder.omissions)
         self._primitives = Primitives(self._accessors, builder.omissions)
@@ -87,13 +89,13 @@ class _GltfReader:
 
     def add_all(self) -> None:
         for name in self._file.names("extensionsUsed"):
-            if name not in EXTENSIONS and not name.startswith(NOTED_IN_USE):
+            if name not in EXTENSIONS and not name.startswith(LISTED_WHERE_USED):
                 self._omissions.add(name, "extensionsUsed")
         self._add_meshes()
         nodes = list_nodes(self._root, self._omissions)
         self._has_nodes = bool(nodes)
         tracks = read_tracks(self._root, self._accessors, self._omissions, self._builder.clips)
-        worlds = find_worlds(nodes)
+        worlds = compute_world_transforms(nodes)
         tree = deformations.NodeTree.make(nodes, make_motion(nodes, tracks, self._omissions, self._builder.clips))
         self._add_nodes(tree, tracks)
         self._add_cameras(nodes, worlds, tree.moves)
@@ -128,9 +130,9 @@ class _GltfReader:
             for primitive in primitives:
                 attributes = primitive.child("attributes")
                 first = attributes.index("POSITION", len(self._accessors))
-                firsts.setdefault(reader.key(primitive), (first, number, primitive, find_own_name(primitive, name)))
-        made: dict[object, int] = {}
-        is_saved = self.surroundings is not None  # then equal meshes were several in the scene, and stay so
+                firsts.setdefault(reader.key(primitive), (first, number, primitive, primitive_name(primitive, name)))
+        mesh_ids: dict[object, int] = {}
+        is_saved = self.scene_extras is not None  # then equal meshes were several in the scene, and stay so
         added: set[int] = set()
         for key, (_, _, primitive, name) in sorted(firsts.items(), key=lambda item: item[1][:2]):
             shape = reader.read(primitive)
@@ -140,14 +142,14 @@ class _GltfReader:
             if is_saved and id(geometry) in added:
                 geometry = shape.geometry
             added.add(id(geometry))
-            made[key] = self._builder.add_mesh(geometry, name)
+            mesh_ids[key] = self._builder.add_mesh(geometry, name)
         for mesh, primitives in zip(meshes, parts, strict=True):
-            found = []
+            mesh_parts = []
             for primitive in primitives:
                 material = primitive.index("material", count)
-                if (mesh_id := made.get(reader.key(primitive), -1)) >= 0:
-                    found.append(_GltfPart(mesh, primitive, mesh_id, material))
-            self._meshes.append(found)
+                if (mesh_id := mesh_ids.get(reader.key(primitive), -1)) >= 0:
+                    mesh_parts.append(_GltfPart(mesh, primitive, mesh_id, material))
+            self._meshes.append(mesh_parts)
 
     def _add_nodes(self, tree: deformations.NodeTree, tracks: Tracks) -> None:
         """Add nodes, objects and their animations."""
@@ -161,7 +163,7 @@ class _GltfReader:
         contents: list[tuple[int, tuple[Floats, Floats]]] = []
         for row, node in enumerate(tree.nodes):
             is_animated = bool(tree.member[row] >= 0)
-            if not is_animated and is_placed(node.fields):
+            if not is_animated and is_holder(node.fields):
                 ids.append(-1)
                 continue
             above = -1 if node.parent < 0 else ids[node.parent]
@@ -179,7 +181,7 @@ class _GltfReader:
                     at = row if change.skeleton is None else change.skeleton.anchor
                     if change.is_animated:
                         deformed.append((len(objects), change))
-                material = self._materials.find(part.material, self._primitives.is_unlit(part.primitive))
+                material = self._materials.get(part.material, self._primitives.is_unlit(part.primitive))
                 objects.append((at, geometry, material))
                 if tree.motion is not None and geometry not in bounds:
                     bounds[geometry] = self._builder.mesh_bounds(geometry)
@@ -190,11 +192,11 @@ class _GltfReader:
         before = self._builder.object_count
         self._add_objects([(ids[at], geometry, material) for at, geometry, material in objects])
         if deformed:
-            changes = deformations.Deformations([change for _, change in deformed], self._builder.clips)
-            self._builder.simulate([before + number for number, _ in deformed], changes)
+            uv_gradients = deformations.Deformations([change for _, change in deformed], self._builder.clips)
+            self._builder.simulate([before + number for number, _ in deformed], uv_gradients)
         if tree.motion is not None:
             rows = np.flatnonzero(tree.member >= 0)
-            self._builder.animate(np.array(ids)[rows], tree.motion, tree.find_bounds(contents))
+            self._builder.animate(np.array(ids)[rows], tree.motion, tree.compute_bounds(contents))
         for row, node in enumerate(tree.nodes):
             targets = (TRANSLATION, ROTATION, SCALE, WEIGHTS) if ids[row] >= 0 else ()
             moving = {track.clip for target in targets for track in tracks.get((node.number, target), ())}
@@ -217,8 +219,8 @@ class _GltfReader:
         count = part.primitive.length("targets")
         if not count and skeleton is None:
             return None
-        held = node.fields if "weights" in node.fields else part.holder
-        weights = held.reals("weights", count) if "weights" in held else np.zeros(count)
+        weights_fields = node.fields if "weights" in node.fields else part.holder
+        weights = weights_fields.reals("weights", count) if "weights" in weights_fields else np.zeros(count)
         moved = tracks.get((node.number, WEIGHTS), []) if count else []
         shape = self._primitives.read(part.primitive)
         if shape is None or (skeleton is None and not moved and not weights.any()):
@@ -230,14 +232,14 @@ class _GltfReader:
     def _add_deformed(self, change: deformations.DeformedMesh, name: str) -> int:
         """Add the mesh of a deformed object as it is at the beginning."""
         vertices = change.geometry.vertices.copy()
-        made = change.vertices(0.0)
-        for field in made.dtype.names or ():
-            vertices[field] = made[field]
+        deformed = change.vertices(0.0)
+        for field in deformed.dtype.names or ():
+            vertices[field] = deformed[field]
         geometry = MeshGeometry(vertices, change.geometry.indices)
         return self._builder.add_mesh(geometry, name, change.bounds() if change.is_animated else None)
 
     def _add_objects(self, objects: list[tuple[int, int, int]]) -> None:
-        """Add objects (node, mesh, material), those of a saved scene in their order there."""
+        """Add objects (node, mesh, material); objects of a saved scene keep their order."""
         if not objects:
             return
         count = len(objects)
@@ -272,14 +274,14 @@ class _GltfReader:
             self._builder.views[name] = camera
 
     def _add_lights(self, nodes: list[GltfNode], worlds: Floats, moving: NDArray[np.bool_]) -> None:
-        held = self._root.extension("KHR_lights_punctual")
-        lights = [] if held is None else held.children("lights")
-        found = LightRows()
+        extension = self._root.extension("KHR_lights_punctual")
+        lights = [] if extension is None else extension.children("lights")
+        collector = LightCollector()
         for node, world, moves in zip(nodes, worlds, moving, strict=True):
             used = node.fields.extension("KHR_lights_punctual")
             if used is not None:
-                number = used.index("light", len(lights), needed=True)
+                number = used.index("light", len(lights), required=True)
                 if moves:
                     self._omissions.add("motion of a light", node.fields.where)
-                found.add(lights[number], world, self._omissions)
-        found.add_to(self._builder.lights)
+                collector.add(lights[number], world, self._omissions)
+        collector.add_to(self._builder.lights)

@@ -7,7 +7,7 @@ ends, so bent lines have no gaps, and a segment without a length is a point.
 
 glTF leaves the width to the program. Here it is in the space of the mesh, not in pixels, so that it is the same in
 shadows and in both eyes: the radius is `_RADIUS` of the diagonal of the box around the primitive's points. Where they
-are all at one place, it is `_ALONE`.
+are all at one place, it is `_POINT_RADIUS`.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Indices
 
 LINES: Final = 1
 _STRIPS: Final = 3
 _RADIUS: Final = 1.0 / 400.0
-_ALONE: Final = 0.01
+_POINT_RADIUS: Final = 0.01
 _STEPS: Final = 2.0**-21  # of the largest coordinate: four steps of float32, so that no solid is flat
 
 
@@ -37,8 +37,8 @@ class Solid:
     """
 
     directions: Floats
-    ends: Rows
-    faces: Rows
+    ends: Indices
+    faces: Indices
 
     @classmethod
     def make(cls, ends: int) -> Solid:
@@ -46,7 +46,9 @@ class Solid:
         ring = [[0, 1, 0], [0, 0, 1], [0, -1, 0], [0, 0, -1]]
         directions = np.array([[-1, 0, 0], *ring * ends, [1, 0, 0]], np.float64)
         here = np.arange(1, 5)
-        there, far, tip = np.roll(here, -1), 4 * (ends - 1), np.full(4, len(directions) - 1)
+        there = np.roll(here, -1)
+        far = 4 * (ends - 1)
+        tip = np.full(4, len(directions) - 1)
         faces = [[0 * here, there, here], [tip, here + far, there + far]]
         if far:
             faces += [[here, there, there + far], [here, there + far, here + far]]
@@ -57,7 +59,9 @@ class Solid:
         """The number of its vertices and indices."""
         return len(self.directions) + self.faces.size
 
-    def place(self, positions: NDArray[np.float32], ends: NDArray[np.uint32]) -> tuple[Rows, Rows, Floats, float]:
+    def make_vertices(
+        self, positions: NDArray[np.float32], ends: NDArray[np.uint32]
+    ) -> tuple[Indices, Indices, Floats, float]:
         """Return for solids with `ends` (s, 1 or 2), rows of `positions` (v, 3): the row of each of their vertices,
         (k * s,), their triangles (f * s, 3), which way each vertex lies from its row, (k * s, 3), and how far."""
         points = positions[ends].astype(np.float64)
@@ -72,7 +76,7 @@ class Solid:
         outward = (self.directions @ frames).reshape(-1, 3)
         first = len(self.directions) * np.arange(len(ends))[:, None, None]
         rows = ends[:, self.ends].reshape(-1).astype(np.int64)
-        return rows, (self.faces + first).reshape(-1, 3), outward, _find_radius(points.reshape(-1, 3))
+        return rows, (self.faces + first).reshape(-1, 3), outward, _compute_radius(points.reshape(-1, 3))
 
 
 POINT: Final = Solid.make(1)
@@ -89,9 +93,9 @@ def list_ends(corners: NDArray[Any], mode: int) -> NDArray[Any]:
     return ends[:-1] if mode == _STRIPS or len(ends) < 2 else ends
 
 
-def _find_radius(points: Floats) -> float:
+def _compute_radius(points: Floats) -> float:
     finite = points[np.isfinite(points).all(axis=1)]
     if not len(finite):
-        return _ALONE
+        return _POINT_RADIUS
     extent = float(np.linalg.norm(np.ptp(finite, axis=0)))
-    return max(_RADIUS * extent if extent else _ALONE, _STEPS * float(np.abs(finite).max()))
+    return max(_RADIUS * extent if extent else _POINT_RADIUS, _STEPS * float(np.abs(finite).max()))

@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene.arrays import Floats, Rows, list_ranges
-from renderer.scene.catching_up import Recompute
+from renderer.scene.arrays import Floats, Indices, list_ranges
+from renderer.scene.catch_up import Recompute
 from renderer.scene.clips import Clips
 
 STEP, LINEAR, CUBIC = range(3)
@@ -63,7 +63,7 @@ class PropertyTracks:
         rest: (k, size), the values where no clip is played.
     """
 
-    def __init__(self, tracks: Sequence[Track], owners: Rows, rest: Floats, clips: Clips) -> None:
+    def __init__(self, tracks: Sequence[Track], owners: Indices, rest: Floats, clips: Clips) -> None:
         order = np.argsort(owners, kind="stable")
         self._tracks = tracks = [tracks[number] for number in order.tolist()]
         self.rest, self._clips = rest, clips
@@ -75,7 +75,7 @@ class PropertyTracks:
         begins = np.array([track.times[0] for track in tracks])
         lengths = np.array([track.times[-1] for track in tracks]) - begins
         self._kind = np.array([track.kind for track in tracks])
-        self._turns = any(track.target == ROTATION for track in tracks)
+        self._is_rotation = any(track.target == ROTATION for track in tracks)
         self._clip = np.array([track.clip for track in tracks], np.int64)
         self._begin, self._end = begins, begins + lengths
         shift = np.concatenate([[0.0], np.cumsum(lengths + 1.0)])[: len(tracks)] - begins
@@ -90,7 +90,7 @@ class PropertyTracks:
             for side in (0, 2)
         )
 
-    def at(self, owners: Rows, seconds: float) -> Floats:
+    def evaluate(self, owners: Indices, seconds: float) -> Floats:
         """Return the values (j, size) of `owners` (j,) at the scene's time."""
         values = self.rest[owners]
         if not self._tracks:
@@ -98,33 +98,36 @@ class PropertyTracks:
         first = self._firsts[owners]
         counts = self._firsts[owners + 1] - first
         if self._is_single:
-            place = np.flatnonzero(counts)
-            rows = first[place]
+            owner_index = np.flatnonzero(counts)
+            rows = first[owner_index]
         else:
-            place = np.repeat(np.arange(len(owners)), counts)
+            owner_index = np.repeat(np.arange(len(owners)), counts)
             rows = list_ranges(first, counts)
         times, weights = (of_clips[self._clip[rows]] for of_clips in self._clips.evaluate(seconds))
         played = weights > 0.0
         if not played.all():
-            rows, place, times, weights = rows[played], place[played], times[played], weights[played]
-        found = self._find_values(rows, times)
-        starts = None if self._is_single else np.flatnonzero(np.diff(place, prepend=-1))
+            rows = rows[played]
+            owner_index = owner_index[played]
+            times = times[played]
+            weights = weights[played]
+        sampled = self._interpolate(rows, times)
+        starts = None if self._is_single else np.flatnonzero(np.diff(owner_index, prepend=-1))
         if starts is None or len(starts) == len(rows):  # one for each
-            values[place] = found
+            values[owner_index] = sampled
             return values
         counts = np.diff(starts, append=len(rows))
-        if self._turns:
+        if self._is_rotation:
             first = np.repeat(starts, counts)
-            found *= np.where((found * found[first]).sum(1) < 0.0, -1.0, 1.0)[:, None]
+            sampled *= np.where((sampled * sampled[first]).sum(1) < 0.0, -1.0, 1.0)[:, None]
         share = weights / np.repeat(np.add.reduceat(weights, starts), counts)
-        blended = np.add.reduceat(share[:, None] * found, starts)
+        blended = np.add.reduceat(share[:, None] * sampled, starts)
         several = counts > 1
-        if self._turns:
+        if self._is_rotation:
             blended[several] = _unit(blended[several])
-        values[place[starts]] = blended
+        values[owner_index[starts]] = blended
         return values
 
-    def _find_values(self, tracks: Rows, local: Floats) -> Floats:
+    def _interpolate(self, tracks: Indices, local: Floats) -> Floats:
         """Return the values (j, size) of `tracks` (j,), each at a time `local` (j,) of its clip."""
         local = np.clip(local, self._begin[tracks], self._end[tracks])
         first = np.searchsorted(self._search, local + self._shift[tracks], "right") - 1
@@ -135,31 +138,31 @@ class PropertyTracks:
         a, b = self._values[first], self._values[second]
         kind = self._kind[tracks]
         linear = (1.0 - share) * a + share * b
-        found: Floats = np.where((kind == STEP)[:, None], np.where(share < 1.0, a, b), linear)
-        if self._turns and (great := kind == LINEAR).any():
-            found[great] = slerp(a[great], b[great], share[great, 0])
+        result: Floats = np.where((kind == STEP)[:, None], np.where(share < 1.0, a, b), linear)
+        if self._is_rotation and (great := kind == LINEAR).any():
+            result[great] = slerp(a[great], b[great], share[great, 0])
         if (cubic := kind == CUBIC).any():
             curve = _hermite(
                 a[cubic], self._after[first[cubic]], b[cubic], self._before[second[cubic]], share[cubic],
                 length[cubic, None],
             )  # fmt: skip
-            found[cubic] = _unit(curve) if self._turns else curve
-        return found
+            result[cubic] = _unit(curve) if self._is_rotation else curve
+        return result
 
     def list_tracks(self, owner: int) -> list[Track]:
         """Return the tracks of an owner."""
         return self._tracks[self._firsts[owner] : self._firsts[owner + 1]]
 
-    def find_extremes(self, owner: int) -> tuple[Floats, Floats]:
-        """Return bounds (size,) of the values that an owner ever has, unless they are rotations: those of keys and
+    def value_bounds(self, owner: int) -> tuple[Floats, Floats]:
+        """Return bounds (size,) of all values that an owner can have, unless they are rotations: of keys and
         control points, and the rest."""
         points = [self.rest[owner][None]]
         for track in self.list_tracks(owner):
             points.append(track.keys)
             if track.kind == CUBIC:
                 points.append(_controls(track).reshape(-1, points[0].shape[1]))
-        held = np.concatenate(points)
-        return held.min(0), held.max(0)
+        all_points = np.concatenate(points)
+        return all_points.min(0), all_points.max(0)
 
 
 class NodeMotion:
@@ -173,9 +176,12 @@ class NodeMotion:
     catch_up: Final = Recompute()
 
     def __init__(
-        self, tracks: Sequence[Track], owners: Rows, rest: tuple[Floats, Floats, Floats], clips: Clips
+        self, tracks: Sequence[Track], owners: Indices, rest: tuple[Floats, Floats, Floats], clips: Clips
     ) -> None:
-        self.tracks, self.owners, self.rest, self._clips = tuple(tracks), owners, rest, clips
+        self.tracks = tuple(tracks)
+        self.owners = owners
+        self.rest = rest
+        self._clips = clips
         self._now = tuple(values.copy() for values in rest)
         targets = np.array([track.target for track in tracks])
         self._properties = [
@@ -191,16 +197,16 @@ class NodeMotion:
 
     def __deepcopy__(self, memo: object) -> NodeMotion:
         """Return a copy with a state of its own; the keys never change, and the clips are the scene's."""
-        made = copy(self)
-        made._now = tuple(values.copy() for values in self._now)
-        return made
+        duplicate = copy(self)
+        duplicate._now = tuple(values.copy() for values in self._now)
+        return duplicate
 
-    def set_time(self, members: Rows, seconds: float) -> None:
+    def set_time(self, members: Indices, seconds: float) -> None:
         """Compute the parts of the transforms of `members` (j,) at a time."""
         for values, part in zip(self._now, self._properties, strict=True):
-            values[members] = part.at(members, seconds)
+            values[members] = part.evaluate(members, seconds)
 
-    def transforms(self, members: Rows) -> Floats:
+    def transforms(self, members: Indices) -> Floats:
         """Return the present transforms (j, 4, 4) of `members` (j,)."""
         translation, rotation, scale = self._now
         return compose(translation[members], rotation[members], scale[members])
@@ -209,10 +215,10 @@ class NodeMotion:
         """Return a box in the space of the member's parent that holds the box `lower` to `upper` (3,) at all times,
         whatever clips are played."""
         moved, turned, scaled = self._properties
-        (moved_low, moved_high), (scale_low, scale_high) = moved.find_extremes(member), scaled.find_extremes(member)
+        (moved_low, moved_high), (scale_low, scale_high) = moved.value_bounds(member), scaled.value_bounds(member)
         products = np.stack([lower * scale_low, lower * scale_high, upper * scale_low, upper * scale_high])
         lower, upper = products.min(0), products.max(0)
-        lower, upper = _turned(*_cover(turned.list_tracks(member), turned.rest[member]), lower, upper)
+        lower, upper = _rotated_bounds(*_cover(turned.list_tracks(member), turned.rest[member]), lower, upper)
         size = max(float(np.abs([lower, upper, moved_low, moved_high]).max()), 1e-30)
         slack = 1e-8 * size  # of rounding, here and where the motion is evaluated
         return lower + moved_low - slack, upper + moved_high + slack
@@ -233,22 +239,22 @@ def compose(translation: Floats, rotation: Floats, scale: Floats) -> Floats:
     return matrix
 
 
-def slerp(a: Floats, b: Floats, share: Floats) -> Floats:
-    """Return rotations (j, 4) on the shorter great circles from `a` to `b` (j, 4), at `share` (j,) of the way."""
+def slerp(a: Floats, b: Floats, fraction: Floats) -> Floats:
+    """Return rotations (j, 4) on the shorter great circles from `a` to `b` (j, 4), at `fraction` (j,) of the way."""
     cosine = (a * b).sum(-1)
     b = np.where(cosine[:, None] < 0.0, -b, b)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
     sine = np.sin(angle)
     near = sine < 1e-6
     safe = np.where(near, 1.0, sine)
-    first = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
-    second = np.where(near, share, np.sin(share * angle) / safe)
+    first = np.where(near, 1.0 - fraction, np.sin((1.0 - fraction) * angle) / safe)
+    second = np.where(near, fraction, np.sin(fraction * angle) / safe)
     return _unit(first[:, None] * a + second[:, None] * b)
 
 
-def _hermite(a: Floats, leaving: Floats, b: Floats, arriving: Floats, share: Floats, length: Floats) -> Floats:
+def _hermite(a: Floats, leaving: Floats, b: Floats, arriving: Floats, fraction: Floats, length: Floats) -> Floats:
     """Return points of cubic curves from `a` to `b` with the tangents `leaving` and `arriving`, per second."""
-    s, s2, s3 = share, share**2, share**3
+    s, s2, s3 = fraction, fraction**2, fraction**3
     return (
         (2.0 * s3 - 3.0 * s2 + 1.0) * a
         + length * (s3 - 2.0 * s2 + s) * leaving
@@ -319,7 +325,7 @@ def _cut(points: Floats, start: float, end: float) -> Floats:
     return np.stack([blossom(*corner) for corner in corners], axis=1)
 
 
-def _turned(rotations: Floats, angles: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
+def _rotated_bounds(rotations: Floats, angles: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
     """Return a box that holds the box `lower` to `upper` under rotations that are at most `angles` (j,) from one of
     `rotations` (j, 4).
 

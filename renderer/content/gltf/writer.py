@@ -21,11 +21,12 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.content.gltf.animations import KINDS
 from renderer.content.gltf.container import BINARY_CHUNK, JSON_CHUNK, MAGIC
-from renderer.content.gltf.extras import FARTHEST, INFINITE, KEY, PLACED, SPECULAR, write_surroundings
+from renderer.content.gltf.extras import FARTHEST, HOLDER, INFINITE, KEY, SPECULAR, write_scene_extras
 from renderer.content.gltf.materials import ALPHA_MODES, MAGNIFY, MINIFY, WRAPS
 from renderer.content.gltf.nodes import CANDELA
 from renderer.content.gltf.primitives import ATTRIBUTES
 from renderer.content.gltf.tracks import LINEAR, NodeMotion, Track
+from renderer.light_kinds.table import LIGHT_KINDS
 from renderer.scene.arrays import Floats
 from renderer.scene.materials import AlphaMode, ImagePixels, ShadingModel
 from renderer.scene.omissions import Omission, Omissions
@@ -83,17 +84,17 @@ class _GltfWriter:
         self._write_animations(motions)
         self._write_lights()
         self._write_views()
-        for what, held in (("fog", self._scene.fog), ("glow", self._scene.glow)):
-            if held is not None:
+        for what, effect in (("fog", self._scene.fog), ("bloom", self._scene.bloom)):
+            if effect is not None:
                 self.omissions.add(what, "scene")
-        for one in self._scene.shaders:
-            self.omissions.add("shaders of materials", one.shader.__name__)
+        for custom in self._scene.shaders:
+            self.omissions.add("shaders of materials", custom.shader.__name__)
 
     def save(self, file: Path) -> None:
         """Write the file, and its buffer beside it unless it is a `.glb`."""
         data = b"".join(self._chunks)
         values: dict[str, Any] = {"asset": {"version": "2.0", "generator": "rhi renderer"}, "scene": 0}
-        values |= {name: held for name, held in self._lists.items() if held}
+        values |= {name: elements for name, elements in self._lists.items() if elements}
         if self._lights:
             self._extensions.add("KHR_lights_punctual")
             values["extensions"] = {"KHR_lights_punctual": {"lights": self._lights}}
@@ -116,9 +117,9 @@ class _GltfWriter:
             out.write(struct.pack("<II", len(data), BINARY_CHUNK) + data)
 
     def _add(self, name: str, values: dict[str, Any]) -> int:
-        held = self._lists.setdefault(name, [])
-        held.append(values)
-        return len(held) - 1
+        elements = self._lists.setdefault(name, [])
+        elements.append(values)
+        return len(elements) - 1
 
     def _view(self, data: bytes, **more: Any) -> int:
         number = self._add("bufferViews", {"buffer": 0, "byteOffset": self._size, "byteLength": len(data), **more})
@@ -151,11 +152,11 @@ class _GltfWriter:
         image, sampler = int(texture["image"]), int(texture["sampler"])
         if (image, sampler) not in self._textures:
             default = self._scene.samplers[sampler] == SamplerDescriptor()
-            held = {"source": image, **({} if default else {"sampler": sampler})}
-            self._textures[image, sampler] = self._add("textures", held)
-        given: dict[str, Any] = {"index": self._textures[image, sampler]}
+            fields = {"source": image, **({} if default else {"sampler": sampler})}
+            self._textures[image, sampler] = self._add("textures", fields)
+        use: dict[str, Any] = {"index": self._textures[image, sampler]}
         if texture["uv_set"]:
-            given["texCoord"] = int(texture["uv_set"])
+            use["texCoord"] = int(texture["uv_set"])
         (xx, xy, u), (yx, yy, v) = texture["transform"].astype(np.float64).tolist()
         if (xx, xy, u, yx, yy, v) != (1.0, 0.0, 0.0, 0.0, 1.0, 0.0):
             self._extensions.add("KHR_texture_transform")
@@ -163,14 +164,14 @@ class _GltfWriter:
             scale = [float(np.hypot(xx, yx)), float(np.hypot(xy, yy))] if turned else [xx, yy]
             if turned and xx * yy - xy * yx < 0.0:
                 scale[1] = -scale[1]
-            given["extensions"] = {"KHR_texture_transform": {"offset": [u, v], "rotation": turned, "scale": scale}}
-        return given
+            use["extensions"] = {"KHR_texture_transform": {"offset": [u, v], "rotation": turned, "scale": scale}}
+        return use
 
     def _material(self, row: NDArray[Any]) -> dict[str, Any]:
         """Return a material; one of the specular model is a likeness, with its parameters in extras."""
         color = [float(value) for value in row["base_color"]]
         pbr: dict[str, Any] = {"baseColorFactor": color}
-        made: dict[str, Any] = {"pbrMetallicRoughness": pbr}
+        fields: dict[str, Any] = {"pbrMetallicRoughness": pbr}
         extras: dict[str, Any] = {}
         if row["texture"] >= 0:
             pbr["baseColorTexture"] = self._texture(row["texture"])
@@ -184,9 +185,9 @@ class _GltfWriter:
             pbr |= {"metallicFactor": 0.0, "roughnessFactor": float(np.sqrt(alpha))}
         for field, (name, factor, written, default) in _SLOTS.items():
             if row[field] >= 0:
-                made[name] = self._texture(row[field])
+                fields[name] = self._texture(row[field])
                 if row[factor] != default:
-                    made[name][written] = float(row[factor])
+                    fields[name][written] = float(row[factor])
         emissive, image = [float(value) for value in row["emissive"]], int(row["emissive_texture"])
         if row["emission"]:
             extras |= {"emission": float(row["emission"]), "emissive": emissive}
@@ -196,22 +197,22 @@ class _GltfWriter:
                 image = image if image >= 0 else int(row["texture"])
         if any(emissive):
             strength = 2.0 ** np.ceil(np.log2(max(*emissive, 1.0)))  # a power of two, so that nothing is rounded
-            made["emissiveFactor"] = [value / strength for value in emissive]
+            fields["emissiveFactor"] = [value / strength for value in emissive]
             if strength > 1.0:
                 self._extensions.add("KHR_materials_emissive_strength")
-                held = {"emissiveStrength": float(strength)}
-                made["extensions"] = {"KHR_materials_emissive_strength": held}
+                strength_fields = {"emissiveStrength": float(strength)}
+                fields["extensions"] = {"KHR_materials_emissive_strength": strength_fields}
         if image >= 0:
-            made["emissiveTexture"] = self._texture(image)
+            fields["emissiveTexture"] = self._texture(image)
         if row["alpha_mode"] != AlphaMode.OPAQUE:
-            made["alphaMode"] = _MODES[AlphaMode(int(row["alpha_mode"]))]
+            fields["alphaMode"] = _MODES[AlphaMode(int(row["alpha_mode"]))]
         if row["alpha_cutoff"] != 0.5:
-            made["alphaCutoff"] = float(row["alpha_cutoff"])
+            fields["alphaCutoff"] = float(row["alpha_cutoff"])
         if row["double_sided"]:
-            made["doubleSided"] = True
+            fields["doubleSided"] = True
         if extras:
-            made["extras"] = {KEY: extras}
-        return made
+            fields["extras"] = {KEY: extras}
+        return fields
 
     def _write_meshes(self) -> list[dict[str, Any]]:
         """Write the vertices and indices of all meshes; return for each the attributes and indices of a primitive."""
@@ -219,7 +220,7 @@ class _GltfWriter:
         stride = meshes.vertices.dtype.itemsize
         vertices = self._view(meshes.vertices.tobytes(), byteStride=stride, target=_VERTICES)
         indices = self._view(meshes.indices.tobytes(), target=_INDICES)
-        offsets = {name: found[1] for name, found in (meshes.vertices.dtype.fields or {}).items()}
+        offsets = {name: description[1] for name, description in (meshes.vertices.dtype.fields or {}).items()}
         fields = {name: (field, types[0]) for name, (field, types) in ATTRIBUTES.items()}
         written = []
         for mesh, count in enumerate(meshes.vertex_counts.tolist()):
@@ -230,7 +231,7 @@ class _GltfWriter:
                 if field not in offsets:
                     continue
                 offset = offsets[field]
-                held: dict[str, Any] = {
+                accessor: dict[str, Any] = {
                     "bufferView": vertices,
                     "byteOffset": base * stride + offset,
                     "componentType": 5126,
@@ -238,8 +239,8 @@ class _GltfWriter:
                     "type": kind,
                 }
                 if name == "POSITION":
-                    held |= {"min": position.min(0).tolist(), "max": position.max(0).tolist()}
-                attributes[name] = self._add("accessors", held)
+                    accessor |= {"min": position.min(0).tolist(), "max": position.max(0).tolist()}
+                attributes[name] = self._add("accessors", accessor)
             order = self._add(
                 "accessors",
                 {
@@ -255,44 +256,46 @@ class _GltfWriter:
 
     def _write_nodes(self, primitives: list[dict[str, Any]]) -> list[tuple[NDArray[np.int64], NodeMotion]]:
         """Write nodes, and for each set of objects at a node a mesh; return the motions that can be written."""
-        scene, nodes, objects = self._scene, self._scene.nodes, self._scene.objects
+        scene = self._scene
+        nodes = scene.nodes
+        objects = scene.objects
         order = np.argsort(objects.node, kind="stable")
         starts = np.searchsorted(objects.node[order], np.arange(len(nodes) + 1))
-        made: list[dict[str, Any]] = []
+        written: list[dict[str, Any]] = []
         combined: dict[tuple[tuple[int, int], ...], int] = {}
         children: list[list[int]] = [[] for _ in range(len(nodes))]
         for row, parent in enumerate(nodes.parents.tolist()):
             if parent >= 0:
                 children[parent].append(row)
         for row in range(len(nodes)):
-            held: dict[str, Any] = {"name": nodes.names[row]} if nodes.names[row] else {}
-            held |= {"children": children[row]} if children[row] else {}
+            fields: dict[str, Any] = {"name": nodes.names[row]} if nodes.names[row] else {}
+            fields |= {"children": children[row]} if children[row] else {}
             if (local := nodes.local[row]).tolist() != _IDENTITY:
                 moved = local.copy()
                 moved[:3, 3] = 0.0
                 if moved.tolist() == _IDENTITY:
-                    held["translation"] = local[:3, 3].tolist()
+                    fields["translation"] = local[:3, 3].tolist()
                 else:
-                    held["matrix"] = local.T.ravel().tolist()
+                    fields["matrix"] = local.T.ravel().tolist()
             rows = order[starts[row] : starts[row + 1]]
             if len(rows):
                 pairs = tuple(zip(objects.mesh[rows].tolist(), objects.material[rows].tolist(), strict=True))
                 if pairs not in combined:
                     combined[pairs] = self._add("meshes", self._mesh(pairs, primitives))
-                held["mesh"] = combined[pairs]
-            made.append(held)
+                fields["mesh"] = combined[pairs]
+            written.append(fields)
         unused = np.setdiff1d(np.arange(len(primitives)), objects.mesh)
         for mesh in unused.tolist():
             self._add("meshes", self._mesh(((mesh, -1),), primitives))
-        motions = self._find_motions(made)
-        self._lists["nodes"] = made
+        motions = self._collect_motions(written)
+        self._lists["nodes"] = written
         lists = {
             "dynamic": np.flatnonzero(nodes.dynamic),
-            "hidden": np.flatnonzero(nodes.hides),
+            "hidden": np.flatnonzero(nodes.hidden_itself),
             "objects": order if (np.diff(order) < 0).any() else order[:0],
             "shadowless": np.flatnonzero(~objects.casts_shadow),
         }
-        private = write_surroundings(scene) | {name: rows.tolist() for name, rows in lists.items() if len(rows)}
+        private = write_scene_extras(scene) | {name: rows.tolist() for name, rows in lists.items() if len(rows)}
         roots = np.flatnonzero(nodes.parents < 0).tolist()
         self._lists["scenes"] = [{"name": scene.name, "nodes": roots, "extras": {KEY: private}}]
         return motions
@@ -305,111 +308,108 @@ class _GltfWriter:
         named = [part | {"extras": {"name": name}} for part, name in zip(parts, names, strict=True)]
         return {"primitives": named}
 
-    def _find_motions(self, nodes: list[dict[str, Any]]) -> list[tuple[NDArray[np.int64], NodeMotion]]:
+    def _collect_motions(self, nodes: list[dict[str, Any]]) -> list[tuple[NDArray[np.int64], NodeMotion]]:
         """Return the motions of glTF with the rows of their nodes, which get their parts in place of a matrix."""
         motions = []
-        for number, one in enumerate(self._scene.simulated):
-            motion = one.simulation
+        for number, simulated in enumerate(self._scene.simulated):
+            motion = simulated.simulation
             if not isinstance(motion, NodeMotion):
-                what = "simulations of nodes" if len(one.nodes) else "simulations of vertices"
-                self.omissions.add(what, f"simulated[{number}]", len(one))
+                what = "simulations of nodes" if len(simulated.nodes) else "simulations of vertices"
+                self.omissions.add(what, f"simulated[{number}]", len(simulated))
                 continue
-            for member, row in enumerate(one.nodes.tolist()):
+            for member, row in enumerate(simulated.nodes.tolist()):
                 for name in ("matrix", *_PATHS):
                     nodes[row].pop(name, None)
                 nodes[row] |= {name: part[member].tolist() for name, part in zip(_PATHS, motion.rest, strict=True)}
-            motions.append((one.nodes, motion))
+            motions.append((simulated.nodes, motion))
         return motions
 
     def _write_animations(self, motions: list[tuple[NDArray[np.int64], NodeMotion]]) -> None:
-        """Write tracks; those of a clip are an animation."""
+        """Write tracks; the tracks of a clip become an animation."""
         names = list(self._scene.clips)
         for rows, motion in motions:
             animations: dict[int, dict[str, Any]] = {}
             for track, owner in zip(motion.tracks, motion.owners.tolist(), strict=True):
                 begun = {"name": names[track.clip], "samplers": [], "channels": []}
-                held = animations.setdefault(track.clip, begun)
-                held["samplers"].append(self._track(track))
+                animation = animations.setdefault(track.clip, begun)
+                animation["samplers"].append(self._track(track))
                 target = {"node": int(rows[owner]), "path": _PATHS[track.target]}
-                held["channels"].append({"sampler": len(held["samplers"]) - 1, "target": target})
-            for _, held in sorted(animations.items()):
-                self._add("animations", held)
+                animation["channels"].append({"sampler": len(animation["samplers"]) - 1, "target": target})
+            for _, animation in sorted(animations.items()):
+                self._add("animations", animation)
 
     def _track(self, track: Track) -> dict[str, Any]:
         times = track.times.astype("<f4")
         size = track.values.shape[-1]
         values = track.values.astype("<f4").reshape(-1, size)
-        given = {
+        fields = {
             "input": self._accessor(times, "SCALAR", min=[float(times.min())], max=[float(times.max())]),
             "output": self._accessor(values, f"VEC{size}"),
         }
-        return given if track.kind == LINEAR else given | {"interpolation": _KINDS[track.kind]}
+        return fields if track.kind == LINEAR else fields | {"interpolation": _KINDS[track.kind]}
 
     def _accessor(self, values: NDArray[Any], kind: str, **more: Any) -> int:
         view = self._view(values.tobytes())
-        held = {"bufferView": view, "componentType": 5126, "count": len(values), "type": kind}
-        return self._add("accessors", held | more)
+        accessor = {"bufferView": view, "componentType": 5126, "count": len(values), "type": kind}
+        return self._add("accessors", accessor | more)
 
-    def _place(self, name: str, position: Floats, axes: Floats, **more: Any) -> None:
+    def _add_light_or_camera_node(self, name: str, position: Floats, axes: Floats, **more: Any) -> None:
         """Add a node that only holds a light or a camera; `axes` (3, 3) has the rows right, up and back."""
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = axes.T, position
-        held = {"name": name, "matrix": matrix.T.ravel().tolist(), "extras": {KEY: {PLACED: True}}, **more}
-        self._lists["scenes"][0]["nodes"].append(self._add("nodes", held))
+        fields = {"name": name, "matrix": matrix.T.ravel().tolist(), "extras": {KEY: {HOLDER: True}}, **more}
+        self._lists["scenes"][0]["nodes"].append(self._add("nodes", fields))
 
     def _write_lights(self) -> None:
-        lights = self._scene.lights
-        for kind, rows in (
-            ("directional", lights.directional),
-            ("point", lights.point),
-            ("spot", lights.spot),
-        ):
-            for row in rows:
+        for kind in LIGHT_KINDS:
+            lights = self._scene.lights.of_kind(kind)
+            if kind.gltf is None:
+                if len(lights):
+                    self.omissions.add(f"{kind.noun}s, which glTF doesn't have", f"lights[{len(self._lights)}]")
+                continue
+            for light in lights:
                 number = len(self._lights)
-                held: dict[str, Any] = {
-                    "type": kind,
-                    "color": row["color"].tolist(),
-                    "intensity": float(row["intensity"]) / CANDELA,
+                fields: dict[str, Any] = {
+                    "type": kind.gltf.type,
+                    "color": light["color"].tolist(),
+                    "intensity": float(light["intensity"]) / CANDELA,
                 }
-                if kind != "directional":
-                    held["range"] = float(row["range"])
-                if kind == "spot":
-                    if row["outer"] > np.pi / 2.0 or row["inner"] == row["outer"]:
-                        self.omissions.add("cones of spot lights that glTF doesn't allow", f"lights[{number}]")
-                    held["spot"] = {
-                        "innerConeAngle": float(row["inner"]),
-                        "outerConeAngle": float(row["outer"]),
-                    }
-                own: dict[str, Any] = {"casts_shadow": True} if row["casts_shadow"] else {}
-                if kind != "directional" and row["source_radius"] > 0.0:
-                    own["source_radius"] = float(row["source_radius"])
+                if kind.has_range:
+                    fields["range"] = float(light["range"])
+                if not kind.gltf.is_allowed(light):
+                    self.omissions.add(kind.gltf.omission, f"lights[{number}]")
+                fields |= kind.gltf.write(light)
+                own: dict[str, Any] = {"casts_shadow": True} if light["casts_shadow"] else {}
+                if kind.has_range and light["source_radius"] > 0.0:
+                    own["source_radius"] = float(light["source_radius"])
                 if own:
-                    held["extras"] = {KEY: own}
-                self._lights.append(held)
-                position = np.zeros(3) if kind == "directional" else row["position"].astype(np.float64)
-                axes = np.eye(3) if kind == "point" else _look_along(row["direction"].astype(np.float64))
+                    fields["extras"] = {KEY: own}
+                self._lights.append(fields)
+                position = light["position"].astype(np.float64) if kind.has_range else np.zeros(3)
+                axes = _look_along(light["direction"].astype(np.float64)) if kind.has_direction else np.eye(3)
                 extension = {"KHR_lights_punctual": {"light": number}}
-                self._place(f"{kind} {number}", position, axes, extensions=extension)
+                name = f"{kind.gltf.type} {number}"
+                self._add_light_or_camera_node(name, position, axes, extensions=extension)
 
     def _write_views(self) -> None:
         for name, view in self._scene.views.items():
             number = self._add("cameras", self._camera(view, name))
-            self._place(name, view.position, view.rotation, camera=number)
+            self._add_light_or_camera_node(name, view.position, view.rotation, camera=number)
 
     def _camera(self, view: Camera, name: str) -> dict[str, Any]:
-        lens = view.projection
-        assert isinstance(lens, Perspective | Orthographic)
-        if lens.depth is not Depth.REVERSED:
+        projection = view.projection
+        assert isinstance(projection, Perspective | Orthographic)
+        if projection.depth is not Depth.REVERSED:
             self.omissions.add("the direction of a camera's depth", name)
-        if isinstance(lens, Perspective):
-            # May be left out if it is infinite, but loaders of other engines fail without it.
-            far = FARTHEST * lens.near if np.isinf(lens.far) else lens.far
-            held = {"yfov": lens.fov, "aspectRatio": lens.aspect, "znear": lens.near, "zfar": far}
-            stands = {} if far == lens.far else {"extras": {KEY: {INFINITE: far}}}
-            return {"type": "perspective", "perspective": held, **stands}
-        height = 0.5 * lens.height
-        held = {"xmag": height * lens.aspect, "ymag": height, "znear": lens.near, "zfar": lens.far}
-        return {"type": "orthographic", "orthographic": held}
+        if isinstance(projection, Perspective):
+            # glTF lets an infinite zfar be left out, but loaders of other engines fail without it.
+            far = FARTHEST * projection.near if np.isinf(projection.far) else projection.far
+            fields = {"yfov": projection.fov, "aspectRatio": projection.aspect, "znear": projection.near, "zfar": far}
+            stands = {} if far == projection.far else {"extras": {KEY: {INFINITE: far}}}
+            return {"type": "perspective", "perspective": fields, **stands}
+        height = 0.5 * projection.height
+        fields = {"xmag": height * projection.aspect, "ymag": height, "znear": projection.near, "zfar": projection.far}
+        return {"type": "orthographic", "orthographic": fields}
 
 
 _IDENTITY: Final = np.eye(4).tolist()

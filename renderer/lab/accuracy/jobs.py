@@ -1,11 +1,11 @@
-"""Sweeps as jobs: on any executor, and without doing anything twice after a crash.
+"""Sweeps as jobs: they run on any executor, and a sweep that was interrupted continues where it stopped.
 
-A job is a share of a knob's sweep in a situation. What it has found is a file of its own, named by a hash of all that
-it depends on: the situation, the knob as it is declared, the share, and the scene's file if it is one. A file is
-complete or isn't there: it is written under another name, and then renamed. So a sweep that was interrupted goes on
-where it stopped, and after a change of one knob only that one is measured again.
+A job is a shard of one quality setting's sweep. Its result is a file, named by a hash of all that it depends on: the
+setup, the quality setting as it is declared, the shard, and the scene's file if it is one. A file is complete or isn't
+there: it is written under another name, and then renamed. So a sweep that was interrupted continues where it stopped,
+and after a change of one quality setting only that one is measured again.
 
-The longest jobs are handed out first, so that at the end no process waits for long for another one's.
+The longest jobs start first, so that no process waits long for another at the end.
 """
 
 from __future__ import annotations
@@ -22,65 +22,77 @@ from typing import Any, Final
 
 import rhi
 from renderer.lab.accuracy import sweep
-from renderer.lab.accuracy.choice import FrontPoint, combine, find_front, make_plain
-from renderer.lab.accuracy.knobs import KNOBS, Demand, Unit
-from renderer.settings import to_plain
+from renderer.lab.accuracy.choice import ParetoPoint, combine, compute_pareto_front, make_plain
+from renderer.lab.accuracy.quality_settings import QUALITY_SETTINGS, ErrorUnit, Requirement
+from renderer.settings import to_json
 
 _VERSION: Final = 4
-"""To be raised with any change of what is measured or stored."""
+"""Part of each job's hash. Raise it with any change of what is measured or stored."""
 
 
 _FLOAT64_FRAMES: Final = 12
-"""The number of frames that take as long as a picture in float64."""
-_JUDGED_FRAMES: Final = 200
-"""The number of frames that take as long as the judge's picture."""
+"""The time of an image in float64, in frames."""
+_TRACED_FRAMES: Final = 200
+"""The time of a ray-traced image, in frames."""
 _MAPS: Final = 2
-"""The factor by which frames take longer whose shadow maps are drawn, too."""
+"""The factor by which shadow maps lengthen frames."""
 
 
 @dataclass(frozen=True, slots=True)
 class SweepJob:
-    """A share of the sweep of a knob."""
+    """A shard of the sweep of a quality setting."""
 
-    situation: sweep.Situation
-    knob: str
-    share: sweep.SweepShare = sweep.WHOLE
+    setup: sweep.SweepSetup
+    setting: str
+    shard: sweep.SweepShard = sweep.WHOLE_SWEEP
 
     @property
     def key(self) -> str:
-        """A hash of all that the result depends on, machines aside."""
-        scene = Path(self.situation.scene)
+        """A hash of all that the result depends on, except machines."""
+        scene = Path(self.setup.scene)
         content = sha256(scene.read_bytes()).hexdigest() if scene.is_file() else ""
-        knob = KNOBS[self.knob]
-        measured = knob.path, knob.values, knob.unit, knob.truth, knob.within, knob.demand, knob.remembers, knob.option
-        share = self.share.number, self.share.count
-        parts = [_VERSION, rhi.__version__, to_plain(self.situation), content, self.knob, share, repr(measured)]
+        setting = QUALITY_SETTINGS[self.setting]
+        measured = (
+            setting.path,
+            setting.values,
+            setting.unit,
+            setting.reference,
+            setting.base_settings,
+            setting.requirement,
+            setting.history_frames,
+            setting.option,
+        )
+        shard = self.shard.number, self.shard.count
+        parts = [_VERSION, rhi.__version__, to_json(self.setup), content, self.setting, shard, repr(measured)]
         return _hash(parts)
 
     @property
     def effort(self) -> float:
-        """About how many frames it draws: to order jobs, not to say how long they take."""
-        knob, situation = KNOBS[self.knob], self.situation
-        if knob.is_encoding:
-            return float(len(knob.values))
-        views, rounds = (len(self.share.take(range(count))) for count in (situation.views, situation.rounds))
-        frames = len(knob.values) * (knob.remembers + views + 1 + rounds)
-        judged = views * (knob.truth.scale**2 + _FLOAT64_FRAMES * (knob.truth.is_float64 or knob.unit is Unit.LIGHTS))
-        judged = views * _JUDGED_FRAMES if knob.truth.rays else judged
-        return (frames + judged) * (_MAPS if knob.demand is Demand.SHADOWS else 1.0)
+        """About how many frames the job draws. Orders jobs; it doesn't predict their time."""
+        setting, setup = QUALITY_SETTINGS[self.setting], self.setup
+        if setting.is_encoding:
+            return float(len(setting.values))
+        views, rounds = (len(self.shard.take(range(count))) for count in (setup.views, setup.rounds))
+        frames = len(setting.values) * (setting.history_frames + views + 1 + rounds)
+        reference_frames = views * (
+            setting.reference.scale**2
+            + _FLOAT64_FRAMES * (setting.reference.is_float64 or setting.unit is ErrorUnit.LIGHTS)
+        )
+        reference_frames = views * _TRACED_FRAMES if setting.reference.rays else reference_frames
+        return (frames + reference_frames) * (_MAPS if setting.requirement is Requirement.SHADOWS else 1.0)
 
-    def run(self) -> sweep.KnobSample:
-        """Measure the share."""
-        return sweep.sweep_share(self.situation, self.knob, self.share)
+    def run(self) -> sweep.SettingSample:
+        """Measure the shard."""
+        return sweep.sweep_shard(self.setup, self.setting, self.shard)
 
 
-def list_jobs(situation: sweep.Situation, knobs: Iterable[str]) -> list[SweepJob]:
-    """Return the jobs of the sweeps of some knobs."""
-    return [SweepJob(situation, name, share) for name in knobs for share in sweep.list_shares(situation, name)]
+def list_jobs(setup: sweep.SweepSetup, quality_settings: Iterable[str]) -> list[SweepJob]:
+    """The jobs of the sweeps of quality settings."""
+    return [SweepJob(setup, name, shard) for name in quality_settings for shard in sweep.list_shards(setup, name)]
 
 
 def order_jobs(jobs: Iterable[SweepJob]) -> list[SweepJob]:
-    """Return the jobs in the order in which they are handed out, the longest first."""
+    """The jobs in the order of their start, longest first."""
     return sorted(jobs, key=lambda job: -job.effort)
 
 
@@ -89,48 +101,49 @@ def run_jobs(
     executor: Executor,
     folder: Path | None,
     progress: Callable[[Iterable[Any], int], Iterable[Any]] = lambda items, total: items,
-) -> list[sweep.KnobReport]:
-    """Return the report of each knob, in the order of their first jobs; as many run at a time as the executor allows.
+) -> list[sweep.SettingReport]:
+    """Run jobs, as many at a time as the executor allows, and return the report of each quality setting, in
+    the order of their first jobs.
 
-    If one fails, the others are finished and kept, and then its error is raised.
+    If a job fails, the others are finished and stored before its error is raised.
 
     Args:
-        folder: where results are kept, and found again; None keeps none.
-        progress: wraps what is waited for, given how much it is: the jobs of a serial executor, the results of others.
+        folder: stores results, and is read for earlier ones; None stores nothing.
+        progress: wraps an iterable, given its length: the jobs of a serial executor, the results of others.
     """
-    known = {} if folder is None else {job: load_sample(folder / f"{job.key}.json") for job in jobs}
-    left = [job for job in order_jobs(jobs) if known.get(job) is None]
-    futures: dict[SweepJob, Future[sweep.KnobSample]] = {}
+    stored = {} if folder is None else {job: load_sample(folder / f"{job.key}.json") for job in jobs}
+    left = [job for job in order_jobs(jobs) if stored.get(job) is None]
+    futures: dict[SweepJob, Future[sweep.SettingSample]] = {}
     for job in progress(left, len(left)):
         futures[job] = executor.submit(SweepJob.run, job)
         if folder is not None:
-            futures[job].add_done_callback(partial(_keep, folder / f"{job.key}.json"))
+            futures[job].add_done_callback(partial(_save_result, folder / f"{job.key}.json"))
     for _ in progress(as_completed(futures.values()), len(left)):
         pass
-    found: dict[str, list[sweep.KnobSample]] = {}
+    samples_by_setting: dict[str, list[sweep.SettingSample]] = {}
     for job in jobs:
-        found.setdefault(job.knob, []).append(known.get(job) or futures[job].result())
-    return [sweep.join_shares(samples) for samples in found.values()]
+        samples_by_setting.setdefault(job.setting, []).append(stored.get(job) or futures[job].result())
+    return [sweep.join_shards(samples) for samples in samples_by_setting.values()]
 
 
-def keep_front(
-    situation: sweep.Situation,
-    reports: Sequence[sweep.KnobReport],
+def load_or_compute_pareto_front(
+    setup: sweep.SweepSetup,
+    reports: Sequence[sweep.SettingReport],
     folder: Path | None,
     progress: Callable[[range], Iterable[int]] = lambda rounds: rounds,
-) -> list[FrontPoint]:
-    """Return the combinations of knobs (`find_front`), those that the folder holds if they were found from the same
+) -> list[ParetoPoint]:
+    """The Pareto front (`compute_pareto_front`); read from the folder if it was computed from the same
     reports."""
     if folder is None:
-        return find_front(situation, reports, progress)
-    parts = [_VERSION, to_plain(situation), [asdict(report) for report in reports]]
-    path = folder / f"front-{_hash(parts)}.json"
+        return compute_pareto_front(setup, reports, progress)
+    parts = [_VERSION, to_json(setup), [asdict(report) for report in reports]]
+    path = folder / f"pareto-front-{_hash(parts)}.json"
     try:
-        found = json.loads(path.read_text())
-        base = make_plain(situation.settings)
-        return [FrontPoint(**point | {"settings": combine(base, point["values"])}) for point in found]
+        stored_points = json.loads(path.read_text())
+        base = make_plain(setup.settings)
+        return [ParetoPoint(**point | {"settings": combine(base, point["values"])}) for point in stored_points]
     except (OSError, ValueError, TypeError, KeyError):
-        points = find_front(situation, reports, progress)
+        points = compute_pareto_front(setup, reports, progress)
         _write_whole(path, json.dumps([asdict(point) | {"settings": None} for point in points]))
         return points
 
@@ -140,35 +153,35 @@ def _hash(parts: object) -> str:
 
 
 def _write_whole(path: Path, text: str) -> None:
-    """Write a file, whole or not at all."""
+    """Write a file completely or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(f".{os.getpid()}.part")
     beside.write_text(text)
     beside.replace(path)
 
 
-def _keep(path: Path, future: Future[sweep.KnobSample]) -> None:
-    """Keep the result of a job as soon as it is there: the process may end before the others are."""
+def _save_result(path: Path, future: Future[sweep.SettingSample]) -> None:
+    """Store the result of a job as soon as it is finished: the process may end before the others are."""
     if not future.cancelled() and future.exception() is None:
         save_sample(path, future.result())
 
 
-def save_sample(path: Path, sample: sweep.KnobSample) -> None:
-    """Write what a job has found."""
+def save_sample(path: Path, sample: sweep.SettingSample) -> None:
+    """Write the result of a job."""
     _write_whole(path, json.dumps(asdict(sample)))
 
 
-def load_sample(path: Path) -> sweep.KnobSample | None:
-    """Read what a job has found; None if there is no file, or if it is damaged: then it is measured again."""
+def load_sample(path: Path) -> sweep.SettingSample | None:
+    """Read the result of a job; None if there is no file or a damaged one, so that it is measured again."""
     try:
-        found = json.loads(path.read_text())
-        values = {value: _read_sample(one) for value, one in found["values"].items()}
-        return sweep.KnobSample(**found | {"values": values, "truth_ratios": tuple(found["truth_ratios"])})
+        stored = json.loads(path.read_text())
+        values = {value: _read_sample(value_sample) for value, value_sample in stored["values"].items()}
+        return sweep.SettingSample(**stored | {"values": values, "reference_ratios": tuple(stored["reference_ratios"])})
     except (OSError, ValueError, TypeError, KeyError):
         return None
 
 
-def _read_sample(found: dict[str, Any]) -> sweep.ValueSample:
-    lists = {name: tuple(found[name]) for name in ("seconds", "processor_seconds", "flips")}
-    worst = None if found["worst"] is None else tuple(found["worst"])
-    return sweep.ValueSample(**found | lists | {"worst": worst, "sums": tuple((a, b) for a, b in found["sums"])})
+def _read_sample(stored: dict[str, Any]) -> sweep.ValueSample:
+    lists = {name: tuple(stored[name]) for name in ("seconds", "processor_seconds", "flips")}
+    worst = None if stored["worst"] is None else tuple(stored["worst"])
+    return sweep.ValueSample(**stored | lists | {"worst": worst, "sums": tuple((a, b) for a, b in stored["sums"])})

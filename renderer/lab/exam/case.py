@@ -1,8 +1,8 @@
-"""A case of the exam: something that goes wrong easily, the reference that says what is right, and by how much a device
-may be off. What a case is about stands in the catalogue, `cases.toml`; what measures it, in `MEASURES` of a module.
+"""A case of the exam: something that goes wrong easily, a reference, and the largest error that passes.
 
-A case measures and never judges: `measure` draws or computes on a device and returns what it has found. Its error is
-compared with the tolerance in one place (`Case.judge`), for the command line and for the tests.
+The catalogue `cases.toml` describes cases; `MEASURES` of a module has the function that measures each. A case
+measures and never decides: `measure` draws or computes on a device and returns a `CaseResult`. Its error is
+compared with the tolerance in one function (`Case.passes`), for the command line and for the tests.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from numpy.typing import NDArray
 from rhi import Capabilities, Device
 
 DRAWS, COMPUTES, NOTHING = "draws", "computes", "no device"
-"""What cases ask of a device."""
-Picture = NDArray[Any]
+"""How cases use a device."""
+CaseImage = NDArray[Any]
 """An image (height, width, 4) uint8 of sRGB colours, or errors (height, width) of another type, shown by brightness."""
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """The findings of a case on a device.
+class CaseResult:
+    """The result of a case on a device.
 
     Attributes:
-        error: how far the device is off the reference, in the case's unit. What isn't a number fails.
-        numbers: what a reader looks at, by name; the parts that the error is made of come first.
-        holds: what must be true besides, by its statement: mostly that the case would notice an error.
-        pictures: makes the case's pictures, by title; called only if somebody wants to see them.
+        error: the device's error against the reference, in the case's unit. NaN fails.
+        numbers: figures for a reader, by name; the parts that the error is made of come first.
+        holds: further conditions, by their statement: mostly that the case would notice an error.
+        images: makes the case's images, by title; called only if somebody wants to see them.
     """
 
     error: float
     numbers: Mapping[str, object] = field(default_factory=dict)
     holds: Mapping[str, bool] = field(default_factory=dict)
-    pictures: Callable[[], Mapping[str, Picture]] = dict
+    images: Callable[[], Mapping[str, CaseImage]] = dict
 
 
-Measures = Mapping[int, Callable[[Device], Found]]
-"""What finds the errors of cases on a device, by the cases' numbers."""
+Measures = Mapping[int, Callable[[Device], CaseResult]]
+"""Functions that measure cases on a device, by the cases' numbers."""
 
 
-def find_largest(*errors: float) -> float:
-    """Return the largest error, NaN if one is NaN: where `max` would pass over it."""
+def largest_error(*errors: float) -> float:
+    """The largest error; NaN if any is NaN, which `max` would ignore."""
     return float(np.max(errors))
 
 
@@ -53,34 +53,34 @@ class Case:
     """A hard case.
 
     Attributes:
-        number: by which it is asked for; those up to 51 are known from the literature on the techniques.
-        about: what is hard, in a few words.
+        number: selects the case; those up to 51 are known from the literature on the techniques.
+        description: what is hard, in a few words.
         reference: what the device is compared with.
         tolerance: the greatest error that passes, in `unit`. why: the reason why it may be that large, and no larger.
-        measure: finds the error on a device.
-        needs: names of the capabilities without which the case doesn't apply.
-        is_long: whether it takes so long that it is left out unless it is asked for.
+        measure: measures the error on a device.
+        requires: names of the capabilities without which the case doesn't apply.
+        is_long: whether it takes so long that it only runs if it is named.
     """
 
     number: int
-    about: str
+    description: str
     reference: str
     tolerance: float
     unit: str
     why: str
-    measure: Callable[[Device], Found]
-    needs: tuple[str, ...] = ()
+    measure: Callable[[Device], CaseResult]
+    requires: tuple[str, ...] = ()
     is_long: bool = False
 
     @property
-    def asks(self) -> str:
-        """What the case asks of a device: that it draws, or computes, or nothing."""
-        return DRAWS if "renders" in self.needs else COMPUTES if self.needs else NOTHING
+    def device_use(self) -> str:
+        """How the case uses a device: it draws, or computes, or doesn't use it."""
+        return DRAWS if "renders" in self.requires else COMPUTES if self.requires else NOTHING
 
-    def find_lack(self, can: Capabilities) -> str | None:
-        """Return the first capability that the case needs and a device lacks, or None."""
-        return next((name for name in self.needs if not getattr(can, name)), None)
+    def find_missing_capability(self, can: Capabilities) -> str | None:
+        """The first capability that the case needs and a device lacks, or None."""
+        return next((name for name in self.requires if not getattr(can, name)), None)
 
-    def judge(self, found: Found) -> bool:
-        """Return whether a device has passed."""
-        return found.error <= self.tolerance and all(found.holds.values())
+    def passes(self, result: CaseResult) -> bool:
+        """Whether a result passes."""
+        return result.error <= self.tolerance and all(result.holds.values())

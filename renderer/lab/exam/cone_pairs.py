@@ -1,6 +1,6 @@
-"""Pairs of a cell and a spot light's cone that overlap, and all tests of them, made on a device at once.
+"""Pairs of a cell and a spot light's cone that overlap, and all cone tests of them, run on a device at once.
 
-That a pair overlaps is shown by a point of both, which is sought by projecting onto the cell and the cone in turn.
+A pair overlaps if a point is in both; it is searched by projecting onto the cell and the cone in turn.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.lab.exam.cell_pairs import LENSES, choose_cells, find_corners, make_test_grid
+from renderer.lab.exam.cell_pairs import PROJECTIONS, cell_corners, choose_cells, make_test_grid
 from renderer.lab.exam.pair_tests import GROUP, run_tests
+from renderer.light_kinds.volumes import Cone
 from renderer.lights.culling import cone_tests
-from renderer.lights.culling.cells import Cell, CellGrid, block_cell, padded_radius
+from renderer.lights.culling.cells import Cell, ClusterGrid, block_cell, padded_radius
 from renderer.lights.culling.table import CONE_TESTS
 from renderer.scene.arrays import Floats
 from rhi import Device
@@ -28,14 +29,14 @@ ANGLES: Final[Floats] = np.radians(
 )
 
 Cones = dict[str, Floats]
-"""The fields of `Cone`, each for all cones."""
+"""The fields of `Cone`, each an array over all cones."""
 
 
 @dataclass(frozen=True)
 class ConePairs:
     """Pairs of a cell and a cone, and whether they certainly overlap."""
 
-    grid: CellGrid
+    grid: ClusterGrid
     tiles: NDArray[np.int32]
     near: Floats
     far: Floats
@@ -43,15 +44,15 @@ class ConePairs:
     overlap: NDArray[np.bool_]
 
 
-def nearest_in_cells(corners: Floats, points: Floats) -> Floats:
-    """Find the points of cells nearest to points, by halving the range of depth; `corners` as `find_corners` has
-    them."""
+def nearest_points_in_cells(corners: Floats, points: Floats) -> Floats:
+    """The points of cells nearest to points, found by bisecting the range of depth; `corners` as of
+    `cell_corners`."""
     near, far = corners[:, 0, 2], corners[:, 4, 2]
     length = np.where(far > near, far - near, 1.0)
 
     def beside(z: Floats) -> Floats:
         share = ((z - near) / length)[:, None]
-        low, high = (corners[:, one, :2] * (1.0 - share) + corners[:, one + 4, :2] * share for one in (0, 3))
+        low, high = (corners[:, corner, :2] * (1.0 - share) + corners[:, corner + 4, :2] * share for corner in (0, 3))
         return np.column_stack([np.clip(points[:, :2], low, high), z])
 
     def square(z: Floats) -> Floats:
@@ -65,8 +66,8 @@ def nearest_in_cells(corners: Floats, points: Floats) -> Floats:
     return beside(0.5 * (begin + end))
 
 
-def nearest_in_cones(cones: Cones, points: Floats) -> Floats:
-    """Find points of cones near points: the nearest where a cone is convex."""
+def nearest_points_in_cones(cones: Cones, points: Floats) -> Floats:
+    """Points of cones near points: the nearest ones where a cone is convex."""
     away = points - cones["apex"]
     along = (away * cones["axis"]).sum(1)
     across = away - cones["axis"] * along[:, None]
@@ -76,32 +77,32 @@ def nearest_in_cones(cones: Cones, points: Floats) -> Floats:
     on_side = np.maximum(along * cosine + size * sine, 0.0)
     unit = across / np.maximum(size, 1e-300)[:, None]
     onto = on_side[:, None] * (cosine[:, None] * cones["axis"] + sine[:, None] * unit)
-    found = np.where(inside[:, None], away, onto)
-    length = np.linalg.norm(found, axis=1)
-    return np.asarray(cones["apex"] + found * np.minimum(1.0, cones["range"] / np.maximum(length, 1e-300))[:, None])
+    offset = np.where(inside[:, None], away, onto)
+    length = np.linalg.norm(offset, axis=1)
+    return np.asarray(cones["apex"] + offset * np.minimum(1.0, cones["range"] / np.maximum(length, 1e-300))[:, None])
 
 
 def are_in_cones(cones: Cones, points: Floats) -> NDArray[np.bool_]:
-    """Return which points are certainly in their cones."""
+    """Which points are certainly in their cones."""
     away = points - cones["apex"]
     length = np.linalg.norm(away, axis=1)
     along = (away * cones["axis"]).sum(1)
     return np.asarray((length < cones["range"] * (1.0 - 1e-9)) & (along > length * (cones["cosine"] + 1e-9)))
 
 
-def _take(cones: Cones, rows: NDArray[np.intp]) -> Cones:
-    """Return some of the cones."""
+def _select(cones: Cones, rows: NDArray[np.intp]) -> Cones:
+    """The selected cones."""
     return {name: values[rows] for name, values in cones.items()}
 
 
 @cache
 def make_cone_pairs(name: str) -> ConePairs:
-    """Make pairs of one lens, about half of which overlap."""
+    """Make pairs of one projection, about half of which overlap."""
     rng = np.random.default_rng([7, *name.encode()])
     grid = make_test_grid(name, tile=32)
     tiles, near, far = choose_cells(grid, COUNT, rng)
-    lens = LENSES[name].with_aspect(1366 / 768)
-    corners = find_corners(lens, grid, tiles, near, far)
+    projection = PROJECTIONS[name].with_aspect(1366 / 768)
+    corners = cell_corners(projection, grid, tiles, near, far)
     aim = (rng.dirichlet(np.full(8, 0.5), COUNT)[:, :, None] * corners).sum(1)
     scale = 10.0 ** rng.uniform(-1.0, 1.5, COUNT)
     away = rng.normal(size=(COUNT, 3))
@@ -119,29 +120,29 @@ def make_cone_pairs(name: str) -> ConePairs:
     inner = cones | {"range": 0.999 * cones["range"], "cosine": np.cos(0.999 * np.arccos(cones["cosine"]))}
     points, overlap, rows = aim, np.zeros(COUNT, bool), np.arange(COUNT)
     for _ in range(40):
-        found = are_in_cones(_take(cones, rows), points)
-        overlap[rows[found]] = True
-        rows, points = rows[~found], points[~found]
-        points = nearest_in_cells(corners[rows], nearest_in_cones(_take(inner, rows), points))
+        is_inside = are_in_cones(_select(cones, rows), points)
+        overlap[rows[is_inside]] = True
+        rows, points = rows[~is_inside], points[~is_inside]
+        points = nearest_points_in_cells(corners[rows], nearest_points_in_cones(_select(inner, rows), points))
     return ConePairs(grid, tiles, near, far, cones, overlap)
 
 
 class ConePair(Struct):
     """A cone, and the cell of a tile between two depths."""
 
-    cone: cone_tests.Cone
+    cone: Cone
     tile: ivec2
     near: float
     far: float
 
 
 class RunConeTests(Shader):
-    """Makes all tests, in the order of the table, and stores a bit for each."""
+    """Runs all tests, in the order of the table, and stores a bit for each."""
 
     work_group = (GROUP,)
-    grid: Uniform[CellGrid]
+    grid: Uniform[ClusterGrid]
     pairs: Storage[ConePair]
-    kept: StorageRW[uint]
+    passed: StorageRW[uint]
 
     def compute(self) -> None:
         row = global_id().x
@@ -149,9 +150,9 @@ class RunConeTests(Shader):
             pair = self.pairs[row]
             cell = block_cell(self.grid, pair.tile, 1, pair.near, pair.far)
             padding = padded_radius(cell, pair.cone.apex, pair.cone.range) - pair.cone.range
-            self.kept[row] = uint(self.test(cell, pair.cone, padding))
+            self.passed[row] = uint(self.test(cell, pair.cone, padding))
 
-    def test(self, cell: Cell, cone: cone_tests.Cone, padding: float) -> int:
+    def test(self, cell: Cell, cone: Cone, padding: float) -> int:
         always = 1 if cone_tests.cone_overlaps_always(cell, cone, padding) else 0
         sphere = 2 if cone_tests.cone_overlaps_sphere(cell, cone, padding) else 0
         planes = 4 if cone_tests.cone_overlaps_planes(cell, cone, padding) else 0
@@ -160,7 +161,7 @@ class RunConeTests(Shader):
 
 
 def run_cone_tests(device: Device, pairs: ConePairs) -> dict[str, NDArray[np.bool_]]:
-    """Return what each test keeps of pairs."""
+    """Which pairs pass each test."""
     rows = np.zeros(len(pairs.near), ConePair.dtype)
     for name, values in pairs.cones.items():
         rows["cone"][name] = values

@@ -1,4 +1,4 @@
-"""The cases of the exam, by number: those of the catalogue `cases.toml`, each with what measures it."""
+"""The cases of the exam by number: the catalogue `cases.toml` joined with the functions that measure them."""
 
 from __future__ import annotations
 
@@ -8,13 +8,36 @@ from pathlib import Path
 from typing import Any, Final
 
 from renderer import rules
-from renderer.lab.exam import absolute, encodings, inputs, lights, limits, places, plans, seams, shadows, stereo
-from renderer.lab.exam import visibility as culling
+from renderer.lab.exam import (
+    crack_cases,
+    encoding_cases,
+    far_position_cases,
+    input_cases,
+    light_culling_cases,
+    limit_cases,
+    plan_cases,
+    ray_traced_cases,
+    shadow_cases,
+    stereo_cases,
+)
+from renderer.lab.exam import visibility_cases as culling
 from renderer.lab.exam.case import Case
 from rhi import refuse
 
-_SUBJECTS: Final = (culling, lights, encodings, places, stereo, shadows, plans, inputs, limits, absolute, seams)
-MEASURES: Final = {number: measure for subject in _SUBJECTS for number, measure in subject.MEASURES.items()}
+_CASE_MODULES: Final = (
+    culling,
+    light_culling_cases,
+    encoding_cases,
+    far_position_cases,
+    stereo_cases,
+    shadow_cases,
+    plan_cases,
+    input_cases,
+    limit_cases,
+    ray_traced_cases,
+    crack_cases,
+)
+MEASURES: Final = {number: measure for subject in _CASE_MODULES for number, measure in subject.MEASURES.items()}
 
 
 def _read_cases() -> Iterator[Case]:
@@ -22,21 +45,21 @@ def _read_cases() -> Iterator[Case]:
     for group in groups.values():
         shared = {name: value for name, value in group.items() if not isinstance(value, dict)}
         for number in group.keys() - shared.keys():
-            given: dict[str, Any] = {"needs": (), **shared, **group[number]}
-            given["needs"] = tuple(given["needs"])
-            yield Case(int(number), measure=MEASURES[int(number)], **given)
+            fields: dict[str, Any] = {"requires": (), **shared, **group[number]}
+            fields["requires"] = tuple(fields["requires"])
+            yield Case(int(number), measure=MEASURES[int(number)], **fields)
 
 
 CASES: Final[dict[int, Case]] = {case.number: case for case in sorted(_read_cases(), key=lambda case: case.number)}
 """All cases, in the order of their numbers."""
 
 
-def find_cases(numbers: Sequence[int], *, are_long: bool = False) -> list[Case]:
-    """Return the cases with these numbers, or all of them if there is no number; those that take long only if they are
-    named, or `are_long`."""
+def select_cases(numbers: Sequence[int], *, are_long: bool = False) -> list[Case]:
+    """The cases with these numbers, or all if there is no number; long ones only if they are named, or with
+    `are_long`."""
     for number in numbers:
         if number not in CASES:
-            refuse(rules.UNKNOWN_CASE, f"find_cases([{number}])", number, f"1 to {max(CASES)}")
+            refuse(rules.UNKNOWN_CASE, f"select_cases([{number}])", number, f"1 to {max(CASES)}")
     if numbers:
         return [CASES[number] for number in numbers]
     return [case for case in CASES.values() if are_long or not case.is_long]

@@ -1,4 +1,4 @@
-"""The memory that a renderer holds on a device, as its commands say: what it has created and not destroyed."""
+"""The memory that a renderer uses on a device, from its commands: what was created and not destroyed."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from renderer.frame.images import SceneImages
+from renderer.frame.scene_images import SceneImages
 from rhi import Command, Op
 
 
@@ -31,7 +31,7 @@ class MemoryReport:
     Attributes:
         rows: all buffers and textures, the largest first. bytes: the memory of all.
         image_bytes: the memory of the arrays that hold the scene's images, with their mip levels.
-        single_image_bytes: that of the images if each were a texture of its own.
+        single_image_bytes: the memory that the images would take if each were a texture.
     """
 
     rows: list[MemoryRow]
@@ -41,29 +41,35 @@ class MemoryReport:
 
 
 def describe_memory(commands: Iterable[Command], images: SceneImages | None) -> MemoryReport:
-    """Return what is left on a device after these commands; `images` are those of the scene."""
-    held: dict[object, tuple[str, str, int]] = {}
+    """The memory that is in use after these commands; `images` are the scene's."""
+    allocations: dict[object, tuple[str, str, int]] = {}
     for command in commands:
         if command.op is Op.DESTROY:
-            held.pop(command["resource"], None)
+            allocations.pop(command["resource"], None)
         elif command.op is Op.CREATE_BUFFER:
-            made = command["descriptor"]
-            held[command["buffer"]] = (made.label, "buffer", made.size)
+            descriptor = command["descriptor"]
+            allocations[command["buffer"]] = (descriptor.label, "buffer", descriptor.size)
         elif command.op is Op.CREATE_TEXTURE:
-            made = command["descriptor"]
-            parts = [(*made.level_size(level), made.level_layers(level)) for level in range(made.levels)]
-            texels = sum(width * height * layers for width, height, layers in parts) * made.samples
-            numbers = {"layers": made.layers, "levels": made.levels, "samples": made.samples}
-            described = [
-                "{} × {}".format(*made.size),
-                *(f"{count} {what}" for what, count in numbers.items() if count > 1),
-                made.format.name,
+            descriptor = command["descriptor"]
+            parts = [
+                (*descriptor.level_size(level), descriptor.level_layers(level)) for level in range(descriptor.levels)
             ]
-            held[command["texture"]] = (made.label, ", ".join(described), texels * made.format.texel_bytes)
+            texels = sum(width * height * layers for width, height, layers in parts) * descriptor.samples
+            numbers = {"layers": descriptor.layers, "levels": descriptor.levels, "samples": descriptor.samples}
+            described = [
+                "{} × {}".format(*descriptor.size),
+                *(f"{count} {what}" for what, count in numbers.items() if count > 1),
+                descriptor.format.name,
+            ]
+            allocations[command["texture"]] = (
+                descriptor.label,
+                ", ".join(described),
+                texels * descriptor.format.texel_bytes,
+            )
     sizes: Counter[tuple[str, str]] = Counter()
-    for name, shape, size in held.values():
+    for name, shape, size in allocations.values():
         sizes[name, shape] += size
-    counts = Counter((name, shape) for name, shape, _ in held.values())
+    counts = Counter((name, shape) for name, shape, _ in allocations.values())
     rows = [MemoryRow(*key, counts[key], size) for key, size in sizes.most_common()]
     return MemoryReport(
         rows, sum(sizes.values()), 0 if images is None else images.bytes, 0 if images is None else images.image_bytes

@@ -6,20 +6,20 @@ All of them truncate. An angle is stored as its cosine, which is coarse where th
 from __future__ import annotations
 
 import rhi.shading as sl
-from renderer.shaders.encodings import TangentFrame, fold_octahedron, unfold_octahedron
+from renderer.shaders.encodings import TangentFrame, octahedral_decode_point, octahedral_encode_point
 
 
 @sl.function
 def encode_octahedral_truncated(normal: sl.vec3, last: float) -> sl.ivec2:
-    """Return a unit vector as two whole numbers from 0 to `last`; b bits each have 2^b - 1 as the last."""
-    return sl.ivec2((unfold_octahedron(normal) * 0.5 + 0.5) * last)
+    """Encode a unit vector as two integers from 0 to `last`; for b bits `last` is 2^b - 1."""
+    return sl.ivec2((octahedral_encode_point(normal) * 0.5 + 0.5) * last)
 
 
 @sl.function
 def decode_octahedral_truncated(code: sl.ivec2, last: float) -> sl.vec3:
-    """Return the unit vector that `encode_octahedral_truncated` has stored. An even count of numbers has no middle: of
-    8 bits, +z has x and y of -0.0039."""
-    return sl.normalize(fold_octahedron(sl.vec2(code) / last * 2.0 - 1.0, 1.0))
+    """Decode the unit vector of `encode_octahedral_truncated`. An even number of codes has no middle: with 8
+    bits, +z has x and y of -0.0039."""
+    return sl.normalize(octahedral_decode_point(sl.vec2(code) / last * 2.0 - 1.0, 1.0))
 
 
 class StoredDerivatives(sl.Struct):
@@ -31,8 +31,8 @@ class StoredDerivatives(sl.Struct):
 
 @sl.function
 def encode_derivatives(derivatives: sl.vec4) -> StoredDerivatives:
-    """Return the changes of texture coordinates in x (`xy`) and in y (`zw`) in 48 bits. A length of 0, by which Listing
-    1.5 divides, is taken as 1e-30."""
+    """Encode the derivatives of texture coordinates in x (`xy`) and in y (`zw`) in 48 bits. A length of 0, by
+    which Listing 1.5 divides, is taken as 1e-30."""
     lengths = sl.vec2(sl.length(derivatives.xy), sl.length(derivatives.zw))
     cosines = sl.vec2(derivatives.x, derivatives.z) / sl.max(lengths, sl.vec2(1e-30)) * 0.5 + 0.5
     first = sl.uint(1) if derivatives.y < 0.0 else sl.uint(0)
@@ -46,7 +46,7 @@ def encode_derivatives(derivatives: sl.vec4) -> StoredDerivatives:
 
 @sl.function
 def decode_derivatives(stored: StoredDerivatives) -> sl.vec4:
-    """Return the derivatives that `encode_derivatives` has stored."""
+    """Decode the derivatives of `encode_derivatives`."""
     bits = stored.directions
     x = float(bits & 127) / 127.0 * 2.0 - 1.0
     z = float(bits >> 8 & 127) / 127.0 * 2.0 - 1.0
@@ -57,19 +57,19 @@ def decode_derivatives(stored: StoredDerivatives) -> sl.vec4:
 
 
 @sl.function
-def choose_axis(row: int) -> sl.vec3:
-    """Return the unit vector of one of the axes 0, 1 and 2."""
-    return sl.vec3(1.0 if row == 0 else 0.0, 1.0 if row == 1 else 0.0, 1.0 if row == 2 else 0.0)
+def choose_axis(index: int) -> sl.vec3:
+    """The unit vector of axis 0, 1 or 2."""
+    return sl.vec3(1.0 if index == 0 else 0.0, 1.0 if index == 1 else 0.0, 1.0 if index == 2 else 0.0)
 
 
 @sl.function
 def encode_tangent_frame(frame: TangentFrame) -> sl.uvec4:
-    """Return a frame in 10, 10, 10 and 2 bits. The tangent is the cosine of its angle from a vector at right angles to
-    the normal and to the axis that the tangent is nearest to."""
+    """Encode a tangent frame in 10, 10, 10 and 2 bits. The tangent is the cosine of its angle from a vector
+    at right angles to the normal and to the axis that the tangent is nearest to."""
     code = encode_octahedral_truncated(frame.normal, 1023.0)
     sizes = sl.abs(frame.tangent)
-    largest = sl.max(sl.max(sizes.x, sizes.y), sizes.z)
-    axis = 0 if largest == sizes.x else 1 if largest == sizes.y else 2
+    max_size = sl.max(sl.max(sizes.x, sizes.y), sizes.z)
+    axis = 0 if max_size == sizes.x else 1 if max_size == sizes.y else 2
     first = sl.normalize(sl.cross(frame.normal, choose_axis(axis)))
     second = sl.cross(frame.normal, first)
     cosine = sl.uint(sl.saturate(sl.dot(frame.tangent, first) * 0.5 + 0.5) * 255.0)
@@ -80,7 +80,7 @@ def encode_tangent_frame(frame: TangentFrame) -> sl.uvec4:
 
 @sl.function
 def decode_tangent_frame(stored: sl.uvec4) -> TangentFrame:
-    """Return the frame that `encode_tangent_frame` has stored."""
+    """Decode the tangent frame of `encode_tangent_frame`."""
     normal = decode_octahedral_truncated(sl.ivec2(int(stored.x), int(stored.y)), 1023.0)
     cosine = float(stored.z >> 2) / 255.0 * 2.0 - 1.0
     sine = sl.sqrt(sl.saturate(1.0 - cosine * cosine)) * (1.0 if stored.w >= sl.uint(2) else -1.0)

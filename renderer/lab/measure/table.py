@@ -11,9 +11,9 @@ def format_table(header: Sequence[str], rows: Sequence[Sequence[object]], *, mar
     Text is aligned to the left, numbers to the right; whole numbers have their digits in groups of three.
     """
     if markdown:
-        lines = [header, ["---"] * len(header), *([_shown(value) for value in row] for row in rows)]
+        lines = [header, ["---"] * len(header), *([_format_cell(value) for value in row] for row in rows)]
         return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-    cells = [[_shown(value) for value in row] for row in rows]
+    cells = [[_format_cell(value) for value in row] for row in rows]
     widths = [max(len(line[column]) for line in [list(header), *cells]) for column in range(len(header))]
     numeric = [all(not isinstance(row[column], str) for row in rows) for column in range(len(header))]
 
@@ -25,27 +25,27 @@ def format_table(header: Sequence[str], rows: Sequence[Sequence[object]], *, mar
 
 
 def format_rows(rows: Sequence[Mapping[str, object]], *, markdown: bool = False) -> str:
-    """Format what dataclasses with the same fields hold as a table with a column for each field.
+    """Format mappings with the same keys as a table with a column for each key.
 
-    What is true is "on", what is false "off", and what is None a dash.
+    True is "on", False is "off", and None is a dash.
     """
     cells = [[format_value(value) for value in row.values()] for row in rows]
     return format_table([title_of(name) for name in rows[0]], cells, markdown=markdown)
 
 
 def title_of(name: str) -> str:
-    """Return the title of the column of a field: `hardware_state_changes` is "hardware states"."""
+    """The title of a field's column: `hardware_state_changes` is "hardware states"."""
     return name.replace("_", " ").replace("milliseconds", "ms").replace(" changes", "s")
 
 
 def format_value(value: object) -> object:
-    """Return what stands in a cell."""
+    """A value as its cell shows it."""
     if isinstance(value, bool):
         return "on" if value else "off"
     return "-" if value is None else value
 
 
-def _shown(value: object) -> str:
+def _format_cell(value: object) -> str:
     if isinstance(value, float):
         return f"{value:,.2f}"
     return f"{value:,}" if isinstance(value, int) else str(value)

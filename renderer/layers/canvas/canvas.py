@@ -65,11 +65,11 @@ class CanvasShader(sl.Shader):
         turn = number % 6
         x = float((22 >> turn) & 1)  # the corners of the two triangles: 00 10 11, 00 11 01
         y = float((52 >> turn) & 1)
-        place = quad.corner + quad.across * x + quad.down * y
+        position = quad.corner + quad.across * x + quad.down * y
         first = sl.vec2(float(quad.texels.x & 65535), float(quad.texels.x >> 16))
         size = sl.vec2(float(quad.texels.y & 65535), float(quad.texels.y >> 16))
         return CanvasVarying(
-            clip=sl.vec4(place.x * self.scale.x - 1.0, 1.0 - place.y * self.scale.y, 0.5, 1.0),
+            clip=sl.vec4(position.x * self.scale.x - 1.0, 1.0 - position.y * self.scale.y, 0.5, 1.0),
             texel=first + size * sl.vec2(x, y),
             color=quad.color,
         )
@@ -109,7 +109,7 @@ class Canvas:
         self._count = 0
         self._clips: list[Clip | None] = [None]
         self._runs: list[tuple[int, Clip | None]] = [(0, None)]  # where each begins, and its clip rectangle
-        origins, extents = font.texel.astype(np.uint32), font.extent.astype(np.uint32)
+        origins, extents = font.atlas_position.astype(np.uint32), font.extent.astype(np.uint32)
         self._glyph_texels = np.stack([pair[:, 0] | pair[:, 1] << np.uint32(16) for pair in (origins, extents)], axis=1)
         self._glyph_sizes = font.extent.astype(np.float32)
 
@@ -167,7 +167,7 @@ class Canvas:
         """Add a text that was laid out before; a colour for each glyph is possible."""
         glyphs = layout.glyphs
         rows = self._take(len(glyphs), color)
-        np.multiply(layout.places, scale, out=rows[:, 0:2], casting="unsafe")
+        np.multiply(layout.positions, scale, out=rows[:, 0:2], casting="unsafe")
         rows[:, 0] += x
         rows[:, 1] += y
         sizes = self._glyph_sizes.take(glyphs, axis=0)
@@ -183,7 +183,8 @@ class Canvas:
 
     @contextmanager
     def clip(self, x: float, y: float, width: float, height: float) -> Iterator[None]:
-        """Draw what is added in the block only inside of a rectangle, rounded to whole pixels, and of those around."""
+        """Draw what is added in the block only inside of a rectangle, rounded to whole pixels, and of those
+        around."""
         left, top, right, bottom = (round(edge) for edge in (x, y, x + width, y + height))
         outer = self._clips[-1]
         if outer is not None:
@@ -231,18 +232,18 @@ class Canvas:
     def _cut_runs(self, size: tuple[int, int]) -> list[tuple[int, int, Clip]]:
         """Return begin, end and clip rectangle of the parallelograms that are drawn together."""
         ends = [*(first for first, _ in self._runs[1:]), self._count]
-        found: list[tuple[int, int, Clip]] = []
+        runs: list[tuple[int, int, Clip]] = []
         for (first, clip), end in zip(self._runs, ends, strict=True):
             x, y, wide, high = clip or (0, 0, *size)
             left, top = max(x, 0), max(y, 0)
             inside = left, top, min(x + wide, size[0]) - left, min(y + high, size[1]) - top
             if first == end or inside[2] <= 0 or inside[3] <= 0:
                 continue
-            if found and found[-1][1:] == (first, inside):
-                found[-1] = (found[-1][0], end, inside)
+            if runs and runs[-1][1:] == (first, inside):
+                runs[-1] = (runs[-1][0], end, inside)
             else:
-                found.append((first, end, inside))
-        return found
+                runs.append((first, end, inside))
+        return runs
 
     def _begin_run(self) -> None:
         if self._runs[-1][0] == self._count:

@@ -72,17 +72,17 @@ class Font:
             refuse(rules.FONT_FILE, "Font.load", f"{file.name}: {error}", "a file that Pillow reads as a font")
         self._pair_options: dict[str, Any] = {"features": ["-liga", "-clig"]} if self.is_kerned else {}
         self.size = size
-        ascent, descent = self._font.getmetrics()
-        self.line_height = ascent + descent
+        ascender, descent = self._font.getmetrics()
+        self.line_height = ascender + descent
         self.advance: NDArray[np.int32] = np.zeros(GLYPHS, np.int32)
-        self.place: NDArray[np.int32] = np.zeros((GLYPHS, 2), np.int32)
+        self.bearing: NDArray[np.int32] = np.zeros((GLYPHS, 2), np.int32)
         self.extent: NDArray[np.int32] = np.zeros((GLYPHS, 2), np.int32)
-        self.texel: NDArray[np.int32] = np.zeros((GLYPHS, 2), np.int32)
+        self.atlas_position: NDArray[np.int32] = np.zeros((GLYPHS, 2), np.int32)
         self._glyph_of: NDArray[np.int32] = np.full(257, BOX, np.int32)  # by code; the last is any other
         self._glyph_of[[ord("\t"), ord("\n")]] = TAB, LINE
         self._kerning = np.full((GLYPHS, GLYPHS), _UNKNOWN, np.int8)
         self._kerning[BOX:] = self._kerning[:, BOX:] = 0
-        masks = self._rasterise(ascent)
+        masks = self._rasterise(ascender)
         self.tab = 4 * int(self.advance[ord("0")])
         self.coverage: NDArray[np.uint8] = self._pack(masks)
 
@@ -95,7 +95,7 @@ class Font:
         """
         return _load(file or _FILE, size)
 
-    def find_glyphs(self, text: str) -> NDArray[np.int32]:
+    def lookup_glyphs(self, text: str) -> NDArray[np.int32]:
         """Return the glyphs (n,) of a text's characters."""
         codes = np.frombuffer(text.encode("utf-32-le", "surrogatepass"), "<u4")
         glyphs: NDArray[np.int32] = self._glyph_of[np.minimum(codes, 256)]
@@ -106,19 +106,19 @@ class Font:
         pairs = first * GLYPHS
         pairs += second
         table = self._kerning.reshape(-1)
-        found = table.take(pairs)
-        if len(found) and found.max() == _UNKNOWN:
-            for pair in np.unique(pairs[found == _UNKNOWN]).tolist():
+        kerning = table.take(pairs)
+        if len(kerning) and kerning.max() == _UNKNOWN:
+            for pair in np.unique(pairs[kerning == _UNKNOWN]).tolist():
                 table[pair] = self._measure_pair(chr(pair // GLYPHS), chr(pair % GLYPHS))
-            found = table.take(pairs)
-        return found
+            kerning = table.take(pairs)
+        return kerning
 
     def _measure_pair(self, first: str, second: str) -> int:
         length, options = self._kerned.getlength, self._pair_options
         kerning = length(first + second, **options) - length(first, **options) - length(second, **options)
         return max(-_UNKNOWN, min(round(kerning), _UNKNOWN - 1))
 
-    def _rasterise(self, ascent: int) -> dict[int, NDArray[np.uint8]]:
+    def _rasterise(self, ascender: int) -> dict[int, NDArray[np.uint8]]:
         """Measure all glyphs and return the coverage of those that have any."""
         masks: dict[int, NDArray[np.uint8]] = {}
         missing = self._font.getmask("\uffff", "L")
@@ -130,12 +130,12 @@ class Font:
             self.advance[code] = round(self._font.getlength(chr(code)))
             if all(mask.size):
                 masks[code] = np.frombuffer(bytes(mask), np.uint8).reshape(mask.size[::-1])
-                self.place[code] = left, top
-        high = max(ascent - int(self.place[ord("H"), 1]), 3)
+                self.bearing[code] = left, top
+        high = max(ascender - int(self.bearing[ord("H"), 1]), 3)
         box = np.full((high, max(high * 2 // 3, 3)), 255, np.uint8)
         box[1:-1, 1:-1] = 0
         masks[BOX] = box
-        self.place[BOX] = 1, ascent - high
+        self.bearing[BOX] = 1, ascender - high
         self.advance[BOX] = box.shape[1] + 2
         return masks
 
@@ -146,12 +146,12 @@ class Font:
         for glyph, mask in sorted(masks.items(), key=lambda item: -item[1].shape[0]):
             if x + mask.shape[1] > width:
                 x, y, high = 0, y + high + _GAP, 0
-            self.texel[glyph], self.extent[glyph] = (x, y), mask.shape[::-1]
+            self.atlas_position[glyph], self.extent[glyph] = (x, y), mask.shape[::-1]
             x, high = x + mask.shape[1] + _GAP, max(high, mask.shape[0])
         atlas = np.zeros((y + high, width), np.uint8)
         atlas[:_CORNER, :_CORNER] = 255
         for glyph, mask in masks.items():
-            (x, y), (wide, high) = self.texel[glyph], self.extent[glyph]
+            (x, y), (wide, high) = self.atlas_position[glyph], self.extent[glyph]
             atlas[y : y + high, x : x + wide] = mask
         return atlas
 

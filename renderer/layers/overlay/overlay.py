@@ -16,21 +16,21 @@ from renderer.frame import Frame
 from renderer.layers.canvas import Canvas, Font
 from renderer.layers.overlay.history import History
 from renderer.layers.overlay.panels import (
-    MOST_EVENTS,
+    MAX_EVENTS,
     PANEL,
     TEXT,
-    Box,
+    Rectangle,
+    compute_ground_bounds,
     draw_graph,
     draw_legend,
     draw_map,
-    draw_rows,
+    draw_objects,
     draw_timers,
-    find_ground,
     list_events,
 )
 from renderer.scene import Scene
 from renderer.scene.arrays import Floats
-from renderer.visibility import AutoCulling, VisibilityAlgorithm, find_walk
+from renderer.visibility import AutoCulling, VisibilityAlgorithm, compute_traversal
 from rhi import Device, Statistics
 
 _FRAMES: Final = 144  # of the graph
@@ -73,20 +73,20 @@ class Overlay:
         began = perf_counter()
         if frame.first is None:
             self._begin_frame(began, device.statistics)
-        shown = frame.first or frame
+        source_frame = frame.first or frame
         with device.event("overlay"):
             image = frame.targets.image
             is_small = any(side <= self._scale * most for side, most in zip(image.size, _SMALL, strict=True))
-            self._add_left(device, shown, self._counted, is_small)
-            if shown.statistics is not None and not is_small:
-                self._add_right(shown)
+            self._add_left(device, source_frame, self._counted, is_small)
+            if source_frame.statistics is not None and not is_small:
+                self._add_right(source_frame)
             with device.render_pass(image):
                 self.draws += self._canvas.draw(image.size)
         self._after = device.statistics
         self.milliseconds += 1e3 * (perf_counter() - began)
 
     def _begin_frame(self, began: float, counted: Statistics) -> None:
-        """Note what the last frame took, and what this one has counted until now."""
+        """Record the last frame's time, and the counters as they stand before this frame."""
         if self._began is not None:
             self._frames.add(1e3 * (began - self._began))
             self._own.add(self.milliseconds)
@@ -106,52 +106,52 @@ class Overlay:
         rows = _list_counters(frame, counters)
         timers = [] if is_small else device.timers
         line, pad = canvas.font.line_height * scale, _PAD * scale
-        events = min(sum(1 for _ in list_events(timers)), MOST_EVENTS + 1)
+        events = min(sum(1 for _ in list_events(timers)), MAX_EVENTS + 1)
         width = _FRAMES * _BAR * scale
         graph_height = 0 if is_small else _GRAPH * scale + pad
         height = line * (1 + len(rows) + events) + graph_height + (0 if is_small else 2 * pad)
-        outside = Box(pad, pad, width + 2 * pad, height + 2 * pad)
+        outside = Rectangle(pad, pad, width + 2 * pad, height + 2 * pad)
         canvas.rects([outside], PANEL)
         inside = outside.inset(pad)
         canvas.text(inside.x, inside.y, self._describe_times(), TEXT, scale)
         y = inside.y + line
         if not is_small:
-            graph = Box(inside.x, y, width, _GRAPH * scale)
+            graph = Rectangle(inside.x, y, width, _GRAPH * scale)
             draw_graph(canvas, graph, self._frames.values, self._own.values, _BAR * scale)
         y += graph_height
-        y += draw_rows(canvas, inside.x, y, rows, _NAMES * scale, scale) + pad
-        draw_timers(canvas, Box(inside.x, y, width, height), timers, _EVENTS * scale, scale)
+        y += draw_objects(canvas, inside.x, y, rows, _NAMES * scale, scale) + pad
+        draw_timers(canvas, Rectangle(inside.x, y, width, height), timers, _EVENTS * scale, scale)
 
     def _describe_times(self) -> str:
         times = self._frames.values
         if not len(times):
             return "frame: -"
         ordered = sorted(times.tolist())
-        shown = times[-1], ordered[len(ordered) // 2], ordered[-1]
-        latest, middle, worst = (f"{time:.1f}" if time < 100.0 else f"{time:.0f}" for time in shown)
+        milliseconds = times[-1], ordered[len(ordered) // 2], ordered[-1]
+        latest, middle, worst = (f"{time:.1f}" if time < 100.0 else f"{time:.0f}" for time in milliseconds)
         return f"frame {latest} ms   median {middle}   worst {worst}"
 
     def _add_right(self, frame: Frame) -> None:
         """Add the panel of the culling."""
         canvas, scale = self._canvas, self._scale
         scene, camera = frame.resources.scene, frame.camera
-        drawn = frame.drawn.rows if frame.drawn.is_known else None
-        walk = find_walk(frame.visibility, scene, camera, drawn)
+        draw_result = frame.draw_result.object_indices if frame.draw_result.is_on_cpu else None
+        traversal = compute_traversal(frame.visibility, scene, camera, draw_result)
         pad, line = _PAD * scale, canvas.font.line_height * scale
         side = _MAP * scale
         x = frame.targets.image.size[0] - side - 3 * pad
-        rows = len(set(walk.outcome.tolist()))
-        outside = Box(x, pad, side + 2 * pad, line * (1 + rows) + side + 3 * pad)
+        rows = len(set(traversal.outcome.tolist()))
+        outside = Rectangle(x, pad, side + 2 * pad, line * (1 + rows) + side + 3 * pad)
         canvas.rects([outside], PANEL)
         inside = outside.inset(pad)
-        kind = "nodes" if walk.of_nodes else "objects"
+        kind = "nodes" if traversal.is_of_nodes else "objects"
         title = f"{name_algorithm(frame.visibility)}: {kind} from above"
         canvas.text(inside.x, inside.y, title, TEXT, scale)
         y = inside.y + line
-        y += draw_legend(canvas, inside.x, y, walk, scale) + pad
+        y += draw_legend(canvas, inside.x, y, traversal, scale) + pad
         if self._ground is None or self._ground[0] is not scene:
-            self._ground = (scene, find_ground(scene))
-        draw_map(canvas, Box(inside.x, y, side, side), self._ground[1], walk, camera)
+            self._ground = (scene, compute_ground_bounds(scene))
+        draw_map(canvas, Rectangle(inside.x, y, side, side), self._ground[1], traversal, camera)
 
 
 def name_algorithm(algorithm: VisibilityAlgorithm) -> str:
@@ -174,9 +174,9 @@ def _list_counters(frame: Frame, counters: dict[str, int]) -> list[tuple[str, st
     ]
     culling = frame.statistics
     if culling is not None:
-        if frame.drawn.is_known:
-            rows.insert(0, ("triangles", f"{frame.drawn.triangles:,}"))
-            rows.insert(0, ("objects drawn", f"{len(frame.drawn.rows):,} of {culling.objects:,}"))
+        if frame.draw_result.is_on_cpu:
+            rows.insert(0, ("triangles", f"{frame.draw_result.triangles:,}"))
+            rows.insert(0, ("objects drawn", f"{len(frame.draw_result.object_indices):,} of {culling.objects:,}"))
         rows += [
             ("nodes tested", f"{culling.nodes_tested:,}"),
             ("queries", f"{culling.queries:,} of {culling.boxes:,} boxes"),

@@ -1,4 +1,4 @@
-"""The panels of the overlay: each draws one thing to a canvas, in a rectangle that it is given.
+"""The panels of the overlay: each draws one thing to a canvas, inside a rectangle.
 
 Times are in milliseconds. All that repeats, bars, boxes and lines of text, is added as one array or one text.
 """
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from renderer.layers.canvas import Canvas, srgb
 from renderer.scene import Camera, Scene
-from renderer.visibility import CullingWalk, WalkOutcome
+from renderer.visibility import CullingTraversal, TraversalOutcome
 from rhi import TimerNode
 
 TEXT: Final = srgb("#e8edf2")
@@ -29,28 +29,28 @@ GPU: Final = srgb("#4ca6e8")
 CPU: Final = srgb("#e8b64c")
 BUDGET: Final = 1000.0 / 60.0
 
-WALK_COLORS: Final = {
-    WalkOutcome.OUTSIDE: srgb("#6b7785"),
-    WalkOutcome.HIDDEN: srgb("#e86a5c"),
-    WalkOutcome.QUERIED: srgb("#4ca6e8"),
-    WalkOutcome.VISIBLE: srgb("#57c785"),
-    WalkOutcome.UNDECIDED: srgb("#e8b64c"),
+OUTCOME_COLORS: Final = {
+    TraversalOutcome.OUTSIDE: srgb("#6b7785"),
+    TraversalOutcome.HIDDEN: srgb("#e86a5c"),
+    TraversalOutcome.QUERIED: srgb("#4ca6e8"),
+    TraversalOutcome.VISIBLE: srgb("#57c785"),
+    TraversalOutcome.UNDECIDED: srgb("#e8b64c"),
 }
-WALK_NAMES: Final = {
-    WalkOutcome.OUTSIDE: "outside the view",
-    WalkOutcome.HIDDEN: "hidden",
-    WalkOutcome.QUERIED: "queried, visible",
-    WalkOutcome.VISIBLE: "visible",
-    WalkOutcome.UNDECIDED: "the device decides",
+OUTCOME_NAMES: Final = {
+    TraversalOutcome.OUTSIDE: "outside the view",
+    TraversalOutcome.HIDDEN: "hidden",
+    TraversalOutcome.QUERIED: "queried, visible",
+    TraversalOutcome.VISIBLE: "visible",
+    TraversalOutcome.UNDECIDED: "the device decides",
 }
 _SPREAD: Final = 0.05
-MOST_BOXES: Final = 2048
+MAX_BOXES: Final = 2048
 """The largest number of boxes on the map; of more, the largest are shown."""
-MOST_EVENTS: Final = 12
+MAX_EVENTS: Final = 12
 """The largest number of rows of the timer tree."""
 
 
-class Box(NamedTuple):
+class Rectangle(NamedTuple):
     """A rectangle in pixels."""
 
     x: int
@@ -58,12 +58,12 @@ class Box(NamedTuple):
     width: int
     height: int
 
-    def inset(self, by: int) -> Box:
+    def inset(self, by: int) -> Rectangle:
         """Return the rectangle without a margin."""
-        return Box(self.x + by, self.y + by, self.width - 2 * by, self.height - 2 * by)
+        return Rectangle(self.x + by, self.y + by, self.width - 2 * by, self.height - 2 * by)
 
 
-def draw_graph(canvas: Canvas, box: Box, frames: NDArray[np.float64], own: NDArray[np.float64], bar: int) -> None:
+def draw_graph(canvas: Canvas, box: Rectangle, frames: NDArray[np.float64], own: NDArray[np.float64], bar: int) -> None:
     """Draw a bar for each frame, the latest at the right edge; its foot is the overlay's own time.
 
     The graph's height is 1/60 s, doubled until the longest time fits; lines stand for 1/60 s and 1/30 s.
@@ -86,7 +86,7 @@ def draw_graph(canvas: Canvas, box: Box, frames: NDArray[np.float64], own: NDArr
     canvas.rects([(box.x, under - each, box.width, 1) for each in heights], RULE)
 
 
-def draw_rows(canvas: Canvas, x: int, y: int, rows: Sequence[tuple[str, str]], second: int, scale: int) -> int:
+def draw_objects(canvas: Canvas, x: int, y: int, rows: Sequence[tuple[str, str]], second: int, scale: int) -> int:
     """Draw names and values in two columns, `second` pixels apart; return the height."""
     canvas.text(x, y, "\n".join(name for name, _ in rows), DIM, scale)
     return canvas.text(x + second, y, "\n".join(value for _, value in rows), TEXT, scale)[1]
@@ -99,18 +99,18 @@ def list_events(roots: Sequence[TimerNode], depth: int = 0) -> Iterator[tuple[in
         yield from list_events(node.children, depth + 1)
 
 
-def draw_timers(canvas: Canvas, box: Box, roots: Sequence[TimerNode], second: int, scale: int) -> int:
+def draw_timers(canvas: Canvas, box: Rectangle, roots: Sequence[TimerNode], second: int, scale: int) -> int:
     """Draw the timer tree, an event a row: its name, two bars (above the time of the GPU, below that of the CPU) and
     both times. Return the height."""
     events = list(list_events(roots))
-    shown = events[:MOST_EVENTS]
+    listed_events = events[:MAX_EVENTS]
     row = canvas.font.line_height * scale
-    longest = max((max(node.gpu_milliseconds, node.cpu_milliseconds) for _, node in shown), default=0.0)
-    names = "\n".join("  " * depth + node.name for depth, node in shown)
-    more = f"\n... {len(events) - len(shown)} more" if len(events) > len(shown) else ""
+    longest = max((max(node.gpu_milliseconds, node.cpu_milliseconds) for _, node in listed_events), default=0.0)
+    names = "\n".join("  " * depth + node.name for depth, node in listed_events)
+    more = f"\n... {len(events) - len(listed_events)} more" if len(events) > len(listed_events) else ""
     canvas.text(box.x, box.y, names + more, TEXT, scale)
-    if shown:
-        times = np.array([(node.gpu_milliseconds, node.cpu_milliseconds) for _, node in shown])
+    if listed_events:
+        times = np.array([(node.gpu_milliseconds, node.cpu_milliseconds) for _, node in listed_events])
         left, column = box.x + second, canvas.measure("0000.00 ", scale)[0]
         reach = box.width - second - 2 * column
         for number, side in enumerate(times.T.tolist()):
@@ -118,32 +118,32 @@ def draw_timers(canvas: Canvas, box: Box, roots: Sequence[TimerNode], second: in
             canvas.text(left + reach + number * column + 4 * scale, box.y, text, DIM, scale)
         bar = (row - 5 * scale) // 2
         wide = np.ceil(times * (max(reach, 0) / max(longest, 1e-9)))
-        y = box.y + row * np.arange(len(shown)) + 2 * scale
+        y = box.y + row * np.arange(len(listed_events)) + 2 * scale
         for number, color in enumerate((GPU, CPU)):
-            boxes = np.stack([np.full(len(shown), left), y + number * bar, wide[:, number],
-                              np.full(len(shown), bar)], axis=1)  # fmt: skip
+            boxes = np.stack([np.full(len(listed_events), left), y + number * bar, wide[:, number],
+                              np.full(len(listed_events), bar)], axis=1)  # fmt: skip
             canvas.rects(boxes, color)
-    return row * (len(shown) + bool(more))
+    return row * (len(listed_events) + bool(more))
 
 
-def draw_legend(canvas: Canvas, x: int, y: int, walk: CullingWalk, scale: int) -> int:
+def draw_legend(canvas: Canvas, x: int, y: int, traversal: CullingTraversal, scale: int) -> int:
     """Draw how many boxes of each outcome there are, beside its colour; return the height."""
-    counts = np.bincount(walk.outcome, minlength=len(WalkOutcome)).tolist()
-    kinds = [kind for kind in WalkOutcome if counts[kind]]
+    counts = np.bincount(traversal.outcome, minlength=len(TraversalOutcome)).tolist()
+    kinds = [kind for kind in TraversalOutcome if counts[kind]]
     row = canvas.font.line_height * scale
     side = row - 8 * scale
     squares = [(x, y + row * number + 4 * scale, side, side) for number in range(len(kinds))]
-    canvas.rects(squares, np.array([WALK_COLORS[kind] for kind in kinds]).reshape(-1, 4))
-    text = "\n".join(f"{counts[kind]:,} {WALK_NAMES[kind]}" for kind in kinds)
+    canvas.rects(squares, np.array([OUTCOME_COLORS[kind] for kind in kinds]).reshape(-1, 4))
+    text = "\n".join(f"{counts[kind]:,} {OUTCOME_NAMES[kind]}" for kind in kinds)
     canvas.text(x + row, y, text, TEXT, scale)
     return row * len(kinds)
 
 
 def draw_map(
     canvas: Canvas,
-    box: Box,
+    box: Rectangle,
     bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
-    walk: CullingWalk,
+    traversal: CullingTraversal,
     camera: Camera,
 ) -> None:
     """Draw the boxes of a walk from above, x to the right and z down, and the edges of the camera's view.
@@ -155,16 +155,16 @@ def draw_map(
     low, high = bounds
     scale = float(np.min((np.array(box[2:]) - 2) / np.maximum(high - low, 1e-9)))
     origin = np.array(box[:2]) + 0.5 * np.array(box[2:]) - 0.5 * scale * (low + high)
-    corner = np.floor(origin + scale * walk.lower[:, ::2])
-    size = np.maximum(np.ceil(origin + scale * walk.upper[:, ::2]) - corner, 1.0)
-    rows = np.argsort(walk.outcome, kind="stable")
+    corner = np.floor(origin + scale * traversal.lower[:, ::2])
+    size = np.maximum(np.ceil(origin + scale * traversal.upper[:, ::2]) - corner, 1.0)
+    rows = np.argsort(traversal.outcome, kind="stable")
     area = size[:, 0] * size[:, 1]
-    if len(rows) > MOST_BOXES:
-        rows = rows[np.sort(np.argpartition(-area[rows], MOST_BOXES)[:MOST_BOXES])]
+    if len(rows) > MAX_BOXES:
+        rows = rows[np.sort(np.argpartition(-area[rows], MAX_BOXES)[:MAX_BOXES])]
     boxes = np.concatenate([corner, size], axis=1)[rows]
-    colors = np.stack([WALK_COLORS[kind] for kind in WalkOutcome])[walk.outcome[rows]]
+    colors = np.stack([OUTCOME_COLORS[kind] for kind in TraversalOutcome])[traversal.outcome[rows]]
     with canvas.clip(*box):
-        is_filled = (area[rows] <= _SPREAD * box.width * box.height) & (not walk.of_nodes)
+        is_filled = (area[rows] <= _SPREAD * box.width * box.height) & (not traversal.is_of_nodes)
         canvas.outlines(boxes[~is_filled], 0.8 * colors[~is_filled])
         canvas.rects(boxes[is_filled], 0.5 * colors[is_filled])
         eye = origin + scale * camera.position[[0, 2]]
@@ -174,7 +174,7 @@ def draw_map(
         canvas.rect(round(eye[0]) - 2, round(eye[1]) - 2, 5, 5, TEXT)
 
 
-def find_ground(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def compute_ground_bounds(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the corners (2,), x and z, of the ground to show: that of all objects but those that cover more than a
     twentieth of it, such as streets and the land around a city."""
     lower, upper = scene.objects.lower[:, ::2], scene.objects.upper[:, ::2]
@@ -182,10 +182,10 @@ def find_ground(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     rows = np.arange(len(lower))
     while True:
         low, high = lower[rows].min(axis=0), upper[rows].max(axis=0)
-        kept = rows[area[rows] <= _SPREAD * float(np.prod(high - low))]
-        if len(kept) == len(rows) or not len(kept):
+        small_rows = rows[area[rows] <= _SPREAD * float(np.prod(high - low))]
+        if len(small_rows) == len(rows) or not len(small_rows):
             return low, high
-        rows = kept
+        rows = small_rows
 
 
 def view_edges(camera: Camera) -> NDArray[np.float64]:

@@ -1,11 +1,11 @@
-"""Light culling: which lights reach which cell of a view, decided on the device."""
+"""Light culling: lists of the local lights that reach each cell of a view, made on the device."""
 
 from renderer.lights.culling.cells import Cell as Cell
-from renderer.lights.culling.cells import CellGrid as CellGrid
+from renderer.lights.culling.cells import ClusterGrid as ClusterGrid
 from renderer.lights.culling.cells import cell_index as cell_index
-from renderer.lights.culling.grid import CellLists as CellLists
-from renderer.lights.culling.grid import LightGrid as LightGrid
-from renderer.lights.culling.projections import make_grid as make_grid
+from renderer.lights.culling.grid_projection import make_grid as make_grid
+from renderer.lights.culling.light_lists import LightListData as LightListData
+from renderer.lights.culling.light_lists import LightLists as LightLists
 from renderer.lights.culling.table import CONE_TESTS as CONE_TESTS
 from renderer.lights.culling.table import SPHERE_TESTS as SPHERE_TESTS
 from renderer.lights.culling.table import ConeTest as ConeTest

@@ -5,8 +5,8 @@ slice of a tile. All of it is in *eye space*: x to the right, y up, z ahead, in 
 distance, where view space would have it negative.
 
 Whatever the projection, the four sides of a cell are straight in z: its left side is at `low.x + low_slope.x · z`.
-For a perspective lens the offsets are 0, for a parallel one the slopes are; an off-axis eye only shifts the slopes. So
-ten numbers are a cell, no projection is a special case, and neighbours share their sides to the last bit.
+For a perspective projection the offsets are 0, for a parallel one the slopes are; an off-axis eye only shifts the
+slopes. So ten numbers are a cell, no projection is a special case, and neighbours share their sides to the last bit.
 
 The functions run in float32 on every device, and in float64 on NumPy with `evaluate`.
 """
@@ -38,7 +38,7 @@ class Cell(sl.Struct):
     far: float
 
 
-class CellGrid(sl.Struct):
+class ClusterGrid(sl.Struct):
     """A view that is divided into cells.
 
     The side of an image at pixel p, counted from the top left corner, is `offset + offset_step · p` at the eye, and
@@ -66,7 +66,7 @@ class CellGrid(sl.Struct):
 
 
 @sl.function
-def block_cell(grid: CellGrid, tile: sl.ivec2, across: int, near: float, far: float) -> Cell:
+def block_cell(grid: ClusterGrid, tile: sl.ivec2, across: int, near: float, far: float) -> Cell:
     """Return the cell of a block of `across` × `across` tiles, the first of which is `tile`, between two depths. At the
     image's right and lower edge it ends with the image."""
     first = tile * grid.tile
@@ -84,7 +84,7 @@ def block_cell(grid: CellGrid, tile: sl.ivec2, across: int, near: float, far: fl
 
 
 @sl.function
-def slice_start(grid: CellGrid, index: int) -> float:
+def slice_start(grid: ClusterGrid, index: int) -> float:
     """Return the depth at which a slice begins. The first one begins at the near plane, and where an index is the
     number of slices, that is the end of the grid."""
     if index <= 0:
@@ -97,7 +97,7 @@ def slice_start(grid: CellGrid, index: int) -> float:
 
 
 @sl.function
-def slice_of(grid: CellGrid, z: float) -> int:
+def slice_index(grid: ClusterGrid, z: float) -> int:
     """Return the slice that a depth is in; before the first and behind the last slice, that one.
 
     The formula gives a first guess, `slice_start` decides. So what a shader looks up is what was culled, whatever a
@@ -118,15 +118,15 @@ def slice_of(grid: CellGrid, z: float) -> int:
 
 
 @sl.function
-def cell_index(grid: CellGrid, pixel: sl.ivec2, z: float) -> int:
+def cell_index(grid: ClusterGrid, pixel: sl.ivec2, z: float) -> int:
     """Return the index of the cell that a pixel's surface at depth `z` is in. Cells are counted row by row, then
     slice by slice."""
     tile = pixel // grid.tile
-    return (slice_of(grid, z) * grid.count.y + tile.y) * grid.count.x + tile.x
+    return (slice_index(grid, z) * grid.count.y + tile.y) * grid.count.x + tile.x
 
 
 @sl.function
-def distance_of(grid: CellGrid, depth: float) -> float:
+def depth_to_distance(grid: ClusterGrid, depth: float) -> float:
     """Return the distance, along the view, of a depth in a texture; within the grid's ends, also at infinity."""
     below = grid.depth.z - grid.depth.w * depth
     if below == 0.0:
@@ -135,23 +135,23 @@ def distance_of(grid: CellGrid, depth: float) -> float:
 
 
 @sl.function
-def distances_of(grid: CellGrid, depth: float) -> sl.vec2:
+def rounded_distance_range(grid: ClusterGrid, depth: float) -> sl.vec2:
     """Return the least and the greatest distance of a surface whose depth, as the texture holds it, is rounded."""
     slack = DEPTH_SLACK * (depth + 0.25)
-    one = distance_of(grid, sl.clamp(depth - slack, 0.0, 1.0))
-    other = distance_of(grid, sl.clamp(depth + slack, 0.0, 1.0))
-    return sl.vec2(sl.min(one, other), sl.max(one, other))
+    first = depth_to_distance(grid, sl.clamp(depth - slack, 0.0, 1.0))
+    other = depth_to_distance(grid, sl.clamp(depth + slack, 0.0, 1.0))
+    return sl.vec2(sl.min(first, other), sl.max(first, other))
 
 
 @sl.function
-def range_of(grid: CellGrid, least: float, greatest: float) -> sl.vec2:
+def distance_range(grid: ClusterGrid, least: float, greatest: float) -> sl.vec2:
     """Return the least and the greatest distance of surfaces whose depths lie between two depths of a texture; if
     `least` is above `greatest` there are none, and the range is empty, as that of an empty cell."""
     if least > greatest:
         return sl.vec2(1.0, 0.0)
-    one = distances_of(grid, least)
-    other = distances_of(grid, greatest)
-    return sl.vec2(sl.min(one.x, other.x), sl.max(one.y, other.y))
+    first = rounded_distance_range(grid, least)
+    other = rounded_distance_range(grid, greatest)
+    return sl.vec2(sl.min(first.x, other.x), sl.max(first.y, other.y))
 
 
 @sl.function
@@ -181,15 +181,15 @@ def padded_radius(cell: Cell, centre: sl.vec3, radius: float) -> float:
 
 
 @sl.function
-def seen_from(cell: Cell, place: sl.vec3) -> Cell:
-    """Return the same cell with the origin at `place`."""
+def relative_cell(cell: Cell, origin: sl.vec3) -> Cell:
+    """Return the same cell with the origin at `origin`."""
     return Cell(
-        low=cell.low + cell.low_slope * place.z - place.xy,
+        low=cell.low + cell.low_slope * origin.z - origin.xy,
         low_slope=cell.low_slope,
-        high=cell.high + cell.high_slope * place.z - place.xy,
+        high=cell.high + cell.high_slope * origin.z - origin.xy,
         high_slope=cell.high_slope,
-        near=cell.near - place.z,
-        far=cell.far - place.z,
+        near=cell.near - origin.z,
+        far=cell.far - origin.z,
     )
 
 

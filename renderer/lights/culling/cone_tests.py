@@ -1,4 +1,4 @@
-"""Tests of the cones of spot lights against cells, all with one signature.
+"""Tests of the cones of lights, such as spot lights, against cells, all with one signature.
 
 A light's cone is the part of the sphere of its range within an angle of its axis; with more than 90° it isn't convex,
 and with 180° it is the sphere. Its *reach* along an axis is how far its points go: an axis along which the whole cell
@@ -8,30 +8,10 @@ sphere around the cone. `padding` enlarges the cone, for the rounding of float32
 
 from __future__ import annotations
 
-from renderer.lights.culling.cells import Cell, corner, extent_along, seen_from
+from renderer.light_kinds.volumes import Cone, cone_sine
+from renderer.lights.culling.cells import Cell, corner, extent_along, relative_cell
 from renderer.lights.culling.sphere_tests import nearest_vertex
-from rhi.shading import Struct, dot, function, length, max, min, sqrt, vec3, vec4
-
-
-class Cone(Struct):
-    """The volume of a spot light in eye space: points within `range` of `apex`, and within the angle from the unit
-    vector `axis` whose cosine is `cosine`."""
-
-    apex: vec3
-    range: float
-    axis: vec3
-    cosine: float
-
-
-@function
-def bounding_sphere(cone: Cone) -> vec4:
-    """Return the smallest sphere around a cone: centre, radius."""
-    if cone.cosine <= 0.0:
-        return vec4(cone.apex, cone.range)
-    if cone.cosine * cone.cosine < 0.5:
-        return vec4(cone.apex + cone.axis * (cone.range * cone.cosine), cone.range * _sine(cone))
-    radius = cone.range / (2.0 * cone.cosine)
-    return vec4(cone.apex + cone.axis * radius, radius)
+from rhi.shading import dot, function, length, max, min, sqrt, vec3
 
 
 @function
@@ -44,7 +24,7 @@ def cone_overlaps_always(cell: Cell, cone: Cone, padding: float) -> bool:
 def cone_overlaps_sphere(cell: Cell, cone: Cone, padding: float) -> bool:
     """Return whether a cone overlaps the sphere around a cell (Wronski 2017): good for clusters, poor for long
     tiles."""
-    seen = seen_from(cell, cone.apex)
+    seen = relative_cell(cell, cone.apex)
     centre = vec3(0.0)
     for index in range(8):
         centre += corner(seen, index) * 0.125
@@ -61,7 +41,7 @@ def cone_overlaps_sphere(cell: Cell, cone: Cone, padding: float) -> bool:
 @function
 def cone_overlaps_planes(cell: Cell, cone: Cone, padding: float) -> bool:
     """Return whether a cone is not completely behind one of the six planes of a cell."""
-    return _meets_cone_planes(seen_from(cell, cone.apex), cone, padding)
+    return _meets_cone_planes(relative_cell(cell, cone.apex), cone, padding)
 
 
 @function
@@ -69,7 +49,7 @@ def cone_overlaps_tightly(cell: Cell, cone: Cone, padding: float) -> bool:
     """Return whether no plane of a cell separates it from a cone, nor the axis to its nearest vertex, nor the cone's
     tangent planes towards that vertex and towards the middle. What a cone of more than 90° leaves out is convex: a cell
     with all corners there is outside."""
-    seen = seen_from(cell, cone.apex)
+    seen = relative_cell(cell, cone.apex)
     if cone.cosine < 0.0:
         least = cone.range
         for index in range(8):
@@ -98,21 +78,16 @@ def reach_along(cone: Cone, axis: vec3) -> float:
     if cosine >= cone.cosine:
         return cone.range * size
     sine = sqrt(max(1.0 - cosine * cosine, 0.0))
-    return cone.range * size * max(cosine * cone.cosine + sine * _sine(cone), 0.0)
+    return cone.range * size * max(cosine * cone.cosine + sine * cone_sine(cone), 0.0)
 
 
 @function
-def _beside(cone: Cone, place: vec3) -> float:
-    """Return how far a place, seen from the apex, lies outside of a cone's side; negative inside."""
-    along = dot(place, cone.axis)
+def _beside(cone: Cone, point: vec3) -> float:
+    """Return the distance of a point, relative to the apex, outside of a cone's side; negative inside."""
+    along = dot(point, cone.axis)
     # The root of |place|² - along² would be off by 3e-4 of the length near the axis, or not a number.
-    across = length(place - cone.axis * along)
-    return cone.cosine * across - _sine(cone) * along
-
-
-@function
-def _sine(cone: Cone) -> float:
-    return sqrt(max((1.0 - cone.cosine) * (1.0 + cone.cosine), 0.0))
+    across = length(point - cone.axis * along)
+    return cone.cosine * across - cone_sine(cone) * along
 
 
 # From here on the cell is seen from the cone's apex.
@@ -145,4 +120,4 @@ def _separates_cone(seen: Cell, cone: Cone, padding: float, axis: vec3) -> bool:
 def _tangent(cone: Cone, towards: vec3) -> vec3:
     """Return the outward normal of a cone's side in the direction of a point."""
     across = towards - cone.axis * dot(towards, cone.axis)
-    return across * cone.cosine - cone.axis * (length(across) * _sine(cone))
+    return across * cone.cosine - cone.axis * (length(across) * cone_sine(cone))

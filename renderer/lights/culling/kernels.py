@@ -1,34 +1,37 @@
 """The compute shaders that list the lights of each cell.
 
-1. Where there is a depth texture, `FindTileDepths` finds each tile's nearest and farthest surface, and `FindTileMasks`
-   besides a mask of the depths between them that have a surface (Harada, McKee and Yang 2013: 2.5D culling).
+1. Where there is a depth texture, `ReduceTileDepths` computes each tile's nearest and farthest surface, and
+   `ReduceTileMasks` adds a mask of the depths between them that have a surface (Harada, McKee and Yang 2013: 2.5D
+   culling).
 2. `CollectLights`: a work-group has a block of 8 × 8 tiles of one slice. First, as a pre-filter, it tests each light
    against the whole block, then each tile against the lights that the block has kept. The result is a bit for each cell
    and light.
-3. `PrefixSum` turns the number of lights of each cell into the place where its list begins.
+3. `PrefixSum` turns the number of lights of each cell into the index where its list begins.
 4. `WriteLists` writes the bits as lists.
 
-A bit has one place whoever finds it, so lists are in ascending order, the same in every run and on every device. All
-lanes of a work-group read the same light at the same time.
+A bit has the same position whichever invocation sets it, so lists are in ascending order, the same in every run and
+on every device. All lanes of a work-group read the same light at the same time.
 """
 
 from __future__ import annotations
 
 from functools import cache
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import rhi.shading as sl
+from renderer.light_kinds.bounds import KIND_COUNT, WORD_FIELDS, index_in_kind
+from renderer.light_kinds.generation import define
+from renderer.light_kinds.volumes import Cone
 from renderer.lights.culling.cells import (
     Cell,
-    CellGrid,
+    ClusterGrid,
     block_cell,
     depth_bits,
-    distances_of,
+    distance_range,
     padded_radius,
-    range_of,
+    rounded_distance_range,
     slice_start,
 )
-from renderer.lights.culling.cone_tests import Cone
 from renderer.lights.culling.sphere_tests import overlaps_always
 from renderer.lights.culling.table import ConeTest, SphereTest
 from renderer.lights.culling.volumes import WORD
@@ -40,11 +43,19 @@ _CHUNK: Final = 64
 """Number of words of lights that a block holds at a time."""
 
 
-class LightCounts(sl.Struct):
-    """The number of words with a bit for each light, and of those before the spot lights'."""
+class LightMaskWords(sl.Struct):
+    """The number of words with a bit for each light."""
 
     words: int
-    point_words: int
+
+
+class LightMaskSize(LightMaskWords):
+    """The number of words with a bit for each light, and the end of the words of each kind of light but the last
+    (`WORD_FIELDS`)."""
+
+    if TYPE_CHECKING:
+        first_cone_word: int
+    __annotations__ = dict.fromkeys(WORD_FIELDS, int)
 
 
 class TileDepths(sl.Struct):
@@ -56,12 +67,12 @@ class TileDepths(sl.Struct):
     mask: sl.uint
 
 
-class FindTileDepths(sl.Shader):
-    """Finds the depths of each tile. An invocation has a tile, so that there is nothing to wait for. With a work-group
+class ReduceTileDepths(sl.Shader):
+    """Computes the depths of each tile, one invocation for each tile, so that none waits. With a work-group
     for each tile of 8 × 8 pixels, PoCL takes 6 times the processor time and llvmpipe 11 times."""
 
     work_group = (BLOCK, BLOCK)
-    grid: sl.Uniform[CellGrid]
+    grid: sl.Uniform[ClusterGrid]
     depth: sl.Texture2D
     depths: sl.StorageRW[TileDepths]
 
@@ -79,39 +90,39 @@ class FindTileDepths(sl.Shader):
                 if depth != self.grid.background:
                     least = sl.min(least, depth)
                     greatest = sl.max(greatest, depth)
-        ends = range_of(self.grid, least, greatest)
-        mask = self.find_mask(first, end, ends.x, ends.y)
+        ends = distance_range(self.grid, least, greatest)
+        mask = self.depth_mask_of(first, end, ends.x, ends.y)
         self.depths[tile.y * self.grid.count.x + tile.x] = TileDepths(near=ends.x, far=ends.y, mask=mask)
 
-    def find_mask(self, first: sl.ivec2, end: sl.ivec2, near: float, far: float) -> sl.uint:
+    def depth_mask_of(self, first: sl.ivec2, end: sl.ivec2, near: float, far: float) -> sl.uint:
         return sl.uint(0xFFFFFFFF)
 
 
-class FindTileMasks(FindTileDepths):
-    """Finds the masks of each tile's depths as well."""
+class ReduceTileMasks(ReduceTileDepths):
+    """Computes the depths of each tile, and the mask of the slices between them that have a surface."""
 
-    def find_mask(self, first: sl.ivec2, end: sl.ivec2, near: float, far: float) -> sl.uint:
+    def depth_mask_of(self, first: sl.ivec2, end: sl.ivec2, near: float, far: float) -> sl.uint:
         mask = sl.uint(0)
         for y in range(first.y, end.y):
             for x in range(first.x, end.x):
                 depth = self.depth.load(sl.ivec2(x, y)).r
                 if depth != self.grid.background:
-                    between = distances_of(self.grid, depth)
+                    between = rounded_distance_range(self.grid, depth)
                     mask = mask | depth_bits(near, far, between.x, between.y)
         return mask
 
 
 class CollectLights(sl.Shader):
-    """Finds the lights of each cell, and counts them. The subclasses add what not every grid has; `collect_variant`
+    """Marks and counts the lights of each cell. Subclasses add tests of cones, depths and masks; `collect_variant`
     combines them."""
 
     work_group = (BLOCK, BLOCK)
-    grid: sl.Uniform[CellGrid]
-    lights: sl.Uniform[LightCounts]
+    grid: sl.Uniform[ClusterGrid]
+    lights: sl.Uniform[LightMaskSize]
     spheres: sl.Storage[sl.vec4]
     masks: sl.StorageRW[sl.uint]
     counts: sl.StorageRW[sl.uint]
-    kept = sl.shared(sl.uint, _CHUNK)
+    visible_bits = sl.shared(sl.uint, _CHUNK)
     tests_blocks = True
 
     def compute(self) -> None:
@@ -137,29 +148,29 @@ class CollectLights(sl.Shader):
         count = 0
         tests = 0
         for base in range(0, words, _CHUNK):
-            self.kept[lane] = sl.uint(0)
+            self.visible_bits[lane] = sl.uint(0)
             sl.barrier()
             for k in range(lane, WORD * sl.min(words - base, _CHUNK), GROUP):
                 sphere = self.spheres[WORD * base + k]
                 if sphere.w >= 0.0 and ends.x <= ends.y:
                     if self.tests_blocks:
                         tests += 1
-                    if self.keeps(whole, sphere):
-                        sl.atomic_or(self.kept[k // WORD], sl.uint(1) << sl.uint(k % WORD))
+                    if self.overlaps_sphere(whole, sphere):
+                        sl.atomic_or(self.visible_bits[k // WORD], sl.uint(1) << sl.uint(k % WORD))
             sl.barrier()
             for w in range(sl.min(words - base, _CHUNK)):
-                bits = self.kept[w]
-                found = sl.uint(0)
+                bits = self.visible_bits[w]
+                light_bits = sl.uint(0)
                 if has_surface:
                     while bits != sl.uint(0):
                         bit = sl.find_lsb(bits)
                         bits = bits & (bits - sl.uint(1))
                         tests += 1
-                        if self.is_lit_by(WORD * (base + w) + bit, cell, depths):
-                            found = found | (sl.uint(1) << sl.uint(bit))
+                        if self.reaches_cell(WORD * (base + w) + bit, cell, depths):
+                            light_bits = light_bits | (sl.uint(1) << sl.uint(bit))
                 if inside:
-                    self.masks[index * words + base + w] = found
-                    count += sl.bit_count(found)
+                    self.masks[index * words + base + w] = light_bits
+                    count += sl.bit_count(light_bits)
             sl.barrier()
         if inside:
             self.counts[index] = sl.uint(count)
@@ -173,18 +184,18 @@ class CollectLights(sl.Shader):
     def block_depths(self, lane: int, near: float, far: float, slice_near: float, slice_far: float) -> sl.vec2:
         return sl.vec2(slice_near, slice_far)
 
-    def keeps(self, block: Cell, sphere: sl.vec4) -> bool:
+    def overlaps_sphere(self, block: Cell, sphere: sl.vec4) -> bool:
         return self.overlaps_block(block, sphere.xyz, padded_radius(block, sphere.xyz, sphere.w))
 
-    def is_lit_by(self, light: int, cell: Cell, depths: TileDepths) -> bool:
+    def reaches_cell(self, light: int, cell: Cell, depths: TileDepths) -> bool:
         if not self.reaches(cell, self.spheres[light], depths):
             return False
-        return self.reaches_in_cone(light - WORD * self.lights.point_words, cell)
+        return self.reaches_in_cone(light - WORD * self.lights.first_cone_word, cell)
 
     def reaches(self, cell: Cell, sphere: sl.vec4, depths: TileDepths) -> bool:
         return self.overlaps(cell, sphere.xyz, padded_radius(cell, sphere.xyz, sphere.w))
 
-    def reaches_in_cone(self, spot: int, cell: Cell) -> bool:
+    def reaches_in_cone(self, cone_index: int, cell: Cell) -> bool:
         return True
 
     def note_tests(self, tests: int, lane: int) -> None:
@@ -199,13 +210,13 @@ class CollectLights(sl.Shader):
         return True
 
 
-class CollectSpots(CollectLights):
-    """Tests the cones of spot lights whose spheres reach a cell."""
+class CollectCones(CollectLights):
+    """Tests the cones of lights whose spheres reach a cell."""
 
     cones: sl.Storage[Cone]
 
-    def reaches_in_cone(self, spot: int, cell: Cell) -> bool:
-        return spot < 0 or self.lights_cone(cell, self.cones[spot])
+    def reaches_in_cone(self, cone_index: int, cell: Cell) -> bool:
+        return cone_index < 0 or self.lights_cone(cell, self.cones[cone_index])
 
     def lights_cone(self, cell: Cell, cone: Cone) -> bool:
         return self.overlaps_cone(cell, cone, padded_radius(cell, cone.apex, cone.range) - cone.range)
@@ -216,7 +227,7 @@ class CollectSpots(CollectLights):
 
 
 class CollectByDepth(CollectLights):
-    """Tests cells between the surfaces of their tiles only."""
+    """Tests only the part of a cell between the nearest and the farthest surface of its tile."""
 
     depths: sl.Storage[TileDepths]
     nears = sl.shared(float, GROUP)
@@ -238,7 +249,7 @@ class CollectByDepth(CollectLights):
 
 
 class CollectByMask(CollectByDepth):
-    """Tests, besides, whether a light's depths have a surface."""
+    """Drops lights between whose depths the tile has no surface, by its mask."""
 
     def reaches(self, cell: Cell, sphere: sl.vec4, depths: TileDepths) -> bool:
         radius = padded_radius(cell, sphere.xyz, sphere.w)
@@ -249,7 +260,7 @@ class CollectByMask(CollectByDepth):
 
 
 class CollectCounted(CollectLights):
-    """Counts the tests of cells."""
+    """Counts the tests that each cell makes."""
 
     tests: sl.StorageRW[sl.uint]
 
@@ -257,39 +268,58 @@ class CollectCounted(CollectLights):
         sl.atomic_add(self.tests[0], sl.uint(tests))
 
 
-class WriteLists(sl.Shader):
-    """Writes the lists of lights: for each cell its begin and the end of its point lights, then the end of all, then
-    the lists. A light behind the buffer's end isn't written; the places of a list that ends there say so."""
+class ListWriter(sl.Shader):
+    """The base of `WriteLists`."""
 
     work_group = (GROUP,)
-    lights: sl.Uniform[LightCounts]
+    lights: sl.Uniform[LightMaskSize]
     masks: sl.Storage[sl.uint]
     sums: sl.Storage[sl.uint]
     lists: sl.StorageRW[int]
 
+
+WriteLists: Final[type[sl.Shader]] = define(
+    f"""
+class WriteLists(ListWriter):
     def compute(self) -> None:
         cell = sl.global_id().x
         cells = len(self.sums) - 1
         if cell > cells:
             return
-        header = 2 * cells + 1
+        header = {KIND_COUNT} * cells + 1
         end = len(self.lists)
-        place = header + int(self.sums[cell])
-        self.lists[2 * cell] = place
+        entry = header + int(self.sums[cell])
+        self.lists[{KIND_COUNT} * cell] = entry
         if cell == cells:
             return
-        points_end = place
+{"".join(f"        {name} = entry" + chr(10) for name in WORD_FIELDS)}
         for word in range(self.lights.words):
             bits = self.masks[cell * self.lights.words + word]
-            first = WORD * (word if word < self.lights.point_words else word - self.lights.point_words)
+            first = WORD * {index_in_kind("word", [f"self.lights.{name}" for name in WORD_FIELDS])}
             while bits != sl.uint(0):
-                if place < end:
-                    self.lists[place] = first + sl.find_lsb(bits)
+                if entry < end:
+                    self.lists[entry] = first + sl.find_lsb(bits)
                 bits = bits & (bits - sl.uint(1))
-                place += 1
-            if word < self.lights.point_words:
-                points_end = place
-        self.lists[2 * cell + 1] = points_end
+                entry += 1
+"""
+    + "".join(
+        f"""
+            if word < self.lights.{name}:
+                {name} = entry
+"""
+        for name in WORD_FIELDS
+    )
+    + "".join(
+        f"        self.lists[{KIND_COUNT} * cell + {number}] = {name}\n" for number, name in enumerate(WORD_FIELDS, 1)
+    ),
+    "WriteLists",
+    __name__,
+    ListWriter=ListWriter,
+    WORD=WORD,
+    sl=sl,
+)
+"""Writes the lists of lights: for each cell its begin and the end of the lights of each kind, then the end of all, then
+the lists. A light behind the buffer's end isn't written; the bounds of a list that ends there say so."""
 
 
 @cache
@@ -299,7 +329,7 @@ def collect_variant(
     block_test: SphereTest,
     features: tuple[type[CollectLights], ...],
 ) -> type[CollectLights]:
-    """Return the shader with these tests of cells and of blocks, and the features of these classes."""
+    """Return the `CollectLights` shader that combines these tests of cells and blocks and these feature classes."""
     methods: dict[str, Any] = {
         "overlaps": staticmethod(sphere_test.function.python),
         "overlaps_cone": staticmethod(cone_test.function.python),

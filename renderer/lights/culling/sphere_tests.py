@@ -7,7 +7,7 @@ since any axis that separates proves that the two are apart, its own rounding is
 
 from __future__ import annotations
 
-from renderer.lights.culling.cells import Cell, corner, extent_along, seen_from, squared_distance
+from renderer.lights.culling.cells import Cell, corner, extent_along, relative_cell, squared_distance
 from rhi.shading import abs, dot, function, length, max, min, vec2, vec3
 
 
@@ -20,60 +20,60 @@ def overlaps_always(cell: Cell, centre: vec3, radius: float) -> bool:
 @function
 def overlaps_planes(cell: Cell, centre: vec3, radius: float) -> bool:
     """Return whether a sphere is not completely behind one of the six planes of a cell."""
-    return _meets_planes(seen_from(cell, centre), radius)
+    return _meets_planes(relative_cell(cell, centre), radius)
 
 
 @function
 def overlaps_faces(cell: Cell, centre: vec3, radius: float) -> bool:
     """Return whether no normal of a face separates a sphere and a cell. Unlike the planes, that looks at both ends of
     the cell along a normal."""
-    return not _faces_separate(seen_from(cell, centre), radius)
+    return not _faces_separate(relative_cell(cell, centre), radius)
 
 
 @function
 def overlaps_edges(cell: Cell, centre: vec3, radius: float) -> bool:
     """Return whether no axis from one of the twelve edges to the centre separates a sphere and a cell."""
-    return not _edges_separate(seen_from(cell, centre), radius)
+    return not _edges_separate(relative_cell(cell, centre), radius)
 
 
 @function
 def overlaps_vertices(cell: Cell, centre: vec3, radius: float) -> bool:
     """Return whether no axis from one of the eight vertices to the centre separates a sphere and a cell."""
-    return not _vertices_separate(seen_from(cell, centre), radius)
+    return not _vertices_separate(relative_cell(cell, centre), radius)
 
 
 @function
 def overlaps_faces_edges(cell: Cell, centre: vec3, radius: float) -> bool:
     """Return whether no axis of a face or an edge separates a sphere and a cell."""
-    seen = seen_from(cell, centre)
+    seen = relative_cell(cell, centre)
     return not (_faces_separate(seen, radius) or _edges_separate(seen, radius))
 
 
 @function
 def overlaps_faces_vertices(cell: Cell, centre: vec3, radius: float) -> bool:
     """Return whether no axis of a face or a vertex separates a sphere and a cell."""
-    seen = seen_from(cell, centre)
+    seen = relative_cell(cell, centre)
     return not (_faces_separate(seen, radius) or _vertices_separate(seen, radius))
 
 
 @function
 def overlaps_edges_vertices(cell: Cell, centre: vec3, radius: float) -> bool:
     """Return whether no axis of an edge or a vertex separates a sphere and a cell."""
-    seen = seen_from(cell, centre)
+    seen = relative_cell(cell, centre)
     return not (_edges_separate(seen, radius) or _vertices_separate(seen, radius))
 
 
 @function
 def overlaps_all_axes(cell: Cell, centre: vec3, radius: float) -> bool:
     """Return whether no axis of a face, an edge or a vertex separates a sphere and a cell: then they overlap."""
-    seen = seen_from(cell, centre)
+    seen = relative_cell(cell, centre)
     return not (_faces_separate(seen, radius) or _edges_separate(seen, radius) or _vertices_separate(seen, radius))
 
 
 @function
 def overlaps_nearest_vertex(cell: Cell, centre: vec3, radius: float) -> bool:
     """Return whether the axis from the nearest vertex to the centre doesn't separate a sphere and a cell."""
-    seen = seen_from(cell, centre)
+    seen = relative_cell(cell, centre)
     return not _separates(seen, radius, nearest_vertex(seen))
 
 
@@ -81,27 +81,27 @@ def overlaps_nearest_vertex(cell: Cell, centre: vec3, radius: float) -> bool:
 def overlaps_hybrid(cell: Cell, centre: vec3, radius: float) -> bool:
     """Return whether neither a plane nor the axis of the nearest vertex separates a sphere and a cell (Thatcher's
     algorithm 7)."""
-    seen = seen_from(cell, centre)
+    seen = relative_cell(cell, centre)
     return _meets_planes(seen, radius) and not _separates(seen, radius, nearest_vertex(seen))
 
 
 @function
 def overlaps_box(cell: Cell, centre: vec3, radius: float) -> bool:
     """Return whether a sphere overlaps the box around a cell."""
-    return _meets_box(seen_from(cell, centre), radius)
+    return _meets_box(relative_cell(cell, centre), radius)
 
 
 @function
 def overlaps_planes_box(cell: Cell, centre: vec3, radius: float) -> bool:
     """Return whether a sphere overlaps the box around a cell, and is not completely behind one of its planes."""
-    seen = seen_from(cell, centre)
+    seen = relative_cell(cell, centre)
     return _meets_planes(seen, radius) and _meets_box(seen, radius)
 
 
 @function
 def overlaps_exactly(cell: Cell, centre: vec3, radius: float) -> bool:
     """Return whether a sphere and a cell overlap."""
-    return not squared_distance(seen_from(cell, centre)) > radius * radius
+    return not squared_distance(relative_cell(cell, centre)) > radius * radius
 
 
 @function
@@ -187,7 +187,7 @@ def _edges_separate(seen: Cell, radius: float) -> bool:
 
 @function
 def _vertices_separate(seen: Cell, radius: float) -> bool:
-    found = False
+    separates = False
     for index in range(8):
-        found = found or _separates(seen, radius, corner(seen, index))
-    return found
+        separates = separates or _separates(seen, radius, corner(seen, index))
+    return separates

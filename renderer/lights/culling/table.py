@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from renderer import rules
+from renderer.light_kinds.volumes import Cone
 from renderer.lights.culling import cone_tests, sphere_tests
 from renderer.lights.culling.cells import Cell
-from renderer.lights.culling.cone_tests import Cone
 from rhi.shading import vec3
 from rhi.shading.language.function import ShadingFunction
 
@@ -21,13 +21,13 @@ class SphereTest:
     Attributes:
         function: given a cell that isn't empty, the sphere's centre in eye space and its radius.
         is_exact: whether it keeps overlapping pairs only. None ever drops one.
-        statement: what it does, in one sentence.
+        description: the test in one sentence.
     """
 
     name: str
     function: ShadingFunction[[Cell, vec3, float], bool]
     is_exact: bool
-    statement: str
+    description: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class ConeTest:
 
     name: str
     function: ShadingFunction[[Cell, Cone, float], bool]
-    statement: str
+    description: str
 
 
 _SPHERE_TESTS: Final = (
@@ -67,18 +67,18 @@ SPHERE_TESTS: Final[dict[str, SphereTest]] = {test.name: test for test in _SPHER
 CONE_TESTS: Final[dict[str, ConeTest]] = {test.name: test for test in _CONE_TESTS}
 
 
-def find_sphere_test(name: str, call: str) -> SphereTest:
+def lookup_sphere_test(name: str, call: str) -> SphereTest:
     """Return a test of spheres by its name."""
     _check(name, SPHERE_TESTS, call)
     return SPHERE_TESTS[name]
 
 
-def find_cone_test(name: str, call: str) -> ConeTest:
+def lookup_cone_test(name: str, call: str) -> ConeTest:
     """Return a test of cones by its name."""
     _check(name, CONE_TESTS, call)
     return CONE_TESTS[name]
 
 
-def _check(name: str, known: Iterable[str], call: str) -> None:
-    if name not in known:
-        rules.refuse_name(rules.UNKNOWN_LIGHT_TEST, call, name, known)
+def _check(name: str, names: Iterable[str], call: str) -> None:
+    if name not in names:
+        rules.refuse_name(rules.UNKNOWN_LIGHT_TEST, call, name, names)

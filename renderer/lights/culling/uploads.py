@@ -1,16 +1,19 @@
-"""Uploads of a frame that let the device cull its lights: the grid of cells, and the volumes of the lights."""
+"""Uploads of a frame for light culling on the device: the grid of cells, and the volumes of the lights."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 
-from renderer.lights.culling.cells import CellGrid
-from renderer.lights.culling.cone_tests import Cone
-from renderer.lights.culling.kernels import LightCounts
-from renderer.lights.culling.projections import make_grid
-from renderer.lights.culling.volumes import find_volumes
+from renderer.light_kinds.bounds import WORD_FIELDS
+from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
+from renderer.light_kinds.volumes import Cone
+from renderer.lights.culling.cells import ClusterGrid
+from renderer.lights.culling.grid_projection import make_grid
+from renderer.lights.culling.kernels import LightMaskSize
+from renderer.lights.culling.volumes import compute_light_volumes
 from renderer.scene import Camera, Lights, Perspective
 from rhi import Device, StorageBuffer, UniformBuffer
 from rhi.shading import vec4
@@ -49,17 +52,24 @@ class LightUploads:
 
     Attributes:
         layout: the grid.
-        words, point_words: the number of words with a bit for each light, and of those before the spot lights'.
+        has_cones: whether some lights have a cone.
+        word_ends: the words with a bit for each light: behind which those of each kind end.
     """
 
     def __init__(self, device: Device, *, tile: int, slices: int = 1, first_slice: float | None = None) -> None:
         """Cells are tiles of `tile` × `tile` pixels, divided into `slices` by depth (see `make_grid`)."""
         self.tile, self.slices, self.first_slice = tile, slices, first_slice
-        self.layout: CellGrid = make_grid(Perspective(), (1, 1), tile, slices=slices)
-        self.words = self.point_words = 0
-        self.parameters: UniformBuffer[CellGrid] = device.uniform(self.layout)
-        self.counts: UniformBuffer[LightCounts] = device.uniform(LightCounts(words=0, point_words=0))
+        self.layout: ClusterGrid = make_grid(Perspective(), (1, 1), tile, slices=slices)
+        self.word_ends = (0,) * len(LOCAL_LIGHT_KINDS)
+        self.parameters: UniformBuffer[ClusterGrid] = device.uniform(self.layout)
+        self.counts: UniformBuffer[LightMaskSize] = device.uniform(_mask_size(self.word_ends))
+        self.has_cones = False
         self._buffers: Final = BufferSet(device, "light volumes")
+
+    @property
+    def words(self) -> int:
+        """The number of words with a bit for each light."""
+        return self.word_ends[-1]
 
     @property
     def count(self) -> tuple[int, int, int]:
@@ -68,12 +78,11 @@ class LightUploads:
         return columns, rows, slices
 
     def write(self, camera: Camera, size: tuple[int, int], lights: Lights) -> None:
-        """Upload an image's grid, of `size` pixels, and the volumes of all point and spot lights."""
-        volumes = find_volumes(lights, camera)
-        words = volumes.words, volumes.point_words
-        if words != (self.words, self.point_words):
-            self.words, self.point_words = words
-            self.counts.write(LightCounts(words=self.words, point_words=self.point_words))
+        """Upload an image's grid, of `size` pixels, and the volumes of all lights with a position."""
+        volumes = compute_light_volumes(lights, camera)
+        if volumes.word_ends != self.word_ends:
+            self.word_ends = volumes.word_ends
+            self.counts.write(_mask_size(self.word_ends))
         self.layout = make_grid(
             camera.projection,
             size,
@@ -86,7 +95,8 @@ class LightUploads:
         spheres = self._buffers.fit("spheres", vec4, round_up(len(volumes.spheres)))
         if len(volumes.spheres):
             spheres.write(volumes.spheres.astype(np.float32))
-        if len(volumes.cones):
+        self.has_cones = len(volumes.cones) > 0
+        if self.has_cones:
             self._buffers.fit("cones", Cone, round_up(len(volumes.cones))).write(volumes.cones)
 
     @property
@@ -96,7 +106,7 @@ class LightUploads:
 
     @property
     def cones(self) -> dict[str, Any]:
-        """The binding `cones` of shaders that test spot lights, of which there must be some."""
+        """The binding `cones` of shaders that test the cones of lights; some lights must have one."""
         return {"cones": self._buffers["cones"]}
 
     def destroy(self) -> None:
@@ -104,6 +114,10 @@ class LightUploads:
         self.parameters.destroy()
         self.counts.destroy()
         self._buffers.destroy()
+
+
+def _mask_size(word_ends: Sequence[int]) -> LightMaskSize:
+    return LightMaskSize(words=word_ends[-1], **dict(zip(WORD_FIELDS, word_ends, strict=False)))
 
 
 def round_up(count: int) -> int:

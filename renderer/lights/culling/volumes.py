@@ -1,4 +1,4 @@
-"""The volumes of a scene's point and spot lights as the device tests them: in eye space, from positions in float64."""
+"""The volumes of a scene's lights as the device tests them: in eye space, from positions in float64."""
 
 from __future__ import annotations
 
@@ -9,31 +9,35 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.lights.culling.cone_tests import Cone, bounding_sphere
+from renderer.light_kinds.kind import LocalLightKind
+from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
+from renderer.light_kinds.volumes import Cone, bounding_sphere
 from renderer.scene import Camera, Lights
 from renderer.scene.arrays import Floats
-from renderer.scene.lights import SPOT
 from rhi.shading import evaluate
 
 WORD: Final = 32
 """Number of lights whose results are the bits of a word."""
 
 
+_CONE: Final = Cone.dtype
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class LightVolumes:
-    """The volumes of all lights that have an end.
+    """The bounding volumes of all local lights.
 
     Attributes:
-        spheres: (32 w, 4) float64, centres and radii: of the point lights, then from a multiple of 32 on those around
-            the cones of the spot lights. Rows between them have a radius of -1.
-        cones: (s,) of `Cone`, of the spot lights.
-        point_words: the number of words before the spot lights'.
+        spheres: (32 w, 4) float64, centres and radii: of the lights of each kind, in the order of the table, and each
+            from a multiple of 32 on. Rows between them have a radius of -1.
+        cones: (c,) of `Cone`, for the spheres from `word_ends[k]` on, where k is the last kind without cones.
+        word_ends: for each kind, the word behind which its lights end.
         reach: the farthest depth that a light reaches; -inf without lights.
     """
 
     spheres: Floats
     cones: NDArray[Any]
-    point_words: int
+    word_ends: tuple[int, ...]
     reach: float
 
     @property
@@ -42,35 +46,40 @@ class LightVolumes:
         return len(self.spheres) // WORD
 
 
-def find_volumes(lights: Lights, camera: Camera) -> LightVolumes:
-    """Return the volumes of all point and spot lights, seen from a camera."""
+def compute_light_volumes(lights: Lights, camera: Camera) -> LightVolumes:
+    """Return the volumes of all lights with a position, seen from a camera."""
     axes = camera.rotation * np.array([[1.0], [1.0], [-1.0]])  # right, up, ahead
 
     def to_eye(positions: Floats) -> Floats:
         return np.asarray((positions - camera.position) @ axes.T)
 
-    points, spots, around = lights.point, lights.spot, _bound_cones(lights.spot.tobytes())
-    cones = np.zeros(len(spots), Cone.dtype)
-    cones["apex"], cones["axis"] = to_eye(spots["position"]), spots["direction"] @ axes.T
-    cones["range"], cones["cosine"] = spots["range"], np.cos(spots["outer"])
-    point_words = -(-len(points) // WORD)
-    spheres = np.full((WORD * (point_words - (-len(spots) // WORD)), 4), (0.0, 0.0, 0.0, -1.0))
-    spheres[: len(points), :3] = to_eye(points["position"])
-    spheres[: len(points), 3] = points["range"]
-    last = spheres[WORD * point_words :][: len(spots)]
-    last[:, :3], last[:, 3] = to_eye(around[:, :3]), around[:, 3]
+    counts = [len(lights.of_kind(kind)) for kind in LOCAL_LIGHT_KINDS]
+    word_ends = tuple(np.cumsum([-(-count // WORD) for count in counts]).tolist())
+    spheres = np.full((WORD * word_ends[-1], 4), (0.0, 0.0, 0.0, -1.0))
+    cones: list[NDArray[Any]] = []
+    for number, kind in enumerate(LOCAL_LIGHT_KINDS):
+        lights_of_kind, first = lights.of_kind(kind), WORD * (word_ends[number - 1] if number else 0)
+        if kind.cones is None:
+            centers, radii = kind.bounds(lights_of_kind)
+        else:
+            around = _bound_cones(kind, lights_of_kind.tobytes())
+            centers, radii = around[:, :3], around[:, 3]
+            if cones:
+                cones.append(np.zeros(-counts[number - 1] % WORD, _CONE))
+            added = np.zeros(counts[number], _CONE)
+            world = kind.cones(lights_of_kind)
+            added["apex"], added["axis"] = to_eye(world["apex"]), world["axis"] @ axes.T
+            added["range"], added["cosine"] = world["range"], world["cosine"]
+            cones.append(added)
+        spheres[first : first + counts[number], :3] = to_eye(centers)
+        spheres[first : first + counts[number], 3] = radii
     ends = (spheres[:, 2] + spheres[:, 3])[spheres[:, 3] >= 0.0]
-    return LightVolumes(spheres, cones, point_words, float(ends.max()) if len(ends) else -np.inf)
+    all_cones = cones[0] if len(cones) == 1 else np.concatenate([np.zeros(0, _CONE), *cones])
+    return LightVolumes(spheres, all_cones, word_ends, float(ends.max()) if len(ends) else -np.inf)
 
 
 @lru_cache(maxsize=4)
-def _bound_cones(spots: bytes) -> Floats:
-    """Return the spheres (s, 4) around the cones of spot lights in the world. They stay while eyes move."""
-    lights = np.frombuffer(spots, SPOT)
-    cones = {
-        "apex": lights["position"],
-        "range": lights["range"].astype(np.float64),
-        "axis": lights["direction"].astype(np.float64),
-        "cosine": np.cos(lights["outer"]),  # in float32, as shaders have it
-    }
-    return np.asarray(evaluate(bounding_sphere, cones, dtype=np.float64))
+def _bound_cones(kind: LocalLightKind, data: bytes) -> Floats:
+    """Return the spheres (k, 4) around the cones of lights of a kind in the world. They stay while eyes move."""
+    assert kind.cones is not None
+    return np.asarray(evaluate(bounding_sphere, kind.cones(np.frombuffer(data, kind.dtype)), dtype=np.float64))

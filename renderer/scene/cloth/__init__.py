@@ -1,6 +1,6 @@
 """Cloth: sheets of points that keep their distances, stepped on the device where they are drawn.
 
-- `sheets`: a cloth as data: its points, pins, constraints in batches, room, fabric, and the wind that blows on it.
+- `cloth_grid`: a cloth as data: its points, pins, constraints in batches, room, fabric, and the wind that blows on it.
 - `reference`: the step on NumPy, for scenes without a device, and what the device is compared with.
 - `kernels`, `on_device`: the same step as one dispatch for all cloths that are due, whatever the number of steps.
 - `cloths`: the simulation, which a `SceneBuilder` takes.
@@ -14,7 +14,7 @@ and hold the pin, so no wind, no fabric and no number of steps takes a point out
 all times, and its speeds are bounded by them.
 """
 
-from renderer.scene.cloth.cloths import Cloths
-from renderer.scene.cloth.sheets import Fabric, Gust, Sheet, Wind, make_sheet
+from renderer.scene.cloth.cloth_grid import ClothGrid, Fabric, Gust, Wind, make_cloth_grid
+from renderer.scene.cloth.cloth_simulation import ClothSimulation
 
-__all__ = ["Cloths", "Fabric", "Gust", "Sheet", "Wind", "make_sheet"]
+__all__ = ["ClothGrid", "ClothSimulation", "Fabric", "Gust", "Wind", "make_cloth_grid"]

@@ -8,6 +8,6 @@ A step is one of the leapfrog scheme on a grid. With damping each wave is the un
 So after some time nothing is left of an earlier state, and what returns to view is as if it had been seen always.
 """
 
-from renderer.scene.water.pools import Water, WaterPool
+from renderer.scene.water.water_pools import WaterPool, WaterSimulation
 
-__all__ = ["Water", "WaterPool"]
+__all__ = ["WaterPool", "WaterSimulation"]

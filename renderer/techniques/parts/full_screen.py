@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 
 from renderer.frame import Frame
-from renderer.frame.passes import FARTHEST
+from renderer.frame.drawing import FARTHEST
 from renderer.scene import Camera, Depth
 from renderer.shaders.pixels import PixelRays
 from rhi import DepthFunction, Device, Mesh, UniformBuffer
-from rhi.math import find_distance
+from rhi.math import distance_at_depth
 
 Color = tuple[float, float, float, float]
 
@@ -21,15 +21,16 @@ BEHIND: Final = {Depth.REVERSED: DepthFunction.LESS, Depth.STANDARD: DepthFuncti
 
 
 def make_triangle(device: Device) -> Mesh:
-    """Make the mesh for a `BackgroundScreen` shader."""
+    """Create the mesh of a `BackgroundScreen` shader."""
     return device.mesh(3, label="whole target")
 
 
 @lru_cache(maxsize=4)
-def find_rays(camera: Camera, size: tuple[int, int]) -> PixelRays:
-    """Return the rays through the pixels of an image of `size`, computed in float64."""
+def compute_pixel_rays(camera: Camera, size: tuple[int, int]) -> PixelRays:
+    """Rays through the pixels of an image of `size`, computed in float64."""
     (width, height), matrix = size, camera.projection.matrix
-    # A lens maps (x, y, -d) to clip coordinates. Its rows are solved for x and y, as functions of the pixel and of d:
+    # A projection maps (x, y, -d) to clip coordinates. Its rows are solved for x and y, as functions of the pixel and
+    # of d:
     # matrix[0, 0] * x = pixel_x * w + matrix[0, 2] * d - matrix[0, 3], where w = by_distance * d + constant.
     by_distance, constant = -matrix[3, 2], matrix[3, 3]
     scale = np.array([matrix[0, 0], matrix[1, 1], 1.0])
@@ -45,18 +46,18 @@ def find_rays(camera: Camera, size: tuple[int, int]) -> PixelRays:
         start=camera.rotation.T @ start,
         size=size,
         forward=camera.forward,
-        far=find_far(camera),
+        far=far_distance(camera),
         farthest=FARTHEST[depth],
-        lens=(near[3], constant, near[2], -by_distance),
+        projection=(near[3], constant, near[2], -by_distance),
     )
 
 
-def find_far(camera: Camera) -> float:
-    """Return the distance of the far plane, or the largest float if there is none."""
-    far = find_distance(camera.projection.matrix, FARTHEST[camera.projection.depth])
+def far_distance(camera: Camera) -> float:
+    """Distance of the far plane; the largest float if there is none."""
+    far = distance_at_depth(camera.projection.matrix, FARTHEST[camera.projection.depth])
     return min(far, float(np.finfo(np.float32).max))
 
 
 def bind_rays(frame: Frame) -> UniformBuffer[PixelRays]:
-    """Return the rays of the frame's view."""
-    return frame.view.mirror(find_rays(frame.camera, frame.targets.size))
+    """Rays through the pixels of the frame's view."""
+    return frame.view.mirror(compute_pixel_rays(frame.camera, frame.targets.size))

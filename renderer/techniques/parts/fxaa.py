@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import rhi.shading as sl
-from renderer.frame import IMAGE_FORMAT, Frame, Needs, Pass, Target, find_last
+from renderer.frame import IMAGE_FORMAT, Frame, FrameEffects, FramePass, Target, last_version
 from renderer.shaders.pixels import BackgroundScreen
 from renderer.techniques.parts.variants import draw_full_screen
 from renderer.techniques.technique import WrappedTechnique
@@ -25,25 +25,25 @@ class Fxaa(BackgroundScreen):
     """Smooths the edges of an image."""
 
     source: sl.Texture2D
-    least = 1.0 / 32.0  # contrast of luma below which there is no edge, also in the dark
-    least_share = 0.125  # the same as a share of the brightest neighbour
+    absolute_threshold = 1.0 / 32.0  # contrast of luma below which there is no edge, also in the dark
+    relative_threshold = 0.125  # the same as a share of the brightest neighbour
     blur = 0.75  # how much of a single pixel's difference is removed
 
     def fragment(self) -> sl.vec4:
-        place = sl.ivec2(sl.fragment_coordinate().xy)
-        middle = self.luma(place)
-        north = self.luma(place + sl.ivec2(0, -1))
-        south = self.luma(place + sl.ivec2(0, 1))
-        west = self.luma(place + sl.ivec2(-1, 0))
-        east = self.luma(place + sl.ivec2(1, 0))
+        pixel = sl.ivec2(sl.fragment_coordinate().xy)
+        middle = self.luma(pixel)
+        north = self.luma(pixel + sl.ivec2(0, -1))
+        south = self.luma(pixel + sl.ivec2(0, 1))
+        west = self.luma(pixel + sl.ivec2(-1, 0))
+        east = self.luma(pixel + sl.ivec2(1, 0))
         highest = sl.max(middle, sl.max(sl.max(north, south), sl.max(west, east)))
         contrast = highest - sl.min(middle, sl.min(sl.min(north, south), sl.min(west, east)))
-        if contrast < sl.max(self.least, highest * self.least_share):
+        if contrast < sl.max(self.absolute_threshold, highest * self.relative_threshold):
             sl.discard()  # the image already has this color
-        north_west = self.luma(place + sl.ivec2(-1, -1))
-        north_east = self.luma(place + sl.ivec2(1, -1))
-        south_west = self.luma(place + sl.ivec2(-1, 1))
-        south_east = self.luma(place + sl.ivec2(1, 1))
+        north_west = self.luma(pixel + sl.ivec2(-1, -1))
+        north_east = self.luma(pixel + sl.ivec2(1, -1))
+        south_west = self.luma(pixel + sl.ivec2(-1, 1))
+        south_east = self.luma(pixel + sl.ivec2(1, 1))
         level = (
             sl.abs(north_west + south_west - 2.0 * west)
             + 2.0 * sl.abs(north + south - 2.0 * middle)
@@ -63,19 +63,19 @@ class Fxaa(BackgroundScreen):
         if sl.abs(before - middle) >= sl.abs(after - middle):
             across = -across
             beyond = before
-        shift = self.find_shift(place, along, across, middle, beyond)
+        shift = self.edge_shift(pixel, along, across, middle, beyond)
         around = 2.0 * (north + south + west + east) + north_west + north_east + south_west + south_east
         single = sl.saturate(sl.abs(around / 12.0 - middle) / contrast)
         single = single * single * (3.0 - 2.0 * single)
         shift = sl.max(shift, single * single * self.blur)
-        return sl.mix(self.source.load(place), self.texel(place + across), shift)
+        return sl.mix(self.source.load(pixel), self.texel(pixel + across), shift)
 
-    def find_shift(self, place: sl.ivec2, along: sl.ivec2, across: sl.ivec2, middle: float, beyond: float) -> float:
-        """Return the share of the pixel that the edge between it and the next one across cuts off."""
+    def edge_shift(self, pixel: sl.ivec2, along: sl.ivec2, across: sl.ivec2, middle: float, beyond: float) -> float:
+        """Fraction of the pixel that the edge between it and its neighbour cuts off."""
         mean = 0.5 * (middle + beyond)
         change = 0.25 * sl.abs(beyond - middle)
-        back = self.find_end(place, -along, across, mean, change)
-        forth = self.find_end(place, along, across, mean, change)
+        back = self.edge_end(pixel, -along, across, mean, change)
+        forth = self.edge_end(pixel, along, across, mean, change)
         nearer = sl.min(sl.abs(back), sl.abs(forth))
         # The edge cuts the pixel only if it bends towards it at the nearer end, whose sign says on which side it ends.
         end = back if sl.abs(back) < sl.abs(forth) else forth
@@ -83,39 +83,39 @@ class Fxaa(BackgroundScreen):
             return 0.0
         return 0.5 - nearer / (sl.abs(back) + sl.abs(forth))
 
-    def find_end(self, place: sl.ivec2, along: sl.ivec2, across: sl.ivec2, mean: float, change: float) -> float:
-        """Return the pixels to the end of an edge, negative if it is darker there than along the edge."""
+    def edge_end(self, pixel: sl.ivec2, along: sl.ivec2, across: sl.ivec2, mean: float, change: float) -> float:
+        """Pixels to the end of an edge; negative if the end is darker than the edge."""
         away = 0.0
         for i in range(1, REACH + 1):
-            at = place + along * i
+            at = pixel + along * i
             off = 0.5 * (self.luma(at) + self.luma(at + across)) - mean
             away = float(i) if off >= 0.0 else -float(i)
             if sl.abs(off) >= change:
                 break
         return away
 
-    def luma(self, place: sl.ivec2) -> float:
-        """Return how bright a pixel looks: the square root is close to the eye's scale."""
-        return sl.sqrt(sl.dot(self.texel(place).rgb, sl.vec3(0.299, 0.587, 0.114)))
+    def luma(self, pixel: sl.ivec2) -> float:
+        """Brightness of a pixel as perceived, approximated by a square root."""
+        return sl.sqrt(sl.dot(self.texel(pixel).rgb, sl.vec3(0.299, 0.587, 0.114)))
 
-    def texel(self, place: sl.ivec2) -> sl.vec4:
-        return self.source.load(sl.clamp(place, sl.ivec2(0), self.source.size() - 1))
+    def texel(self, pixel: sl.ivec2) -> sl.vec4:
+        return self.source.load(sl.clamp(pixel, sl.ivec2(0), self.source.size() - 1))
 
 
-class Smoothed(WrappedTechnique):
+class FxaaTechnique(WrappedTechnique):
     """A technique whose image is smoothed by FXAA."""
 
-    def declare(self, needs: Needs) -> Sequence[Pass[Frame]]:
-        """Return the technique's passes, and one that smooths the image."""
-        passes = self._technique.declare(needs)
+    def declare(self, effects: FrameEffects) -> Sequence[FramePass[Frame]]:
+        """The technique's passes, and one that smooths the image."""
+        passes = self._technique.declare(effects)
         return (
             *passes,
-            Pass(
+            FramePass(
                 "fxaa",
                 _smooth,
                 "smooths edges",
                 writes=(Target("image with edges", IMAGE_FORMAT),),
-                changes={find_last(passes, "image"): "smooth image"},
+                changes={last_version(passes, "image"): "smooth image"},
             ),
         )
 

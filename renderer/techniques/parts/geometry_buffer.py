@@ -1,10 +1,10 @@
 """The geometry buffer: the nearest surface of each pixel, for techniques that light it after all geometry is drawn.
 
-| contents | format | bytes | what it holds |
+| resource | format | bytes | what it holds |
 |---|---|---|---|
 | `surface` | RG32UI | 8 | the distance along the view, a float32; the normal, octahedral in 2 × 16 bits |
 | `surface`, if shadows fall on normal maps | RGBA32UI | 16 | and the normal without maps; a word isn't used |
-| `material` | R32UI | 4 | the row of the material |
+| `material` | R32UI | 4 | the index of the material |
 | `material`, if the scene has images or maps | RG32UI | 8 | and the texel's colour, 3 × 10 bits |
 | `details`, if it has roughness or occlusion maps | R32UI | 4 | metallic and occlusion, 8 bits each; roughness, 16 |
 | `details`, if it has emissive maps | RG32UI | 8 | and the emissive texel, 3 × 10 bits |
@@ -17,7 +17,7 @@ depth either: where standard depth is 0.3 m wrong, a position is still exact.
 Shadows are looked up by the normal that maps don't bend. Found by the distances of the pixels around, it would be
 wrong at edges and take four more loads for each light of a pixel; stored, it is in the texel that is loaded anyway.
 
-Normals may have 2 × 8 bits instead (`normal_bits`). They lie beside the row of the material, in the upper half of its
+Normals may have 2 × 8 bits instead (`normal_bits`). They lie beside the index of the material, in the upper half of its
 word, so `surface` has a word less, or two with the normal without maps: R32UI, or RG32UI.
 
 A texel's colour is stored as its square root. Its 10 bits are then 4 times as fine as an image's own 8, which a bright
@@ -31,59 +31,59 @@ from typing import Final
 
 import rhi.shading as sl
 from renderer import rules
-from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, FrameEffects, FramePass, Target
 from renderer.shaders.encodings import decode_normal, encode_normal, encode_octahedral
-from renderer.shaders.pixels import PixelRays, PixelShader, place_pixel
+from renderer.shaders.pixels import PixelRays, PixelShader, pixel_position
 from renderer.shaders.structs import Material, SurfaceInput, SurfaceParameters, SurfacePoint, SurfaceVarying
 from renderer.techniques.parts.scene_shader import ReflectingShader, SceneShader
-from renderer.techniques.parts.variants import name_samples, scene_pass
+from renderer.techniques.parts.variants import make_scene_drawer, name_samples
 from rhi import Format, refuse
 
 NORMAL_BITS: Final = (8, 16)
 """The bits that each of the two numbers of a normal may have."""
-EXACT_NORMAL: Final = 16
-"""The bits with which hardly a picture shows that normals were stored: 24 have the same errors."""
-MOST_MATERIALS: Final = 1 << 16
+DEFAULT_NORMAL_BITS: Final = 16
+"""The bits with which hardly an image shows that normals were stored: 24 have the same errors."""
+MAX_MATERIALS: Final = 1 << 16
 """The number of materials that 16 bits can tell apart."""
 
 
 def check_materials(frame: Frame) -> None:
-    """Refuse a scene with more materials than 16 bits can tell apart."""
+    """Refuse a scene with more materials than 16 bits can number."""
     count = len(frame.resources.scene.materials)
-    if count > MOST_MATERIALS:
-        refuse(rules.MANY_MATERIALS, "render", f"{count:,} materials", f"at most {MOST_MATERIALS:,}")
+    if count > MAX_MATERIALS:
+        refuse(rules.TOO_MANY_MATERIALS, "render", f"{count:,} materials", f"at most {MAX_MATERIALS:,}")
 
 
-def find_surface_format(needs: Needs, normal_bits: int = EXACT_NORMAL) -> Format:
-    """Return the format of `surface`."""
+def surface_format(effects: FrameEffects, normal_bits: int = DEFAULT_NORMAL_BITS) -> Format:
+    """Texel format of `surface`."""
     if normal_bits == 8:
-        return Format.RG32UI if needs.has_planes else Format.R32UI
-    return Format.RGBA32UI if needs.has_planes else Format.RG32UI
+        return Format.RG32UI if effects.has_geometric_normals else Format.R32UI
+    return Format.RGBA32UI if effects.has_geometric_normals else Format.RG32UI
 
 
 @sl.function
-def find_shrunk(texel: sl.vec2, size: sl.vec2, shrunk: sl.ivec2) -> sl.vec2:
-    """Return the center of the pixel of an image of `size` that is stored at the center of a texel of a shrunk one."""
-    return sl.floor(texel * size / sl.vec2(shrunk)) + 0.5
+def full_size_pixel(texel: sl.vec2, size: sl.vec2, downscaled: sl.ivec2) -> sl.vec2:
+    """Centre of the full-size pixel whose surface is stored at a texel of the downscaled buffer."""
+    return sl.floor(texel * size / sl.vec2(downscaled)) + 0.5
 
 
 @sl.function
 def encode_texel(color: sl.vec3) -> sl.uint:
-    """Return a colour of 0 to 1 in 3 × 10 bits, as square roots."""
+    """Encode a colour of 0 to 1 in 3 × 10 bits, as square roots."""
     roots = sl.round(sl.sqrt(sl.saturate(color)) * 1023.0)
     return sl.uint(roots.x) | sl.uint(roots.y) << 10 | sl.uint(roots.z) << 20
 
 
 @sl.function
 def decode_texel(bits: sl.uint) -> sl.vec3:
-    """Return the colour that `encode_texel` has stored."""
+    """Decode a colour that `encode_texel` encoded."""
     roots = sl.vec3(float(bits & 1023), float(bits >> 10 & 1023), float(bits >> 20)) / 1023.0
     return roots * roots
 
 
 @sl.function
 def encode_details(metal: sl.vec2, occlusion: float) -> sl.uint:
-    """Return how metallic, rough and occluded a surface is, 0 to 1 each, in 8, 16 and 8 bits.
+    """Encode metallic, roughness and occlusion, 0 to 1 each, in 8, 16 and 8 bits.
 
     Roughness has 16 because the sharpest highlights change with its fourth power.
     """
@@ -93,20 +93,20 @@ def encode_details(metal: sl.vec2, occlusion: float) -> sl.uint:
 
 @sl.function
 def decode_details(bits: sl.uint) -> sl.vec3:
-    """Return how metallic, rough and occluded a surface is, as `encode_details` has stored it."""
+    """Decode metallic, roughness and occlusion from `encode_details`."""
     shares = sl.vec3(float(bits & 255), float(bits >> 16), float(bits >> 8 & 255))
     return shares / sl.vec3(255.0, 65535.0, 255.0)
 
 
 class GeometryTexels(sl.Struct):
-    """The texels that `GeometryShader` writes; what a format has no room for is left out."""
+    """Output of `GeometryShader`; channels that a target's format lacks are dropped."""
 
     surface: sl.uvec4
     material: sl.uvec4
 
 
 class DetailedTexels(sl.Struct):
-    """The texels that `DetailedGeometry` writes."""
+    """Output of `DetailedGeometry`."""
 
     surface: sl.uvec4
     material: sl.uvec4
@@ -114,38 +114,38 @@ class DetailedTexels(sl.Struct):
 
 
 class SurfaceWriter(SceneShader):
-    """The base of shaders that write `surface`."""
+    """Base of shaders that write `surface`."""
 
     has_small_normals = False
     rays: sl.Uniform[PixelRays]
 
     def encode_surface(self, at: SurfaceInput, normal: sl.vec3) -> sl.uvec4:
-        """Return what `surface` holds; what its format has no room for is left out."""
+        """The texel of `surface`; channels that its format lacks are dropped."""
         distance = sl.float_bits_to_uint(sl.dot(at.position, self.rays.forward))
         plane = sl.uint(0)
-        if self.has_planes:
-            plane = encode_normal(self.find_plane(at, normal))
+        if self.has_geometric_normals:
+            plane = encode_normal(self.geometric_normal_of(at, normal))
         if self.has_small_normals:
             return sl.uvec4(distance, plane, sl.uint(0), sl.uint(0))
         return sl.uvec4(distance, encode_normal(normal), plane, sl.uint(0))
 
 
 class GeometryShader(SurfaceWriter):
-    """Writes the geometry buffer of a scene without maps but those of normals."""
+    """Writes the geometry buffer of a scene with no maps but colour and normal maps."""
 
-    has_texels = False
+    has_color_texels = False
 
     def fragment(self, v: SurfaceVarying) -> GeometryTexels:
-        at = self.take(v)
-        described = self.see(at)
+        at = self.surface_input(v)
+        described = self.evaluate(at)
         surface = self.encode_surface(at, described.normal)
         return GeometryTexels(surface=surface, material=self.encode_material(at.material, described))
 
-    def encode_material(self, row: int, described: SurfaceParameters) -> sl.uvec4:
-        """Return what `material` holds."""
+    def encode_material(self, material_index: int, described: SurfaceParameters) -> sl.uvec4:
+        """The texel of `material`."""
         texel = sl.uint(0)
-        word = sl.uint(row)
-        if self.has_texels:
+        word = sl.uint(material_index)
+        if self.has_color_texels:
             texel = encode_texel(described.color.rgb)
         if self.has_small_normals:
             code = sl.uvec2(encode_octahedral(described.normal, 127.0) + 127)
@@ -154,11 +154,11 @@ class GeometryShader(SurfaceWriter):
 
 
 class DetailedGeometry(GeometryShader):
-    """Writes the geometry buffer of a scene with maps of roughness, occlusion or emitted light."""
+    """Writes the geometry buffer of a scene with roughness, occlusion or emissive maps."""
 
     def fragment(self, v: SurfaceVarying) -> DetailedTexels:  # type: ignore[override]  # more targets
-        at = self.take(v)
-        described = self.see(at)
+        at = self.surface_input(v)
+        described = self.evaluate(at)
         details = encode_details(sl.vec2(described.metallic, described.roughness), described.occlusion)
         return DetailedTexels(
             surface=self.encode_surface(at, described.normal),
@@ -167,59 +167,66 @@ class DetailedGeometry(GeometryShader):
         )
 
 
-def find_formats(needs: Needs, normal_bits: int = EXACT_NORMAL) -> dict[str, Format]:
-    """Return the formats of the geometry buffer's contents but `depth`, which hold what the scene has and no more."""
-    effects = needs.effects
-    has_own = Effect.MATERIAL_SHADERS in effects  # which may say anything
-    has_emissive = has_own or Effect.EMISSIVE_MAPS in effects
-    has_details = has_emissive or not effects.isdisjoint((Effect.ROUGHNESS_MAPS, Effect.OCCLUSION_MAPS))
-    has_texels = has_details or not effects.isdisjoint((Effect.IMAGES, Effect.VERTEX_COLORS))
-    material = Format.RG32UI if has_texels else Format.R32UI
-    formats = {"surface": find_surface_format(needs, normal_bits), "material": material}
+GEOMETRY_SHADERS: Final[tuple[type[sl.Shader], ...]] = (GeometryShader, DetailedGeometry)
+"""The shaders of `geometry_pass`."""
+
+
+def geometry_buffer_formats(effects: FrameEffects, normal_bits: int = DEFAULT_NORMAL_BITS) -> dict[str, Format]:
+    """Texel formats of the geometry buffer's resources without `depth`, as small as the scene allows."""
+    enabled = effects.enabled
+    has_own = Effect.MATERIAL_SHADERS in enabled  # which may say anything
+    has_emissive = has_own or Effect.EMISSIVE_MAPS in enabled
+    has_details = has_emissive or not enabled.isdisjoint((Effect.ROUGHNESS_MAPS, Effect.OCCLUSION_MAPS))
+    has_color_texels = has_details or not enabled.isdisjoint((Effect.IMAGES, Effect.VERTEX_COLORS))
+    material = Format.RG32UI if has_color_texels else Format.R32UI
+    formats = {"surface": surface_format(effects, normal_bits), "material": material}
     return formats | ({"details": Format.RG32UI if has_emissive else Format.R32UI} if has_details else {})
 
 
-def find_contents(frame: Frame) -> dict[str, bool]:
-    """Return the switches of a `GeometryReader` that say what the geometry buffer of a frame holds."""
-    formats, surface = find_formats(frame.needs), frame.targets.find("surface") or frame.targets["surface samples"]
+def geometry_buffer_switches(frame: Frame) -> dict[str, bool]:
+    """Switches of a `GeometryReader` for what a frame's geometry buffer holds."""
+    formats, surface = (
+        geometry_buffer_formats(frame.effects),
+        frame.targets.get("surface") or frame.targets["surface_samples"],
+    )
     texels, details = formats["material"] is Format.RG32UI, formats.get("details")
     emissive = details is Format.RG32UI
-    contents = {"has_texels": texels, "has_details": details is not None, "has_emissive_texels": emissive}
-    return contents | {"has_small_normals": surface.format is find_surface_format(frame.needs, 8)}
+    switches = {"has_color_texels": texels, "has_details": details is not None, "has_emissive_texels": emissive}
+    return switches | {"has_small_normals": surface.format is surface_format(frame.effects, 8)}
 
 
 class SurfaceReader(PixelShader):
-    """The base of shaders that light what is in `surface`. If that `is_shrunk`, it has every so many pixels only."""
+    """Base of shaders that light the surfaces in `surface`, which may be downscaled (`is_downscaled`)."""
 
     lean = True
-    is_shrunk = False
-    has_planes = False
+    is_downscaled = False
+    has_geometric_normals = False
     has_small_normals = False
 
     rays: sl.Uniform[PixelRays]
     surface: sl.UintTexture2D
 
-    def load_surface(self, place: sl.ivec2, sample: int) -> sl.uvec4:
-        """Return the texel of `surface`: of a sample, if pixels have several."""
-        return self.surface.load(place)
+    def load_surface(self, pixel: sl.ivec2, sample: int) -> sl.uvec4:
+        """Load the texel of `surface` at a pixel, or of one of its samples."""
+        return self.surface.load(pixel)
 
-    def find_place(self, texel: sl.uvec4, place: sl.ivec2) -> sl.vec3:
-        """Return the position of the surface whose texel, at `place`, was loaded."""
-        pixel = sl.vec2(place) + 0.5
-        if self.is_shrunk:
-            pixel = find_shrunk(pixel, self.rays.size, self.surface.size())
-        return place_pixel(self.rays, pixel, sl.uint_bits_to_float(texel.x))
+    def surface_position(self, texel: sl.uvec4, texel_position: sl.ivec2) -> sl.vec3:
+        """Position of the surface whose texel at `texel_position` is `texel`."""
+        pixel = sl.vec2(texel_position) + 0.5
+        if self.is_downscaled:
+            pixel = full_size_pixel(pixel, self.rays.size, self.surface.size())
+        return pixel_position(self.rays, pixel, sl.uint_bits_to_float(texel.x))
 
-    def read_plane(self, texel: sl.uvec4, normal: sl.vec3) -> sl.vec3:
-        """Return the normal that maps don't bend of the surface whose texel was loaded, given the `normal`."""
+    def read_geometric_normal(self, texel: sl.uvec4, normal: sl.vec3) -> sl.vec3:
+        """Geometric normal of the surface in a texel; `normal` if the buffer stores none."""
         word = texel.y if self.has_small_normals else texel.z
-        return decode_normal(word) if self.has_planes else normal
+        return decode_normal(word) if self.has_geometric_normals else normal
 
 
 class GeometryReader(SurfaceReader, ReflectingShader):
-    """The base of shaders that light what is in the geometry buffer."""
+    """Base of shaders that light the surfaces in the geometry buffer."""
 
-    has_texels = False
+    has_color_texels = False
     has_details = False
     has_emissive_texels = False
 
@@ -227,35 +234,36 @@ class GeometryReader(SurfaceReader, ReflectingShader):
     details: sl.UintTexture2D
     materials: sl.Storage[Material]
 
-    def load_material(self, place: sl.ivec2, sample: int) -> sl.uvec4:
-        """Return the texel of `material`: of a sample, if pixels have several."""
-        return self.separate(self.material.load(place))
+    def load_material(self, pixel: sl.ivec2, sample: int) -> sl.uvec4:
+        """Load the texel of `material` at a pixel, or of one of its samples."""
+        return self.split_material_texel(self.material.load(pixel))
 
-    def separate(self, texel: sl.uvec4) -> sl.uvec4:
-        """Return a texel of `material` whose third word is a normal of 8 bits, as `encode_normal` stores it."""
+    def split_material_texel(self, texel: sl.uvec4) -> sl.uvec4:
+        """A texel of `material` whose 8-bit normal, if it has one, is moved to the third word and encoded
+        as by `encode_normal`."""
         if self.has_small_normals:
             code = sl.uvec2(texel.x >> 16 & 255, texel.x >> 24) * 258 + 1  # 127 of 254 is 32,767 of 65,534
             return sl.uvec4(texel.x & 65535, texel.y, code.x | code.y << 16, sl.uint(0))
         return texel
 
-    def load_details(self, place: sl.ivec2, sample: int) -> sl.uvec4:
-        """Return the texel of `details`: of a sample, if pixels have several."""
-        return self.details.load(place)
+    def load_details(self, pixel: sl.ivec2, sample: int) -> sl.uvec4:
+        """Load the texel of `details` at a pixel, or of one of its samples."""
+        return self.details.load(pixel)
 
     def read_surface(
-        self, row: sl.uvec4, texel: sl.uvec4, place: sl.ivec2, sample: int, position: sl.vec3
+        self, material_texel: sl.uvec4, texel: sl.uvec4, pixel: sl.ivec2, sample: int, position: sl.vec3
     ) -> SurfacePoint:
-        """Return the surface at a place of the buffer, whose texels of `material` and `surface` were loaded."""
-        material = self.materials[int(row.x)]
-        normal = decode_normal(row.z if self.has_small_normals else texel.y)
+        """The surface at a pixel, from its loaded texels of `material` and `surface`."""
+        material = self.materials[int(material_texel.x)]
+        normal = decode_normal(material_texel.z if self.has_small_normals else texel.y)
         color = sl.vec3(1.0)
         metal = sl.vec2(material.metallic, material.roughness)
         occlusion = 1.0
         emissive = sl.vec3(1.0)
-        if self.has_texels:
-            color = decode_texel(row.y)
+        if self.has_color_texels:
+            color = decode_texel(material_texel.y)
         if self.has_details:
-            bits = self.load_details(place, sample)
+            bits = self.load_details(pixel, sample)
             details = decode_details(bits.x)
             metal = details.xy
             occlusion = details.z
@@ -269,13 +277,15 @@ class GeometryReader(SurfaceReader, ReflectingShader):
             occlusion=occlusion,
             emissive=emissive,
         )
-        return self.make_surface(position, self.read_plane(texel, normal), described, material)
+        return self.make_surface(position, self.read_geometric_normal(texel, normal), described, material)
 
 
-def geometry_pass(needs: Needs, depth: Format = DEPTH_FORMAT, *, samples: int = 1, normal_bits: int) -> Pass[Frame]:
-    """Return the pass that draws the geometry buffer: `surface`, `material`, `details` if it has any, and `depth`. With
-    several samples, `name_samples` names them."""
-    formats = find_formats(needs, normal_bits)
+def geometry_pass(
+    effects: FrameEffects, depth: Format = DEPTH_FORMAT, *, samples: int = 1, normal_bits: int
+) -> FramePass[Frame]:
+    """The pass that draws the geometry buffer: `surface`, `material`, `details` if the scene needs it, and
+    `depth`; with several samples, under the names of `name_samples`."""
+    formats = geometry_buffer_formats(effects, normal_bits)
     names = [name_samples(name, samples) for name in formats]
     target = Target(name_samples("depth", samples), depth, samples=samples)
 
@@ -283,15 +293,17 @@ def geometry_pass(needs: Needs, depth: Format = DEPTH_FORMAT, *, samples: int = 
         if normal_bits == 8:
             check_materials(frame)
         shader = DetailedGeometry if "details" in formats else GeometryShader
-        color, switches = [frame.targets[name] for name in names], find_contents(frame)
-        frame.draw_visible(scene_pass(frame, shader, color=color, depth=frame.targets[target.name], switches=switches))
+        color, switches = [frame.targets[name] for name in names], geometry_buffer_switches(frame)
+        frame.draw_visible(
+            make_scene_drawer(frame, shader, color=color, depth=frame.targets[target.name], switches=switches)
+        )
 
     targets = (Target(name, format, samples=samples) for name, format in zip(names, formats.values(), strict=True))
-    because = f"stores the nearest surface of each {'pixel' if samples == 1 else 'sample'}"
+    reason = f"stores the nearest surface of each {'pixel' if samples == 1 else 'sample'}"
     reads = ("depth",) if samples > 1 else ()
-    return Pass("geometry", draw, because, reads=reads, writes=(*targets, target))
+    return FramePass("geometry", draw, reason, reads=reads, writes=(*targets, target))
 
 
-def list_contents(needs: Needs) -> tuple[str, ...]:
-    """Return the names of the geometry buffer's contents."""
-    return *find_formats(needs), "depth"
+def geometry_buffer_names(effects: FrameEffects) -> tuple[str, ...]:
+    """Names of the geometry buffer's resources."""
+    return *geometry_buffer_formats(effects), "depth"

@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import rhi.shading as sl
-from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, FrameEffects, FramePass, Target
 from renderer.shaders.encodings import decode_normal
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying
-from renderer.techniques.parts.geometry_buffer import SurfaceReader, SurfaceWriter, find_surface_format
+from renderer.techniques.parts.geometry_buffer import SurfaceReader, SurfaceWriter, surface_format
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
 from renderer.techniques.parts.scene_shader import ReflectingShader
-from renderer.techniques.parts.variants import scene_pass
+from renderer.techniques.parts.variants import make_scene_drawer
 from rhi import Format, Texture
 
 SHININESS_FORMAT: Final = Format.R16F
@@ -26,7 +26,7 @@ DIRECTIONS: Final = {"has_color": False, "has_occlusion_maps": False, "has_emiss
 
 
 class NormalTexels(sl.Struct):
-    """The texels that `NormalShader` writes."""
+    """Output of `NormalShader`."""
 
     surface: sl.uvec4
     shininess: float
@@ -36,16 +36,16 @@ class NormalShader(SurfaceWriter, ReflectingShader):
     """Writes normal, distance and shininess."""
 
     def fragment(self, v: SurfaceVarying) -> NormalTexels:
-        at = self.take(v)
-        described = self.see(at)
-        shininess = self.find_shininess(self.materials[v.material], described.roughness)
+        at = self.surface_input(v)
+        described = self.evaluate(at)
+        shininess = self.surface_shininess(self.materials[v.material], described.roughness)
         surface = self.encode_surface(at, described.normal)
         return NormalTexels(surface=surface, shininess=shininess * _SHININESS_SCALE)
 
 
 class LightTerms(sl.Struct):
-    """The terms of the lighting equation: those of a base colour, of a specular colour, and of white, which are the
-    irradiance, and what a specular colour of 1 mirrors; only the metallic-roughness model has the third."""
+    """Terms of the lighting equation: the factors of the base colour (irradiance), of the specular colour,
+    and of white. Only the metallic-roughness model has the third."""
 
     diffuse: sl.vec4
     specular: sl.vec4
@@ -53,14 +53,14 @@ class LightTerms(sl.Struct):
 
 
 class SpecularTerms(sl.Struct):
-    """The terms of scenes without the metallic-roughness model."""
+    """Terms of scenes without the metallic-roughness model."""
 
     diffuse: sl.vec4
     specular: sl.vec4
 
 
 class PackedMetalTerms(sl.Struct):
-    """The terms of the metallic-roughness model, where the specular one is a luminance."""
+    """Terms of the metallic-roughness model, with the specular one packed as a luminance."""
 
     diffuse: sl.vec4
     grazing: sl.vec4
@@ -68,33 +68,33 @@ class PackedMetalTerms(sl.Struct):
 
 @sl.function
 def luminance(color: sl.vec3) -> float:
-    """Return how bright a linear colour looks (Rec. 709)."""
+    """Luminance of a linear colour (Rec. 709)."""
     return sl.dot(color, sl.vec3(0.2126, 0.7152, 0.0722))
 
 
 class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
-    """The base of shaders that collect the terms of lights by their volumes."""
+    """Base of shaders that accumulate the terms of lights by light volumes."""
 
     precision = sl.Precision.FAST
 
     shininess: sl.Texture2D
 
-    def collect(self, light: int, place: sl.ivec2) -> LightTerms:
-        """Return the terms of a light at the surface at a place of the buffers."""
-        texel = self.surface.load(place)
-        position = self.find_place(texel, place)
+    def collect(self, light: int, pixel: sl.ivec2) -> LightTerms:
+        """Terms of a light for the surface at a pixel of the buffers."""
+        texel = self.surface.load(pixel)
+        position = self.surface_position(texel, pixel)
         if not self.is_reached(position, light):
             return LightTerms(diffuse=sl.vec4(0.0), specular=sl.vec4(0.0), grazing=sl.vec4(0.0))
-        incidence = self.find_incidence(position, light)
+        incidence = self.light_incidence(position, light)
         normal = decode_normal(texel.y)
         surface = SurfacePoint(
             position=position,
             normal=normal,
-            plane=self.read_plane(texel, normal),
+            geometric_normal=self.read_geometric_normal(texel, normal),
             to_eye=safe_normalize(-position),
             base_color=sl.vec3(1.0),
             specular_color=sl.vec3(1.0),
-            shininess=self.shininess.load(place).x / _SHININESS_SCALE,
+            shininess=self.shininess.load(pixel).x / _SHININESS_SCALE,
             occlusion=1.0,
             emissive=sl.vec3(1.0),
         )
@@ -103,11 +103,11 @@ class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
         if facing <= 0.0:
             return LightTerms(diffuse=sl.vec4(0.0), specular=sl.vec4(0.0), grazing=sl.vec4(0.0))
         terms = (
-            self.find_sphere_terms(surface, incidence.direction, self.find_size(position, light))
+            self.sphere_lighting_terms(surface, incidence.direction, self.squared_angular_size(position, light))
             if self.has_spheres
-            else self.find_terms(surface, incidence.direction)
+            else self.lighting_terms(surface, incidence.direction)
         )
-        light_in = self.unblocked(incidence.irradiance * facing, position, surface.plane, light)
+        light_in = self.apply_shadow(incidence.irradiance * facing, position, surface.geometric_normal, light)
         specular = light_in * terms.y
         return LightTerms(
             diffuse=sl.vec4(light_in * terms.x, luminance(specular)),
@@ -117,7 +117,7 @@ class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
 
 
 class PlainTerms(TermShader):
-    """Collects the terms of lights but that of white."""
+    """Accumulates the diffuse and specular terms."""
 
     def fragment(self, v: VolumeVarying) -> SpecularTerms:
         terms = self.collect(v.light, sl.ivec2(sl.fragment_coordinate().xy))
@@ -125,35 +125,42 @@ class PlainTerms(TermShader):
 
 
 class MetalTerms(TermShader):
-    """Collects the terms of lights, that of white among them."""
+    """Accumulates the diffuse, specular and grazing terms."""
 
     def fragment(self, v: VolumeVarying) -> LightTerms:
         return self.collect(v.light, sl.ivec2(sl.fragment_coordinate().xy))
 
 
 class PackedTerms(TermShader):
-    """Collects the terms of lights, the specular one as a luminance."""
+    """Accumulates the diffuse term, with the luminance of the specular term in alpha."""
 
     def fragment(self, v: VolumeVarying) -> sl.vec4:
         return self.collect(v.light, sl.ivec2(sl.fragment_coordinate().xy)).diffuse
 
 
 class PackedMetals(TermShader):
-    """Collects the terms of lights, the specular one as a luminance, and that of white."""
+    """Accumulates the diffuse term, with the luminance of the specular term in alpha, and the grazing
+    term."""
 
     def fragment(self, v: VolumeVarying) -> PackedMetalTerms:
         terms = self.collect(v.light, sl.ivec2(sl.fragment_coordinate().xy))
         return PackedMetalTerms(diffuse=terms.diffuse, grazing=terms.grazing)
 
 
-def normals_pass(needs: Needs, depth_format: Format = DEPTH_FORMAT) -> Pass[Frame]:
-    """Return the pass that draws `surface`, `shininess` and `depth`."""
-    return Pass(
+TERM_SHADERS: Final[tuple[type[sl.Shader], ...]] = (NormalShader, PlainTerms, MetalTerms)
+"""The shaders of `normals_pass` and `collect_terms`."""
+PACKED_TERM_SHADERS: Final[tuple[type[sl.Shader], ...]] = (PackedTerms, PackedMetals)
+"""Those of packed terms."""
+
+
+def normals_pass(effects: FrameEffects, depth_format: Format = DEPTH_FORMAT) -> FramePass[Frame]:
+    """The pass that draws `surface`, `shininess` and `depth`."""
+    return FramePass(
         "normals",
         draw_normals,
         "stores what lights must know of the nearest surface of each pixel",
         writes=(
-            Target("surface", find_surface_format(needs)),
+            Target("surface", surface_format(effects)),
             Target("shininess", SHININESS_FORMAT),
             Target("depth", depth_format),
         ),
@@ -161,14 +168,14 @@ def normals_pass(needs: Needs, depth_format: Format = DEPTH_FORMAT) -> Pass[Fram
 
 
 def draw_normals(frame: Frame) -> None:
-    """Draw the visible objects: what lights must know of them."""
+    """Draw what light depends on of the visible objects."""
     color = [frame.targets["surface"], frame.targets["shininess"]]
-    frame.draw_visible(scene_pass(frame, NormalShader, color=color, switches=DIRECTIONS))
+    frame.draw_visible(make_scene_drawer(frame, NormalShader, color=color, switches=DIRECTIONS))
 
 
-def list_terms(needs: Needs, *, packed: bool = False) -> list[str]:
-    """Return the names of the terms that are collected."""
-    grazing = ["grazing"] if Effect.METALS in needs.effects else []
+def list_terms(effects: FrameEffects, *, packed: bool = False) -> list[str]:
+    """Names of the accumulated terms."""
+    grazing = ["grazing"] if Effect.METALS in effects.enabled else []
     return ["diffuse", *([] if packed else ["specular"]), *grazing]
 
 
@@ -181,13 +188,13 @@ def collect_terms(
     stencil: bool = False,
     prefix: str = "",
 ) -> None:
-    """Add the terms of the point or spot lights in view to the light buffers.
+    """Add the terms of one kind of local lights in view to the light buffers.
 
     Args:
-        prefix: that of the names of the contents that are lit, if they are shrunk.
+        prefix: the prefix of the names of downscaled resources; empty if they are at full size.
     """
     shaders = {1: PackedTerms, 2: PlainTerms}
-    if Effect.METALS in frame.needs.effects:
+    if Effect.METALS in frame.effects.enabled:
         shaders = {2: PackedMetals, 3: MetalTerms}
     draw_volumes(
         frame,
@@ -195,13 +202,13 @@ def collect_terms(
         shaders[len(targets)],
         targets,
         own={name: frame.targets[f"{prefix}{name}"] for name in ("surface", "shininess")},
-        switches={"is_shrunk": bool(prefix)},
+        switches={"is_downscaled": bool(prefix)},
         depth=f"{prefix}depth",
         clears=clears,
         is_masked=stencil,
     )
 
 
-def bind_contents(frame: Frame, names: Mapping[str, str]) -> dict[str, Texture]:
-    """Return bindings that are contents of these names."""
+def bind_resources(frame: Frame, names: Mapping[str, str]) -> dict[str, Texture]:
+    """Bindings of resources of the plan: a resource's name for each binding's."""
     return {binding: frame.targets[name] for binding, name in names.items()}

@@ -25,17 +25,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading as sl
-from renderer.frame import LAMPS, Effect, Frame, Needs, Pass, Target
-from renderer.frame.passes import NEARER
+from renderer.frame import LOCAL_LIGHTS, Effect, Frame, FrameEffects, FramePass, Target
+from renderer.frame.drawing import NEARER
+from renderer.light_kinds.generation import define, for_kind
+from renderer.light_kinds.incidence import Incidence, is_within_range
+from renderer.light_kinds.kind import LocalLightKind
+from renderer.light_kinds.volumes import FARTHEST_CORNER, VolumeCorner
+from renderer.light_kinds.volumes import VolumeVarying as VolumeVarying
 from renderer.lights.hulls import make_cone, make_sphere
-from renderer.shaders.lighting import is_near, point_incidence, spot_incidence
 from renderer.shaders.pixels import PixelRays
-from renderer.shaders.spheres import SourceReader
-from renderer.shaders.structs import Incidence, ViewConstants
+from renderer.shaders.spheres import SphereLightReader
+from renderer.shaders.structs import ViewConstants
 from renderer.shadows import ShadowReceiver
-from renderer.techniques.parts.full_screen import BEHIND, find_far
-from renderer.techniques.parts.resolve import EXACT_BITS, SUM_FORMATS
-from renderer.techniques.parts.variants import bind, find_variant, list_lamps
+from renderer.techniques.parts.full_screen import BEHIND, far_distance
+from renderer.techniques.parts.resolve import DEFAULT_LIGHT_BITS, SUM_FORMATS
+from renderer.techniques.parts.variants import bind, local_light_effects, shader_variant
 from rhi import (
     BlendFunction,
     ColorWrite,
@@ -52,134 +56,91 @@ from rhi import (
     StencilTest,
 )
 
-WIDEST_CONE: Final = np.pi / 3
-"""The largest outer half angle for which a cone is drawn: about there, a sphere is as small."""
-
 _MARGIN: Final = 1.001
 """The factor by which volumes are wider than they must be, for the rounding of what is drawn."""
-FARTHEST_CORNER: Final = 1.5
-"""More than the distance of any corner from the light, in ranges or in the widths of a cone's base."""
 
 
-class VolumeCorner(sl.Struct):
-    """A corner of a volume, whose `z` is along the axis; `cone` is 1 for cones, whose width follows from their
-    angle, and 0 for spheres."""
-
-    position: sl.vec3
-    cone: float
-
-
-class VolumeVarying(sl.Struct):
-    """The varyings of light volumes."""
-
-    clip: sl.vec4
-    light: int
-
-
-@sl.function
-def project_volume(center: sl.vec3, offset: sl.vec3, reach: float, view: ViewConstants, rays: PixelRays) -> sl.vec4:
-    """Return the clip position of a corner, `offset` from the light, of a volume that reaches at most `reach` far."""
-    clip = view.relative_view_projection @ sl.vec4(center + offset, 1.0)
-    if sl.dot(center, rays.forward) + reach > rays.far:
-        clip.z = rays.farthest * clip.w
-    return clip
-
-
-class VolumeShader(SourceReader, ShadowReceiver):
-    """The base of shaders that draw light volumes; `rows` are the rows of the lights to be drawn. A technique's
-    fragment stage is combined with the volumes of one kind of lights, of which some may be spheres."""
+class VolumeShader(SphereLightReader, ShadowReceiver):
+    """Base of shaders that draw light volumes; `volume_lights` are the indices of the lights. A
+    technique's fragment stage is combined with the volumes of one kind of lights, some of which may be
+    spheres."""
 
     has_spheres = False
 
     view: sl.Uniform[ViewConstants]
     rays: sl.Uniform[PixelRays]
-    rows: sl.Storage[int]
+    volume_lights: sl.Storage[int]
 
     def is_reached(self, position: sl.vec3, light: int) -> bool:
-        """Return whether a position is within the range of the light of this row."""
+        """Whether a position is in the range of the light of this index."""
         return False
 
-    def find_incidence(self, position: sl.vec3, light: int) -> Incidence:
-        """Return what arrives at a position of the light of this row."""
+    def light_incidence(self, position: sl.vec3, light: int) -> Incidence:
+        """Direction and irradiance of the light of this index at a position."""
         return Incidence(direction=sl.vec3(0.0), irradiance=sl.vec3(0.0))
 
-    def find_size(self, position: sl.vec3, light: int) -> float:
-        """Return what `find_sizes` does of the light of this row at a position."""
+    def squared_angular_size(self, position: sl.vec3, light: int) -> float:
+        """Squared angular size (radius²/distance²) of the light of this index, seen from `position`."""
         return 0.0
 
-    def unblocked(self, light: sl.vec3, position: sl.vec3, plane: sl.vec3, row: int) -> sl.vec3:
-        """Return what arrives of the light of this row at a surface."""
+    def apply_shadow(self, light: sl.vec3, position: sl.vec3, geometric_normal: sl.vec3, light_index: int) -> sl.vec3:
+        """The part of `light` that isn't shadowed at a surface."""
         return light
 
+    @staticmethod
+    def project_volume(center: sl.vec3, offset: sl.vec3, reach: float, view: ViewConstants, rays: PixelRays) -> sl.vec4:
+        """Clip position of a corner, `offset` from the light, of a volume that extends at most `reach`
+        from it."""
+        clip = view.relative_view_projection @ sl.vec4(center + offset, 1.0)
+        if sl.dot(center, rays.forward) + reach > rays.far:
+            clip.z = rays.farthest * clip.w
+        return clip
 
-class PointVolumes(VolumeShader):
-    """Draws the spheres of point lights."""
 
-    def vertex(self, v: VolumeCorner) -> VolumeVarying:
-        row = self.rows[sl.instance_index()]
-        light = self.point_lights[row]
-        offset = v.position * light.range
-        reach = light.range * FARTHEST_CORNER
-        return VolumeVarying(clip=project_volume(light.position, offset, reach, self.view, self.rays), light=row)
-
+def _define_volumes(kind: LocalLightKind) -> type[VolumeShader]:
+    """Define the shader of a kind's volumes: its own vertex stage, and methods that are the same for all
+    kinds."""
+    text = for_kind(
+        """
+class ${Element}Volumes(KindVolume, VolumeShader):
     def is_reached(self, position: sl.vec3, light: int) -> bool:
-        return is_near(position, self.point_lights[light].position, self.point_lights[light].range)
+        return is_within_range(position, self.${kind}_lights[light].position, self.${kind}_lights[light].range)
 
-    def find_incidence(self, position: sl.vec3, light: int) -> Incidence:
-        return point_incidence(position, self.point_lights[light])
+    def light_incidence(self, position: sl.vec3, light: int) -> Incidence:
+        return $incidence(position, self.${kind}_lights[light])
 
-    def find_size(self, position: sl.vec3, light: int) -> float:
-        return self.find_sizes(self.point_lights[light].position - position, light).x
+    def squared_angular_size(self, position: sl.vec3, light: int) -> float:
+        return self.squared_angular_sizes(self.${kind}_lights[light].position - position, light).$component
 
-    def unblocked(self, light: sl.vec3, position: sl.vec3, plane: sl.vec3, row: int) -> sl.vec3:
-        return self.unblocked_point(light, position, plane, row)
-
-
-class SpotVolumes(VolumeShader):
-    """Draws the cones of narrow spot lights, or the spheres of wide ones."""
-
-    def vertex(self, v: VolumeCorner) -> VolumeVarying:
-        row = self.rows[sl.instance_index()]
-        light = self.spot_lights[row]
-        # A float32 is too coarse for the cosine of a small angle; light reaches up to two steps of it beyond the cone.
-        cosine = sl.max(light.cos_outer - 1e-6, 1e-3)
-        slope = sl.sqrt(sl.max(1.0 - cosine * cosine, 0.0)) / cosine
-        width = light.range * (slope if v.cone > 0.0 else 1.0)
-        up = sl.vec3(0.0, 1.0, 0.0) if sl.abs(light.direction.y) < 0.9 else sl.vec3(1.0, 0.0, 0.0)
-        aside = sl.normalize(sl.cross(up, light.direction))
-        across = sl.cross(light.direction, aside)
-        offset = (aside * v.position.x + across * v.position.y) * width
-        offset += light.direction * (v.position.z * light.range)
-        reach = sl.max(light.range, width) * FARTHEST_CORNER
-        return VolumeVarying(clip=project_volume(light.position, offset, reach, self.view, self.rays), light=row)
-
-    def is_reached(self, position: sl.vec3, light: int) -> bool:
-        return is_near(position, self.spot_lights[light].position, self.spot_lights[light].range)
-
-    def find_incidence(self, position: sl.vec3, light: int) -> Incidence:
-        return spot_incidence(position, self.spot_lights[light])
-
-    def find_size(self, position: sl.vec3, light: int) -> float:
-        return self.find_sizes(self.spot_lights[light].position - position, light).y
-
-    def unblocked(self, light: sl.vec3, position: sl.vec3, plane: sl.vec3, row: int) -> sl.vec3:
-        return self.unblocked_spot(light, position, plane, row)
+    def apply_shadow(self, light: sl.vec3, position: sl.vec3, geometric_normal: sl.vec3, light_index: int) -> sl.vec3:
+        return self.shadow_${kind}_light(light, position, geometric_normal, light_index)
+""",
+        kind,
+    )
+    shader: type[VolumeShader] = define(
+        text,
+        f"{kind.element.__name__}Volumes",
+        __name__,
+        KindVolume=kind.volume,
+        VolumeShader=VolumeShader,
+        Incidence=Incidence,
+        is_within_range=is_within_range,
+        sl=sl,
+    )
+    return shader
 
 
-VOLUMES: Final[dict[Effect, type[VolumeShader]]] = {
-    Effect.POINT_LIGHTS: PointVolumes,
-    Effect.SPOT_LIGHTS: SpotVolumes,
-}
-"""The volumes of each kind of lights."""
+VOLUMES: Final = {effect: _define_volumes(row.kind) for effect, row in LOCAL_LIGHTS.items()}
+"""The shader of each kind's volumes."""
 
 
 def _make_sphere(device: Device) -> Mesh:
-    """Make the sphere around a light's range."""
+    """Create the sphere around a light's range."""
     return _make_mesh(device, "light spheres", *make_sphere(), cone=0.0)
 
 
 def _make_cone(device: Device) -> Mesh:
-    """Make the cone of a narrow spot light."""
+    """Create the cone of a narrow spot light."""
     return _make_mesh(device, "light cones", *make_cone(), cone=1.0)
 
 
@@ -192,35 +153,35 @@ def _make_mesh(
 
 
 def declare_lights(
-    needs: Needs,
+    effects: FrameEffects,
     buffers: Sequence[str],
     reads: tuple[str, ...],
     run: Callable[..., None],
     scale: float = 1.0,
-    bits: int = EXACT_BITS,
+    bits: int = DEFAULT_LIGHT_BITS,
     *,
     are_written: bool = False,
-    because: str = "",
-) -> tuple[list[Pass[Frame]], list[str]]:
-    """Return the passes that add the light of each kind of lights in view to light buffers, and their contents' names
-    after the last pass: none if there are no such lights.
+    reason: str = "",
+) -> tuple[list[FramePass[Frame]], list[str]]:
+    """The passes that add each kind of lights in view to light buffers, and the buffers' names after the
+    last pass; both empty without such lights.
 
     Args:
         scale: the size of the buffers in that of the frame. bits: those of a channel, of `SUM_FORMATS`.
         are_written: whether an earlier pass has written the buffers, to which the light is added.
-        because: what the passes do, before what needs them.
+        reason: the first part of why the passes run.
         run: issues the commands; is given the frame and, by name, `effect`, the names of the `targets`, and whether it
             `clears` them.
     """
-    passes: list[Pass[Frame]] = []
+    passes: list[FramePass[Frame]] = []
     last = list(buffers) if are_written else []
-    for effect in list_lamps(needs):
+    for effect in local_light_effects(effects):
         names = [f"{buffer} with {effect.value}" for buffer in buffers] if last else list(buffers)
         passes.append(
-            Pass(
+            FramePass(
                 effect.value,
                 partial(run, effect=effect, targets=names, clears=not last),
-                because + needs.explain(effect),
+                reason + effects.explain(effect),
                 reads=reads,
                 writes=() if last else tuple(Target(name, SUM_FORMATS[bits], scale) for name in names),
                 changes=dict(zip(last, names, strict=True)) if last else {},
@@ -231,13 +192,12 @@ def declare_lights(
 
 
 def list_volumes(frame: Frame, effect: Effect) -> list[tuple[Mesh, NDArray[np.int64]]]:
-    """Return the meshes of the point or spot lights in view, each with the rows of its lights."""
-    rows = frame.needs.in_view[effect]
-    narrow = np.zeros(len(rows), bool)
-    if effect is Effect.SPOT_LIGHTS:
-        narrow = frame.resources.lights.spot["outer"][rows] <= WIDEST_CONE
-    volumes = ((_make_cone, rows[narrow]), (_make_sphere, rows[~narrow]))
-    return [(frame.resources.workspace(make), some) for make, some in volumes if len(some)]
+    """The meshes of one kind of lights in view, each with the indices of its lights."""
+    volume_lights = frame.effects.in_view[effect]
+    kind = LOCAL_LIGHTS[effect].kind
+    narrow = kind.fits_cone(frame.resources.lights.of_kind(kind)[volume_lights])
+    volumes = ((_make_cone, volume_lights[narrow]), (_make_sphere, volume_lights[~narrow]))
+    return [(frame.resources.workspace(make), light_indices) for make, light_indices in volumes if len(light_indices)]
 
 
 def draw_volumes(
@@ -253,17 +213,17 @@ def draw_volumes(
     is_masked: bool = False,
     states: tuple[State, ...] = (),
 ) -> None:
-    """Draw the volumes of the point or spot lights in view, and add what the shader returns to contents.
+    """Draw the volumes of one kind of lights in view, and add what the shader returns to the targets.
 
     Args:
         shader: lights what is in a volume, with bindings of its `own` and its `switches`.
-        targets, depth: the names of the contents. clears: whether they are cleared to 0 first.
+        targets, depth: names of resources. clears: whether they are cleared to 0 first.
         is_masked: whether each light is masked in the stencil buffer; otherwise all are one draw.
         states: states instead of those that light what is in a volume.
     """
     device = frame.device
-    switches = {**switches, "has_spheres": LAMPS[effect].spheres in frame.needs.effects}
-    program: Any = frame.program(find_variant(frame, shader, VOLUMES[effect], **switches))
+    switches = {**switches, "has_spheres": LOCAL_LIGHTS[effect].spheres in frame.effects.enabled}
+    program: Any = frame.program(shader_variant(frame, shader, VOLUMES[effect], **switches))
     mask: Any = device.program(VOLUMES[effect]) if is_masked else None
     behind, nearer = (table[frame.camera.projection.depth] for table in (BEHIND, NEARER))
     with (
@@ -275,30 +235,31 @@ def draw_volumes(
         ),
         device.states(*(states or (DepthWrite.OFF, CullMode.FRONT, behind, BlendFunction.ADDITIVE))),
     ):
-        for mesh, rows in list_volumes(frame, effect):
-            given = {**own, "rows": device.transient.storage(int, rows.astype(np.int32))}
-            bindings = bind(frame, program, given)
+        for mesh, volume_lights in list_volumes(frame, effect):
+            volume_bindings = {**own, "volume_lights": device.transient.storage(int, volume_lights.astype(np.int32))}
+            bindings = bind(frame, program, volume_bindings)
             if mask is None:
-                device.draw(program, mesh, len(rows), **bindings)
+                device.draw(program, mesh, len(volume_lights), **bindings)
                 continue
-            draws = mesh.draws(base_instance=np.arange(len(rows)))
-            cut = find_cut(frame, effect, rows)
-            device.draw_many(program, mesh, draws[cut], **bindings)
-            for draw in draws[~cut, None]:
+            draws = mesh.draws(base_instance=np.arange(len(volume_lights)))
+            crosses = crosses_far_plane(frame, effect, volume_lights)
+            device.draw_many(program, mesh, draws[crosses], **bindings)
+            for draw in draws[~crosses, None]:
                 with device.states(CullMode.NONE, nearer, ColorWrite.OFF, *_MARKING):
-                    device.draw_many(mask, mesh, draw, **bind(frame, mask, given))
+                    device.draw_many(mask, mesh, draw, **bind(frame, mask, volume_bindings))
                 with device.states(DepthTest.OFF, *_MARKED):
                     device.draw_many(program, mesh, draw, **bindings)
 
 
-def find_cut(frame: Frame, effect: Effect, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return (k,) which lights of `rows` may have volumes that a far plane cuts. Those can't be masked: moved to the
-    depth of the background, their front faces would undo what their back faces have marked."""
-    camera, some = frame.camera, LAMPS[effect].find_rows(frame.resources.lights)[rows]
-    distances = (some["position"] - camera.position) @ camera.forward
+def crosses_far_plane(frame: Frame, effect: Effect, volume_lights: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which lights of `volume_lights` (k,) may have volumes that cross the far plane. They can't be
+    masked: moved to the background's depth, their front faces would cancel the marks of their back faces."""
+    camera, lights = frame.camera, frame.resources.lights.of_kind(LOCAL_LIGHTS[effect].kind)[volume_lights]
+    distances = (lights["position"] - camera.position) @ camera.forward
     # The base of a cone is at most √3 ranges wide.
-    cut: NDArray[np.bool_] = distances + 2.0 * FARTHEST_CORNER * some["range"] > 0.999 * find_far(camera)
-    return cut
+    reach = 2.0 * FARTHEST_CORNER * lights["range"]
+    crosses: NDArray[np.bool_] = distances + reach > 0.999 * far_distance(camera)
+    return crosses
 
 
 _MARKING: Final = (

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading as sl
-from renderer.frame import Frame, Pass
+from renderer.frame import Frame, FramePass
 from renderer.frame.mirrors import MirroredArray
 from renderer.shaders.pixels import PixelRays
 from renderer.shaders.prefix_sum import PrefixSum
-from renderer.techniques.parts.geometry_buffer import MOST_MATERIALS
+from renderer.techniques.parts.geometry_buffer import MAX_MATERIALS
 from renderer.techniques.parts.variants import bind
 from rhi import Device, Program, StorageBuffer
 
@@ -33,7 +33,7 @@ _SIDE: Final = 8
 
 
 class DispatchGroups(sl.Struct):
-    """The work-groups of an indirect dispatch."""
+    """Arguments of an indirect dispatch."""
 
     x: sl.uint
     y: sl.uint
@@ -41,14 +41,14 @@ class DispatchGroups(sl.Struct):
 
 
 class PixelRange(sl.Struct):
-    """The places of a shader's pixels in the list."""
+    """The range of a shader's pixels in the list."""
 
     begin: sl.uint
     end: sl.uint
 
 
 class PixelKeys(sl.Shader):
-    """The base of shaders that sort pixels by key: the place of their material in the order of shaders."""
+    """Base of shaders that sort pixels by key: the rank of their material in the order of shaders."""
 
     work_group = (_SIDE, _SIDE)
 
@@ -58,26 +58,26 @@ class PixelKeys(sl.Shader):
     keys: sl.Storage[sl.uint]
     counts: sl.StorageRW[sl.uint]
 
-    def find_key(self) -> int:
-        """Return the key of the invocation's pixel, -1 without a surface."""
+    def pixel_key(self) -> int:
+        """Key of the invocation's pixel; -1 without a surface."""
         pixel = sl.global_id().xy
         size = self.packed.size()
         if pixel.x >= size.x or pixel.y >= size.y or self.depth.load(pixel).x == self.rays.farthest:
             return -1
-        return int(self.keys[int(self.packed.load(pixel).y & sl.uint(MOST_MATERIALS - 1))])
+        return int(self.keys[int(self.packed.load(pixel).y & sl.uint(MAX_MATERIALS - 1))])
 
 
 class CountPixels(PixelKeys):
     """Counts the pixels of each key."""
 
     def compute(self) -> None:
-        key = self.find_key()
+        key = self.pixel_key()
         if key >= 0:
             sl.atomic_add(self.counts[key], sl.uint(1))
 
 
 class ListDispatches(sl.Shader):
-    """Finds the places and the work-groups of the pixels of each shader."""
+    """Computes each shader's range of pixels and its work-groups."""
 
     counts: sl.Storage[sl.uint]
     bounds: sl.Storage[sl.uint]
@@ -94,19 +94,23 @@ class ListDispatches(sl.Shader):
 
 
 class ListPixels(PixelKeys):
-    """Writes each pixel to a place of its key."""
+    """Writes each pixel to the list, in the range of its key."""
 
     pixels: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        key = self.find_key()
+        key = self.pixel_key()
         if key >= 0:
             pixel = sl.global_id().xy
             self.pixels[int(sl.atomic_add(self.counts[key], sl.uint(1)))] = sl.uint(pixel.x) | sl.uint(pixel.y) << 16
 
 
+BIN_SHADERS: Final[tuple[type[sl.Shader], ...]] = (CountPixels, ListDispatches, ListPixels)
+"""The shaders of `bins_pass`."""
+
+
 class PixelBins:
-    """The lists of a frame.
+    """Lists of a frame's pixels by material.
 
     Attributes:
         pixels: x and y in 16 bits each, those of a material side by side. ranges: the places of each shader's pixels.
@@ -122,7 +126,7 @@ class PixelBins:
         self._bounds = MirroredArray(device, sl.uint, "bounds of shaders")
         self._device = device
 
-    def find(self, frame: Frame) -> None:
+    def sort_pixels(self, frame: Frame) -> None:
         """List the pixels of the packed geometry buffer."""
         device, shaders = self._device, frame.resources.scene.materials["shader"]
         width, height = frame.targets["packed"].size
@@ -135,19 +139,26 @@ class PixelBins:
         self._bounds.write(bounds)
         self._counts.clear()
         own = {
-            "keys": self._keys.buffer, "counts": self._counts, "pixels": self.pixels, "bounds": self._bounds.buffer,
-            "ranges": self.ranges, "groups": self.groups,
-        }  # fmt: skip
+            "keys": self._keys.buffer,
+            "counts": self._counts,
+            "pixels": self.pixels,
+            "bounds": self._bounds.buffer,
+            "ranges": self.ranges,
+            "groups": self.groups,
+        }
         tiles = -(-width // _SIDE), -(-height // _SIDE)
         steps: tuple[tuple[type[sl.Shader], Any], ...] = (
-            (CountPixels, tiles), (PrefixSum, 1), (ListDispatches, self.ranges.count), (ListPixels, tiles),
-        )  # fmt: skip
+            (CountPixels, tiles),
+            (PrefixSum, 1),
+            (ListDispatches, self.ranges.count),
+            (ListPixels, tiles),
+        )
         for shader, groups in steps:
             program: Program[...] = device.program(shader)
             device.dispatch(program, groups, **bind(frame, program, own))
 
     def _reserve(self, pixels: int, materials: int, shaders: int) -> None:
-        """Make room for what is listed."""
+        """Allocate buffers for as many pixels, materials and shaders."""
         if self.pixels.count < pixels:
             self.pixels.destroy()
             self.pixels = self._device.storage(sl.uint, pixels, label="binned pixels")
@@ -161,10 +172,10 @@ class PixelBins:
             self.groups = self._device.storage(DispatchGroups, shaders, label="groups of bins")
 
     def read(self) -> list[NDArray[np.int64]]:
-        """Return the pixels (k, 2), x and y, of each shader, in the order of their materials. Waits for the device."""
+        """Pixels (k, 2), x and y, of each shader, in the order of their materials. Waits for the device."""
         pixels, ranges = self.pixels.read(), self.ranges.read()
-        listed = [pixels[int(one["begin"]) : int(one["end"])] for one in ranges]
-        return [np.stack([one & 0xFFFF, one >> 16], axis=1).astype(np.int64) for one in listed]
+        packed = [pixels[int(span["begin"]) : int(span["end"])] for span in ranges]
+        return [np.stack([bits & 0xFFFF, bits >> 16], axis=1).astype(np.int64) for bits in packed]
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
@@ -172,12 +183,12 @@ class PixelBins:
             resource.destroy()
 
 
-def bins_pass() -> Pass[Frame]:
-    """Return the pass that lists the pixels of materials, as the contents `bins`."""
+def bins_pass() -> FramePass[Frame]:
+    """The pass that lists the pixels of materials, as the resource `bins`."""
 
-    def find(frame: Frame) -> None:
-        frame.view.workspace(PixelBins).find(frame)
+    def sort_pixels(frame: Frame) -> None:
+        frame.view.workspace(PixelBins).sort_pixels(frame)
 
-    return Pass(
-        "bins", find, "a shader is run for the pixels that have it", reads=("packed", "depth"), writes=("bins",)
+    return FramePass(
+        "bins", sort_pixels, "a shader is run for the pixels that have it", reads=("packed", "depth"), writes=("bins",)
     )

@@ -10,9 +10,9 @@ pixels that are covered and with the materials that meet in a tile, however many
 which algorithm found the visible objects. With a tile as large as the screen it is the chapter's one rectangle.
 
 A tile is examined by one invocation, which takes its materials in ascending order and looks at all pixels once for
-each: no shared memory, and no limit on their number. A dispatch takes `_TURN` of them, because llvmpipe ends loops
-after 65,535 turns in all; as many dispatches follow as the scene's materials may need, which leave at once where a tile
-has no more.
+each: no shared memory, and no limit on their number. A dispatch takes `_MATERIALS_PER_DISPATCH` of them, because
+llvmpipe ends loops after 65,535 turns in all; as many dispatches follow as the scene's materials may need, which
+leave at once where a tile has no more.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi.shading as sl
-from renderer.frame import Frame, Pass, Target
+from renderer.frame import Frame, FramePass, Target
 from renderer.frame.mirrors import MirroredValue
 from renderer.shaders.encodings import material_depth
 from renderer.shaders.pixels import BackgroundScreen
 from renderer.shaders.structs import Material
 from renderer.techniques.parts.full_screen import make_triangle
-from renderer.techniques.parts.geometry_buffer import MOST_MATERIALS
-from renderer.techniques.parts.variants import bind, find_variant, list_shaders
+from renderer.techniques.parts.geometry_buffer import MAX_MATERIALS
+from renderer.techniques.parts.variants import bind, list_shaders, shader_variant
 from rhi import (
     CullMode,
     DepthFunction,
@@ -53,45 +53,47 @@ IDS_FORMAT: Final = Format.D16
 """The format of materials as depth."""
 
 _GROUP: Final = 8
-_LAST: Final = MOST_MATERIALS - 1
-_TURN: Final = 60
+_LAST: Final = MAX_MATERIALS - 1
+_MATERIALS_PER_DISPATCH: Final = 60
 """The materials of a tile that a dispatch takes: each is 32 × 33 turns of loops, and one more."""
 
 
-class MaterialId(sl.Struct):
-    """The texels that `MaterialIds` writes."""
+class MaterialDepthOutput(sl.Struct):
+    """Output of `MaterialIdShader`."""
 
     depth: sl.FragmentDepth
 
 
-class MaterialIds(BackgroundScreen):
-    """Writes the depth that stands for the material of each pixel."""
+class MaterialIdShader(BackgroundScreen):
+    """Writes each pixel's material as a depth."""
 
     packed: sl.UintTexture2D
     depth: sl.Texture2D
 
-    def fragment(self) -> MaterialId:
+    def fragment(self) -> MaterialDepthOutput:
         pixel = sl.ivec2(sl.fragment_coordinate().xy)
         if self.depth.load(pixel).x == self.rays.farthest:
             sl.discard()
-        return MaterialId(depth=material_depth(self.find_id(int(self.packed.load(pixel).y & sl.uint(_LAST)))))
+        return MaterialDepthOutput(
+            depth=material_depth(self.material_id(int(self.packed.load(pixel).y & sl.uint(_LAST))))
+        )
 
-    def find_id(self, row: int) -> int:
-        """Return what stands for the material of this row."""
-        return row
+    def material_id(self, material_index: int) -> int:
+        """The number that is written for a material."""
+        return material_index
 
 
-class ShaderIds(MaterialIds):
-    """Writes the depth that stands for the shader of each pixel's material."""
+class ShaderIdShader(MaterialIdShader):
+    """Writes the shader of each pixel's material as a depth."""
 
     materials: sl.Storage[Material]
 
-    def find_id(self, row: int) -> int:
-        return self.materials[row].shader
+    def material_id(self, material_index: int) -> int:
+        return self.materials[material_index].shader
 
 
 class TileSize(sl.Struct):
-    """The side of a tile in pixels, and the number of the scene's materials."""
+    """Side of a tile in pixels, and number of the scene's materials."""
 
     tile: int
     materials: int
@@ -108,15 +110,15 @@ class RectangleDraw(sl.Struct):
 
 
 class MaterialRectangle(sl.Struct):
-    """The part of a tile that shows a material: the first pixel, x in the lower half, the width and the height,
-    likewise, and the material."""
+    """The part of a tile that shows a material: its first pixel (x in the low half), width and height
+    (width in the low half), and the material."""
 
     first: sl.uint
     size: sl.uint
     material: sl.uint
 
 
-class FindRectangles(sl.Shader):
+class BuildRectangles(sl.Shader):
     """Lists the rectangles of all tiles."""
 
     work_group = (_GROUP, _GROUP)
@@ -136,44 +138,44 @@ class FindRectangles(sl.Shader):
             self.draw[0].count = sl.uint(6)
         end = sl.min(begin + self.layout.tile, size)
         across = (size.x + self.layout.tile - 1) // self.layout.tile
-        known = self.progress[tile.y * across + tile.x] - 1
-        is_left = known < self.layout.materials
+        last_material = self.progress[tile.y * across + tile.x] - 1
+        is_left = last_material < self.layout.materials
         turn = 0
-        while is_left and turn < _TURN:
+        while is_left and turn < _MATERIALS_PER_DISPATCH:
             turn += 1
             # the next material, and whether there are more beyond it
-            chosen = self.layout.materials
+            next_material = self.layout.materials
             is_left = False
             first = end
             last = begin
             for y in range(begin.y, end.y):
                 for x in range(begin.x, end.x):
-                    row = int(sl.round(self.ids.load(sl.ivec2(x, y)).x * float(_LAST)))
-                    if row > known and row < chosen:
-                        is_left = is_left or chosen < self.layout.materials
-                        chosen = row
+                    material_index = int(sl.round(self.ids.load(sl.ivec2(x, y)).x * float(_LAST)))
+                    if material_index > last_material and material_index < next_material:
+                        is_left = is_left or next_material < self.layout.materials
+                        next_material = material_index
                         first = sl.ivec2(x, y)
                         last = sl.ivec2(x, y)
-                    elif row == chosen:
+                    elif material_index == next_material:
                         first = sl.min(first, sl.ivec2(x, y))
                         last = sl.max(last, sl.ivec2(x, y))
-                    elif row > chosen and row < self.layout.materials:
+                    elif material_index > next_material and material_index < self.layout.materials:
                         is_left = True
-            if chosen < self.layout.materials:
+            if next_material < self.layout.materials:
                 extent = last - first + 1
                 at = int(sl.atomic_add(self.draw[0].instances, sl.uint(1)))
                 self.rectangles[at] = MaterialRectangle(
                     first=sl.uint(first.x) | sl.uint(first.y) << 16,
                     size=sl.uint(extent.x) | sl.uint(extent.y) << 16,
-                    material=sl.uint(chosen),
+                    material=sl.uint(next_material),
                 )
-            known = chosen
-        self.progress[tile.y * across + tile.x] = (known if is_left else self.layout.materials) + 1
+            last_material = next_material
+        self.progress[tile.y * across + tile.x] = (last_material if is_left else self.layout.materials) + 1
 
 
 class RectangleShader(BackgroundScreen):
-    """The base of shaders that are run for the pixels of materials: two triangles for each rectangle, at the depth of
-    its material."""
+    """Base of shaders that run for the pixels of materials: two triangles for each rectangle, at its
+    material's depth."""
 
     shader = -1
     """The number of the shader whose materials are drawn; -1 for all."""
@@ -182,16 +184,20 @@ class RectangleShader(BackgroundScreen):
     materials: sl.Storage[Material]
 
     def vertex(self) -> sl.vec4:
-        one = self.rectangles[sl.instance_index()]
-        if self.shader >= 0 and self.materials[int(one.material)].shader != self.shader:
+        rectangle = self.rectangles[sl.instance_index()]
+        if self.shader >= 0 and self.materials[int(rectangle.material)].shader != self.shader:
             return sl.vec4(0.0, 0.0, 0.0, 1.0)
         corner = sl.vertex_index()
         if corner > 2:
             corner -= 2
-        x = float((one.first & 65535) + sl.uint(corner & 1) * (one.size & 65535))
-        y = float((one.first >> 16) + sl.uint(corner >> 1) * (one.size >> 16))
-        place = sl.vec2(x, y) / self.rays.size * 2.0 - 1.0
-        return sl.vec4(place.x, -place.y, material_depth(int(one.material)), 1.0)
+        x = float((rectangle.first & 65535) + sl.uint(corner & 1) * (rectangle.size & 65535))
+        y = float((rectangle.first >> 16) + sl.uint(corner >> 1) * (rectangle.size >> 16))
+        corner_position = sl.vec2(x, y) / self.rays.size * 2.0 - 1.0
+        return sl.vec4(corner_position.x, -corner_position.y, material_depth(int(rectangle.material)), 1.0)
+
+
+RECTANGLE_SHADERS: Final[tuple[type[sl.Shader], ...]] = (MaterialIdShader, ShaderIdShader, BuildRectangles)
+"""The shaders of `ids_pass` and `rectangles_pass`."""
 
 
 class MaterialRectangles:
@@ -212,8 +218,8 @@ class MaterialRectangles:
         self._device = device
         self._layout = MirroredValue(device, TileSize(tile=tile, materials=0))
 
-    def find(self, ids: Texture, materials: int) -> None:
-        """List the rectangles of an image whose materials are below `materials`."""
+    def build(self, ids: Texture, materials: int) -> None:
+        """List the rectangles of an image whose material indices are below `materials`."""
         device = self._device
         tiles = tuple(-(-side // self.tile) for side in ids.size)
         in_a_tile = min(materials, self.tile * self.tile)
@@ -227,9 +233,9 @@ class MaterialRectangles:
         self._layout.write(TileSize(tile=self.tile, materials=materials))
         self.draw.clear()
         self._progress.clear()
-        for _ in range(0, in_a_tile, _TURN):
+        for _ in range(0, in_a_tile, _MATERIALS_PER_DISPATCH):
             device.dispatch(
-                device.program(FindRectangles),
+                device.program(BuildRectangles),
                 tuple(-(-count // _GROUP) for count in tiles),
                 layout=self._layout.buffer,
                 ids=ids,
@@ -239,13 +245,12 @@ class MaterialRectangles:
             )
 
     def read(self) -> NDArray[Any]:
-        """Return the rectangles (k, 5): the material, the first x and y, the width and the height in pixels. Waits for
-        the device."""
+        """Rectangles (k, 5): material, first x and y, width and height in pixels. Waits for the device."""
         rows = self.rectangles.read()[: int(self.draw.read()[0]["instances"])]
         first, size = rows["first"], rows["size"]
         parts = (rows["material"], first & 0xFFFF, first >> 16, size & 0xFFFF, size >> 16)
-        found: NDArray[Any] = np.stack(parts, axis=1).astype(np.int64)
-        return found
+        result: NDArray[Any] = np.stack(parts, axis=1).astype(np.int64)
+        return result
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
@@ -253,9 +258,9 @@ class MaterialRectangles:
             resource.destroy()
 
 
-def ids_pass(*, by_shader: bool = False) -> Pass[Frame]:
-    """Return the pass that writes `material ids`: materials, or their shaders."""
-    return Pass(
+def ids_pass(*, by_shader: bool = False) -> FramePass[Frame]:
+    """The pass that writes `material ids`: materials, or their shaders."""
+    return FramePass(
         "material ids",
         partial(draw_ids, by_shader=by_shader),
         "a depth test tells the pixels of a material",
@@ -265,24 +270,24 @@ def ids_pass(*, by_shader: bool = False) -> Pass[Frame]:
 
 
 def draw_ids(frame: Frame, *, by_shader: bool = False) -> None:
-    """Write the material of each pixel, or its shader, as a depth; the background has the last one, 1."""
+    """Write each pixel's material, or its shader, as a depth. The background has the largest, 1."""
     device, targets = frame.device, frame.targets
     states = CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS
-    program: Program[...] = device.program(ShaderIds if by_shader else MaterialIds)
+    program: Program[...] = device.program(ShaderIdShader if by_shader else MaterialIdShader)
     with device.render_pass(None, targets["material ids"], clear_depth=1.0), device.states(*states):
         device.draw(program, frame.view.workspace(make_triangle), **bind(frame, program, {}))
 
 
-def rectangles_pass() -> Pass[Frame]:
-    """Return the pass that lists the rectangles, as the contents `rectangles`."""
+def rectangles_pass() -> FramePass[Frame]:
+    """The pass that lists the rectangles, as the resource `rectangles`."""
 
-    def find(frame: Frame) -> None:
-        found = frame.view.workspace(MaterialRectangles)
-        found.find(frame.targets["material ids"], len(frame.resources.scene.materials))
+    def build(frame: Frame) -> None:
+        rectangles = frame.view.workspace(MaterialRectangles)
+        rectangles.build(frame.targets["material ids"], len(frame.resources.scene.materials))
 
-    return Pass(
+    return FramePass(
         "rectangles",
-        find,
+        build,
         "a material is shaded where it is seen",
         reads=("material ids",),
         writes=("rectangles",),
@@ -292,17 +297,17 @@ def rectangles_pass() -> Pass[Frame]:
 def draw_rectangles(
     frame: Frame, shader: type[RectangleShader], own: Mapping[str, Any], switches: Mapping[str, Any]
 ) -> None:
-    """Make the image: run a shader for the pixels of each material, before the background."""
-    device, found = frame.device, frame.view.workspace(MaterialRectangles)
-    bound = {**own, "rectangles": found.rectangles}
+    """Make the image: clear it to the background, and run a shader for the pixels of each material."""
+    device, rectangles = frame.device, frame.view.workspace(MaterialRectangles)
+    bound = {**own, "rectangles": rectangles.rectangles}
     drawn = []
     shaders = list_shaders(frame)
     for number, bases, parameters in shaders:
         only = number if len(shaders) > 1 else -1
-        program: Program[...] = frame.program(find_variant(frame, *bases, shader, **switches, shader=only))
+        program: Program[...] = frame.program(shader_variant(frame, *bases, shader, **switches, shader=only))
         drawn.append((program, bind(frame, program, bound | parameters)))
     states = CullMode.NONE, DepthTest.ON, DepthWrite.OFF, DepthFunction.EQUAL
     ids, clear = frame.targets["material ids"], frame.background
     with device.render_pass(frame.image, ids, clear=clear), device.states(*states):
         for program, bindings in drawn:
-            device.draw_indirect(program, found.corners, IndirectDraws(found.draw, 1), **bindings)
+            device.draw_indirect(program, rectangles.corners, IndirectDraws(rectangles.draw, 1), **bindings)

@@ -3,7 +3,7 @@
 | word of `packed` | bits | what it holds |
 |---|---|---|
 | 0 | 32 | the normal, octahedral in 2 × 16 bits; if the scene has normal maps the normal and the tangent |
-| 1 | 16 + 16 | the row of the material; the rest of the change of texture coordinates in y |
+| 1 | 16 + 16 | the index of the material; the rest of the gradient of texture coordinates in y |
 | 2 | 32 | the fractional parts of the texture coordinates |
 | 3 | 24 + 8 | the change of texture coordinates in x; the beginning of that in y |
 
@@ -25,50 +25,50 @@ from functools import partial
 from typing import Final
 
 import rhi.shading as sl
-from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, FrameEffects, FramePass, Target
 from renderer.shaders.encodings import (
     TangentFrame,
-    away_from_zero,
-    decode_change,
     decode_frame,
+    decode_gradient,
     decode_normal,
     decode_uv,
-    encode_change,
     encode_frame,
+    encode_gradient,
     encode_normal,
     encode_uv,
+    sign_or_one,
 )
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.materials import MaterialShader
-from renderer.shaders.pixels import PixelRays, PixelShader, distance_at, nearness_of
+from renderer.shaders.pixels import PixelRays, PixelShader, depth_to_nearness, nearness_to_distance
 from renderer.shaders.structs import SurfaceInput, SurfaceVarying
 from renderer.techniques.parts.geometry_buffer import check_materials, decode_texel, encode_texel
 from renderer.techniques.parts.scene_shader import SceneShader
-from renderer.techniques.parts.variants import name_samples, scene_pass
+from renderer.techniques.parts.variants import make_scene_drawer, name_samples
 from rhi import Format
 
 
 class PlainWords(sl.Struct):
-    """The texels that `PackedPlain` writes."""
+    """Output of `PackedPlain`."""
 
     packed: sl.uvec2
 
 
 class TexturedWords(sl.Struct):
-    """The texels that `PackedTextures` writes."""
+    """Output of `PackedTextures`."""
 
     packed: sl.uvec4
 
 
 class ColoredWords(sl.Struct):
-    """The texels that `PackedColors` writes."""
+    """Output of `PackedColors`."""
 
     packed: sl.uvec4
     vertex_colors: sl.uvec4
 
 
 class SampledWords(sl.Struct):
-    """The texels that `PackedDistances` writes."""
+    """Output of `PackedDistances`."""
 
     packed: sl.uvec4
     distances: float
@@ -81,8 +81,8 @@ class PackedPlain(SceneShader):
     is_coverage = True
 
     def fragment(self, v: SurfaceVarying) -> PlainWords:
-        at = self.take(v)
-        self.cut(at)
+        at = self.surface_input(v)
+        self.discard_masked(at)
         return PlainWords(packed=sl.uvec2(encode_normal(at.normal), sl.uint(v.material)))
 
 
@@ -98,40 +98,40 @@ class PackedTextures(SceneShader):
     def pack(self, v: SurfaceVarying) -> sl.uvec4:
         """Return what `packed` holds."""
         second = v.uv2 if self.has_second_uvs else v.uv
-        x = encode_change(self.put(v, sl.vec3(sl.ddx(v.uv), 0.0), sl.vec3(sl.ddx(second), 0.0)))
-        y = encode_change(self.put(v, sl.vec3(sl.ddy(v.uv), 0.0), sl.vec3(sl.ddy(second), 0.0)))
-        at = self.take(v)
-        self.cut(at)
+        x = encode_gradient(self.transform_uv(v, sl.vec3(sl.ddx(v.uv), 0.0), sl.vec3(sl.ddx(second), 0.0)))
+        y = encode_gradient(self.transform_uv(v, sl.vec3(sl.ddy(v.uv), 0.0), sl.vec3(sl.ddy(second), 0.0)))
+        at = self.surface_input(v)
+        self.discard_masked(at)
         return sl.uvec4(
             self.encode_directions(at),
             sl.uint(v.material) | y >> 8 << 16,
-            encode_uv(self.put(v, sl.vec3(v.uv, 1.0), sl.vec3(second, 1.0))),
+            encode_uv(self.transform_uv(v, sl.vec3(v.uv, 1.0), sl.vec3(second, 1.0))),
             x | y << 24,
         )
 
     def encode_directions(self, at: SurfaceInput) -> sl.uint:
         if not self.has_normal_maps:
             return encode_normal(at.normal)
-        side = away_from_zero(at.tangent.w)
+        side = sign_or_one(at.tangent.w)
         return encode_frame(TangentFrame(normal=at.normal, tangent=safe_normalize(at.tangent.xyz), side=side))
 
-    def put(self, v: SurfaceVarying, first: sl.vec3, second: sl.vec3) -> sl.vec2:
+    def transform_uv(self, v: SurfaceVarying, first: sl.vec3, second: sl.vec3) -> sl.vec2:
         """Return texture coordinates (u, v, 1) of one of both sets, or changes of them (u, v, 0), as the material's
         textures are read: all of a material have the same set and transform."""
         if not self.has_texture_transforms and not self.has_second_uvs:
             return first.xy
         material = self.materials[v.material]
         maps = sl.max(sl.max(material.texture, material.normal_texture), material.metallic_roughness_texture)
-        row = sl.max(maps, sl.max(material.occlusion_texture, material.emissive_texture))
-        if row < 0:
+        texture_index = sl.max(maps, sl.max(material.occlusion_texture, material.emissive_texture))
+        if texture_index < 0:
             return first.xy
-        use = self.textures[row]
+        use = self.textures[texture_index]
         uv = first if use.uv_set == 0 else second
         return sl.vec2(sl.dot(use.u, uv), sl.dot(use.v, uv))
 
 
 class PackedColors(PackedTextures):
-    """Writes the packed geometry buffer of a scene with colours of vertices."""
+    """Writes the packed geometry buffer of a scene with vertex colours."""
 
     def fragment(self, v: SurfaceVarying) -> ColoredWords:  # type: ignore[override]  # more targets
         colors = sl.uvec4(encode_texel(v.color.rgb), sl.uint(0), sl.uint(0), sl.uint(0))
@@ -139,7 +139,8 @@ class PackedColors(PackedTextures):
 
 
 class PackedDistances(PackedTextures):
-    """Writes the packed geometry buffer of several samples, of which no depth is that at the pixel's centre."""
+    """Writes the packed geometry buffer of several samples, with distances: depth is each sample's, not
+    the pixel centre's."""
 
     rays: sl.Uniform[PixelRays]
 
@@ -153,8 +154,8 @@ class PackedDistances(PackedTextures):
 
 
 class PackedReader(MaterialShader, PixelShader):
-    """The base of shaders that evaluate the materials of the packed geometry buffer, pixel by pixel. Textures are
-    filtered as they would have been when the geometry was drawn."""
+    """Base of shaders that evaluate the materials of the packed geometry buffer, pixel by pixel. Textures
+    are filtered by the stored gradients."""
 
     rays: sl.Uniform[PixelRays]
     packed: sl.UintTexture2D
@@ -162,36 +163,37 @@ class PackedReader(MaterialShader, PixelShader):
     depth: sl.Texture2D
 
     def load_words(self, sample: int) -> sl.uvec4:
-        """Return the texel of `packed`: of a sample, if pixels have several."""
-        return self.packed.load(self.find_pixel())
+        """Load the texel of `packed` at the pixel, or of one of its samples."""
+        return self.packed.load(self.get_pixel())
 
     def load_vertex_color(self, sample: int) -> sl.uint:
-        """Return the texel of `vertex_colors`: of a sample, if pixels have several."""
-        return self.vertex_colors.load(self.find_pixel()).x
+        """Load the texel of `vertex_colors` at the pixel, or of one of its samples."""
+        return self.vertex_colors.load(self.get_pixel()).x
 
-    def find_distance(self, sample: int) -> float:
-        """Return the distance along the view of the pixel's surface, or a sample's."""
-        return distance_at(self.rays, nearness_of(self.rays, self.depth.load(self.find_pixel()).x))
+    def surface_distance(self, sample: int) -> float:
+        """Distance of the surface of the pixel, or of one of its samples, along the view."""
+        return nearness_to_distance(self.rays, depth_to_nearness(self.rays, self.depth.load(self.get_pixel()).x))
 
     def read_input(self, position: sl.vec3, sample: int) -> SurfaceInput:
-        """Return the point of the pixel's surface, or a sample's, which is at `position`."""
+        """Input of the material's shader for the surface of the pixel, or of one of its samples, at
+        `position`."""
         words = self.load_words(sample)
         frame = self.decode_directions(words.x)
-        right = decode_change(words.w & 0xFFFFFF)
-        below = decode_change(words.w >> 24 | words.y >> 16 << 8)
+        right = decode_gradient(words.w & 0xFFFFFF)
+        below = decode_gradient(words.w >> 24 | words.y >> 16 << 8)
         return SurfaceInput(
             position=position,
             normal=frame.normal,
             uv=decode_uv(words.z),
             uv2=sl.vec2(0.0),
-            changes=sl.vec4(right, below),
-            changes2=sl.vec4(0.0),
+            uv_gradients=sl.vec4(right, below),
+            uv2_gradients=sl.vec4(0.0),
             tangent=sl.vec4(frame.tangent, frame.side),
-            color=self.find_vertex_color(sample),
+            color=self.decode_vertex_color(sample),
             material=int(words.y & 65535),
         )
 
-    def find_vertex_color(self, sample: int) -> sl.vec4:
+    def decode_vertex_color(self, sample: int) -> sl.vec4:
         if self.has_vertex_colors:
             return sl.vec4(decode_texel(self.load_vertex_color(sample)), 1.0)
         return sl.vec4(1.0)
@@ -202,35 +204,39 @@ class PackedReader(MaterialShader, PixelShader):
         return TangentFrame(normal=decode_normal(bits), tangent=sl.vec3(1.0, 0.0, 0.0), side=1.0)
 
 
-def can_pack(needs: Needs) -> bool:
-    """Return whether all that the scene's materials read is in the buffer: repeated textures, all of a material at the
-    same place."""
-    return Effect.MIXED_COORDINATES not in needs.effects
+PACKED_SHADERS: Final[tuple[type[sl.Shader], ...]] = (PackedPlain, PackedTextures, PackedColors, PackedDistances)
+"""The shaders of `packed_pass`."""
 
 
-def _has_textures(needs: Needs) -> bool:
+def can_pack(effects: FrameEffects) -> bool:
+    """Whether the packed buffer has room for all texture coordinates: one set and transform per material,
+    and repeated textures."""
+    return Effect.MIXED_COORDINATES not in effects.enabled
+
+
+def _has_textures(effects: FrameEffects) -> bool:
     own = Effect.MATERIAL_SHADERS
     maps = Effect.IMAGES, Effect.NORMAL_MAPS, Effect.ROUGHNESS_MAPS, Effect.OCCLUSION_MAPS, Effect.EMISSIVE_MAPS
-    return not needs.effects.isdisjoint((own, *maps))
+    return not effects.enabled.isdisjoint((own, *maps))
 
 
-def packed_pass(needs: Needs, *, samples: int = 1) -> Pass[Frame]:
-    """Return the pass that draws the packed geometry buffer: `packed`, `vertex_colors` if there are any, and
-    `depth`. With several samples, `distances` too, and `name_samples` names them."""
-    formats = find_packed(needs, samples) | {"depth": DEPTH_FORMAT}
-    return Pass(
+def packed_pass(effects: FrameEffects, *, samples: int = 1) -> FramePass[Frame]:
+    """The pass that draws the packed geometry buffer: `packed`, `vertex_colors` if there are any, and
+    `depth`; with several samples also `distances`, under the names of `name_samples`."""
+    formats = packed_formats(effects, samples) | {"depth": DEPTH_FORMAT}
+    return FramePass(
         "geometry",
         partial(draw_packed, samples=samples),
         f"stores the nearest surface of each {'pixel' if samples == 1 else 'sample'}, without its material",
         reads=("depth",) if samples > 1 else (),
-        writes=tuple(Target(name_samples(name, samples), one, samples=samples) for name, one in formats.items()),
+        writes=tuple(Target(name_samples(name, samples), format, samples=samples) for name, format in formats.items()),
     )
 
 
-def find_packed(needs: Needs, samples: int) -> dict[str, Format]:
-    """Return the formats of the packed geometry buffer's contents but `depth`."""
-    has_colors = Effect.VERTEX_COLORS in needs.effects
-    formats = {"packed": Format.RGBA32UI if has_colors or _has_textures(needs) else Format.RG32UI}
+def packed_formats(effects: FrameEffects, samples: int) -> dict[str, Format]:
+    """Texel formats of the packed geometry buffer's resources without `depth`."""
+    has_colors = Effect.VERTEX_COLORS in effects.enabled
+    formats = {"packed": Format.RGBA32UI if has_colors or _has_textures(effects) else Format.RG32UI}
     formats |= {"distances": Format.R32F} if samples > 1 else {}
     return formats | ({"vertex_colors": Format.R32UI} if has_colors else {})
 
@@ -238,15 +244,20 @@ def find_packed(needs: Needs, samples: int) -> dict[str, Format]:
 def draw_packed(frame: Frame, *, samples: int = 1) -> None:
     """Draw the visible objects to the packed geometry buffer."""
     check_materials(frame)
-    shader: type[SceneShader] = PackedTextures if _has_textures(frame.needs) else PackedPlain
+    shader: type[SceneShader] = PackedTextures if _has_textures(frame.effects) else PackedPlain
     if samples > 1:
         shader = PackedDistances
-    elif Effect.VERTEX_COLORS in frame.needs.effects:
+    elif Effect.VERTEX_COLORS in frame.effects.enabled:
         shader = PackedColors
-    color = [frame.targets[name_samples(name, samples)] for name in find_packed(frame.needs, samples)]
+    color = [frame.targets[name_samples(name, samples)] for name in packed_formats(frame.effects, samples)]
     depth = frame.targets[name_samples("depth", samples)]
-    frame.draw_visible(scene_pass(frame, shader, color=color, depth=depth))
+    frame.draw_visible(make_scene_drawer(frame, shader, color=color, depth=depth))
 
 
-UNPACKED: Final = {"has_masks": False, "has_second_uvs": False, "has_changes": True, "is_placed": True}
+PACKED_READER_SWITCHES: Final = {
+    "has_masks": False,
+    "has_second_uvs": False,
+    "has_gradients": True,
+    "has_transformed_uvs": True,
+}
 """Switches of shaders that read the buffer: what was cut is left out, and textures are read by what is stored."""

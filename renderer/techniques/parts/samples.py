@@ -16,11 +16,11 @@ from __future__ import annotations
 from typing import Any
 
 import rhi.shading as sl
-from renderer.frame import Effect, Frame, Needs, Pass
-from renderer.frame.tones import find_light
-from renderer.shaders.fog import FogConstants, through_all_fog
-from renderer.shaders.lighting import BRIGHTEST, tone_map
-from renderer.shaders.pixels import PixelRays, PixelShader, place_pixel
+from renderer.frame import Effect, Frame, FrameEffects, FramePass
+from renderer.shaders.fog import FogConstants, apply_fog_to_background
+from renderer.shaders.lighting import MAX_HALF_FLOAT
+from renderer.shaders.pixels import PixelRays, PixelShader, pixel_position
+from renderer.shaders.tone_mapping import inverse_tone_map, tone_map
 from renderer.techniques.parts.depth import depth_pass
 from renderer.techniques.parts.finish import Background, finish_image
 from renderer.techniques.parts.geometry_buffer import GeometryReader
@@ -29,55 +29,55 @@ from renderer.techniques.parts.variants import FORWARD, Lighting, name_samples
 
 
 class SampleReader(PixelShader):
-    """The base of shaders that read what each sample of a pixel holds, and make the pixel their mean."""
+    """Base of shaders that read each sample of a pixel, and average their colours."""
 
     samples = 2
     has_fog = False
-    has_glow = False
+    has_bloom = False
 
     fog: sl.Uniform[FogConstants]
     rays: sl.Uniform[PixelRays]
-    backdrop: sl.Uniform[Background]
+    background: sl.Uniform[Background]
     depth_samples: sl.Texture2DSamples
 
     def mix_samples(self) -> sl.vec4:
-        """Return the mean colour of the samples."""
+        """Mean colour of the samples."""
         total = sl.vec4(0.0)
         color = sl.vec4(0.0)
         for sample in range(self.samples):
             if self.is_new(sample):
-                color = self.light_sample(sample) if self.is_covered(sample) else self.find_backdrop()
+                color = self.shade_sample(sample) if self.is_covered(sample) else self.background_color()
             total += color
         return total / float(self.samples)
 
     def is_covered(self, sample: int) -> bool:
-        """Return whether a sample has a surface; else its other texels are those of an earlier frame."""
-        return self.depth_samples.load(self.find_pixel(), sample).x != self.rays.farthest
+        """Whether a sample has a surface; otherwise its texels are left from an earlier frame."""
+        return self.depth_samples.load(self.get_pixel(), sample).x != self.rays.farthest
 
     def is_new(self, sample: int) -> bool:
-        """Return whether a sample shows something else than the one before."""
+        """Whether a sample differs from the sample before it."""
         if sample == 0:
             return True
         covered = self.is_covered(sample)
         return covered != self.is_covered(sample - 1) or (covered and not self.is_same(sample, sample - 1))
 
-    def is_same(self, one: int, other: int) -> bool:
-        """Return whether two samples that have surfaces have the same texels."""
+    def is_same(self, first: int, second: int) -> bool:
+        """Whether two covered samples have the same texels."""
         return True
 
-    def find_backdrop(self) -> sl.vec4:
-        """Return the colour of a sample without a surface."""
-        seen = self.backdrop.light
+    def background_color(self) -> sl.vec4:
+        """Colour of a sample without a surface."""
+        seen = self.background.light
         if self.has_fog:
-            place = sl.vec2(self.find_pixel()) + 0.5
-            direction = place_pixel(self.rays, place, 1.0) - place_pixel(self.rays, place, 0.0)
-            seen = through_all_fog(seen, direction, self.fog)
-            seen = sl.min(seen, BRIGHTEST) if self.has_glow else tone_map(seen)
+            pixel = sl.vec2(self.get_pixel()) + 0.5
+            direction = pixel_position(self.rays, pixel, 1.0) - pixel_position(self.rays, pixel, 0.0)
+            seen = apply_fog_to_background(seen, direction, self.fog)
+            seen = sl.min(seen, MAX_HALF_FLOAT) if self.has_bloom else tone_map(seen)
         return sl.vec4(seen, 1.0)
 
 
 class SampleMean(SampleReader):
-    """The first base of shaders that make the image of what other bases read and light."""
+    """First base of shaders that average the samples that their other bases read and light."""
 
     def fragment(self) -> sl.vec4:
         return self.mix_samples()
@@ -90,19 +90,19 @@ class GeometrySamples(SampleReader, GeometryReader):
     material_samples: sl.UintTexture2DSamples
     details_samples: sl.UintTexture2DSamples
 
-    def load_surface(self, place: sl.ivec2, sample: int) -> sl.uvec4:
-        return self.surface_samples.load(place, sample)
+    def load_surface(self, pixel: sl.ivec2, sample: int) -> sl.uvec4:
+        return self.surface_samples.load(pixel, sample)
 
-    def load_material(self, place: sl.ivec2, sample: int) -> sl.uvec4:
-        return self.separate(self.material_samples.load(place, sample))
+    def load_material(self, pixel: sl.ivec2, sample: int) -> sl.uvec4:
+        return self.split_material_texel(self.material_samples.load(pixel, sample))
 
-    def load_details(self, place: sl.ivec2, sample: int) -> sl.uvec4:
-        return self.details_samples.load(place, sample)
+    def load_details(self, pixel: sl.ivec2, sample: int) -> sl.uvec4:
+        return self.details_samples.load(pixel, sample)
 
-    def is_same(self, one: int, other: int) -> bool:
-        place = self.find_pixel()
-        same = self.load_surface(place, one) == self.load_surface(place, other)
-        return same and self.load_material(place, one) == self.load_material(place, other)
+    def is_same(self, first: int, second: int) -> bool:
+        pixel = self.get_pixel()
+        same = self.load_surface(pixel, first) == self.load_surface(pixel, second)
+        return same and self.load_material(pixel, first) == self.load_material(pixel, second)
 
 
 class PackedSamples(SampleReader, PackedReader):
@@ -113,36 +113,38 @@ class PackedSamples(SampleReader, PackedReader):
     vertex_colors_samples: sl.UintTexture2DSamples
 
     def load_words(self, sample: int) -> sl.uvec4:
-        return self.packed_samples.load(self.find_pixel(), sample)
+        return self.packed_samples.load(self.get_pixel(), sample)
 
     def load_vertex_color(self, sample: int) -> sl.uint:
-        return self.vertex_colors_samples.load(self.find_pixel(), sample).x
+        return self.vertex_colors_samples.load(self.get_pixel(), sample).x
 
-    def find_distance(self, sample: int) -> float:
-        return self.distances_samples.load(self.find_pixel(), sample).x
+    def surface_distance(self, sample: int) -> float:
+        return self.distances_samples.load(self.get_pixel(), sample).x
 
-    def is_same(self, one: int, other: int) -> bool:
-        return self.load_words(one) == self.load_words(other) and self.find_distance(one) == self.find_distance(other)
+    def is_same(self, first: int, second: int) -> bool:
+        return self.load_words(first) == self.load_words(second) and (
+            self.surface_distance(first) == self.surface_distance(second)
+        )
 
 
 def bind_samples(frame: Frame) -> dict[str, Any]:
-    """Return what a `SampleReader` binds besides what a frame has by name."""
-    has_fog, color = Effect.FOG in frame.needs.effects, frame.background[:3]
-    light = find_light(frame.resources.scene.background) if has_fog else color
-    return {"backdrop": frame.resources.mirror(Background(light=light))}
+    """Bindings of a `SampleReader` that `FrameBindings` doesn't have."""
+    has_fog, color = Effect.FOG in frame.effects.enabled, frame.background[:3]
+    light = inverse_tone_map(frame.resources.scene.background) if has_fog else color
+    return {"background": frame.resources.mirror(Background(light=light))}
 
 
-def list_samples(samples: int, *contents: str) -> tuple[str, ...]:
-    """Return the names of contents with so many samples per pixel."""
-    return tuple(name_samples(name, samples) for name in contents)
+def list_samples(samples: int, *resources: str) -> tuple[str, ...]:
+    """Names of resources with this number of samples per pixel."""
+    return tuple(name_samples(name, samples) for name in resources)
 
 
 def frame_samples(
-    needs: Needs, *passes: Pass[Frame], samples: int, lighting: Lighting = FORWARD
-) -> tuple[Pass[Frame], ...]:
-    """Return the passes of a technique around those that make the opaque surfaces' image: with several samples, depth
-    of one comes before, and the image has the background's fog already."""
+    effects: FrameEffects, *passes: FramePass[Frame], samples: int, lighting: Lighting = FORWARD
+) -> tuple[FramePass[Frame], ...]:
+    """The passes of a technique around those that draw opaque surfaces. With several samples, depth of one
+    sample comes first, and the image already has the background's fog."""
     if samples == 1:
-        return *passes, *finish_image(needs, lighting)
+        return *passes, *finish_image(effects, lighting)
     before = depth_pass("layers and culling need depth of one sample")
-    return before, *passes, *finish_image(needs, lighting, has_sky=True)
+    return before, *passes, *finish_image(effects, lighting, has_sky=True)

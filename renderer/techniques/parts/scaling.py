@@ -12,26 +12,27 @@ from renderer.shaders.pixels import BackgroundScreen
 from renderer.techniques.parts.variants import draw_full_screen
 
 
-class ShownSize(sl.Struct):
-    """The size of an image that is shown, in pixels."""
+class OutputSize(sl.Struct):
+    """Size of the output image in pixels."""
 
     size: sl.vec2
 
 
-class Scaled(BackgroundScreen):
-    """Shows an image at another size."""
+class ScalingShader(BackgroundScreen):
+    """Scales an image with bilinear samples."""
 
     precision = sl.Precision.FAST
     source: sl.Texture2D
-    shown: sl.Uniform[ShownSize]
+    output_size: sl.Uniform[OutputSize]
 
     def fragment(self) -> sl.vec4:
-        return self.source.sample_lod(sl.fragment_coordinate().xy / self.shown.size, 0.0)
+        return self.source.sample_lod(sl.fragment_coordinate().xy / self.output_size.size, 0.0)
 
 
 def scale_image(frame: Frame) -> None:
-    """Draw the frame's image to the picture that is shown, if that has another size."""
+    """Draw the frame's image to the output image, if that has another size."""
     targets = frame.targets
-    if targets.picture is not None:
-        shown = frame.view.mirror(ShownSize(size=targets.picture.size))
-        draw_full_screen(frame, Scaled, targets.picture, {"source": targets["image"], "shown": shown})
+    if targets.output_image is not None:
+        output_size = frame.view.mirror(OutputSize(size=targets.output_image.size))
+        bindings = {"source": targets["image"], "output_size": output_size}
+        draw_full_screen(frame, ScalingShader, targets.output_image, bindings)

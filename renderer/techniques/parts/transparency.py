@@ -23,19 +23,19 @@ from functools import partial
 from typing import Final
 
 import rhi.shading as sl
-from renderer.frame import Blending, Effect, Frame, Needs, Pass, Target
-from renderer.frame.passes import NEARER
-from renderer.shaders.lighting import BRIGHTEST
+from renderer.frame import Blending, Effect, Frame, FrameEffects, FramePass, Target
+from renderer.frame.drawing import NEARER
+from renderer.shaders.lighting import MAX_HALF_FLOAT
 from renderer.shaders.pixels import BackgroundScreen
 from renderer.shaders.structs import SurfaceVarying
 from renderer.techniques.parts.full_screen import Color
 from renderer.techniques.parts.scene_shader import ForwardShader
-from renderer.techniques.parts.variants import Lighting, draw_full_screen, scene_pass
+from renderer.techniques.parts.variants import Lighting, draw_full_screen, make_scene_drawer
 from rhi import BlendFactor, BlendFunction, DepthWrite, Format
 
 COLORS: Final = "transparent colors"
 WEIGHTS: Final = "transparent weights"
-"""The contents that weighted surfaces are added up in."""
+"""The resources that weighted surfaces are added up in."""
 
 _HEAVIEST: Final = 1e3
 """The largest weight: 65 of them still fit into a half float."""
@@ -49,31 +49,31 @@ _SUMS: Final = BlendFunction(
 
 
 class TransparentShader(ForwardShader):
-    """Covers a part of what is behind the surface."""
+    """Draws a lit surface with premultiplied alpha."""
 
     def fragment(self, v: SurfaceVarying) -> sl.vec4:
         seen = self.cover(v)
         return sl.vec4(seen.rgb * seen.a, seen.a)
 
     def cover(self, v: SurfaceVarying) -> sl.vec4:
-        """Return the colour of the surface, and the share of the background that it covers."""
+        """Colour of the surface, and its opacity in alpha."""
         material = self.materials[v.material]
-        at = self.take(v)
-        described = self.see(at)
-        surface = self.make_surface(at.position, self.find_plane(at, described.normal), described, material)
+        at = self.surface_input(v)
+        described = self.evaluate(at)
+        surface = self.make_surface(at.position, self.geometric_normal_of(at, described.normal), described, material)
         opacity = sl.saturate(material.base_color.a * described.color.a)
         return sl.vec4(self.light_surface(surface, v, material).rgb, opacity)
 
 
 class WeightedTexels(sl.Struct):
-    """The texels that `WeightedShader` adds: a weighted colour, with the opacity in its alpha, and the weight."""
+    """Output of `WeightedShader`: a weighted colour with the opacity in alpha, and the weight."""
 
     colors: sl.vec4
     weights: float
 
 
 class WeightedShader(TransparentShader):
-    """Adds a surface to weighted sums."""
+    """Adds a lit surface to weighted sums."""
 
     def fragment(self, v: SurfaceVarying) -> WeightedTexels:  # type: ignore[override]  # other targets than the image
         seen = self.cover(v)
@@ -83,36 +83,42 @@ class WeightedShader(TransparentShader):
 
 
 class BlendShader(BackgroundScreen):
-    """Puts the mean of weighted surfaces over the image."""
+    """Blends the weighted mean of transparent surfaces over the image."""
 
     colors: sl.Texture2D
     weights: sl.Texture2D
 
     def fragment(self) -> sl.vec4:
-        place = sl.ivec2(sl.fragment_coordinate().xy)
-        colors = sl.min(self.colors.load(place), BRIGHTEST)
+        pixel = sl.ivec2(sl.fragment_coordinate().xy)
+        colors = sl.min(self.colors.load(pixel), MAX_HALF_FLOAT)
         if colors.a == 1.0:
             sl.discard()  # nothing covers this pixel
-        weight = sl.min(self.weights.load(place).x, BRIGHTEST)
+        weight = sl.min(self.weights.load(pixel).x, MAX_HALF_FLOAT)
         return sl.vec4(colors.rgb * ((1.0 - colors.a) / sl.max(weight, 1e-6)), 1.0 - colors.a)
 
 
-def declare_transparency(needs: Needs, lighting: Lighting, *, image: str = "image") -> tuple[Pass[Frame], ...]:
-    """Return the passes that draw transparent surfaces over the contents `image`, tested against `depth`: none if no
-    transparent object is in view."""
-    if Effect.TRANSPARENCY not in needs.effects:
+TRANSPARENCY_SHADERS: Final[tuple[type[sl.Shader], ...]] = (TransparentShader, WeightedShader, BlendShader)
+"""The shaders of transparent surfaces, combined with those of a `Lighting`."""
+
+
+def declare_transparency(
+    effects: FrameEffects, lighting: Lighting, *, image: str = "image"
+) -> tuple[FramePass[Frame], ...]:
+    """The passes that draw transparent surfaces over the resource `image`, tested against `depth`; none if
+    no transparent object is in view."""
+    if Effect.TRANSPARENCY not in effects.enabled:
         return ()
-    if needs.blending is Blending.SORTED:
-        return (sorted_pass(needs, lighting, image=image),)
+    if effects.blending is Blending.SORTED:
+        return (sorted_pass(effects, lighting, image=image),)
     return (
-        Pass(
+        FramePass(
             "transparency",
             partial(_add_weighted, lighting=lighting),
-            needs.explain(Effect.TRANSPARENCY),
+            effects.explain(Effect.TRANSPARENCY),
             reads=("depth", *lighting.reads),
             writes=(Target(COLORS, Format.RGBA16F), Target(WEIGHTS, Format.R16F)),
         ),
-        Pass(
+        FramePass(
             "blend",
             partial(_blend, image=image),
             "puts transparent surfaces over what is behind them",
@@ -123,17 +129,17 @@ def declare_transparency(needs: Needs, lighting: Lighting, *, image: str = "imag
 
 
 def sorted_pass(
-    needs: Needs,
+    effects: FrameEffects,
     lighting: Lighting,
     *,
     image: str = "image",
     depth: str = "depth",
-) -> Pass[Frame]:
-    """Return the pass that draws transparent surfaces, back to front, over the contents `image`."""
-    return Pass(
+) -> FramePass[Frame]:
+    """The pass that draws transparent surfaces back to front over the resource `image`."""
+    return FramePass(
         "transparency",
         partial(_draw_sorted, lighting=lighting, image=image, depth=depth),
-        needs.explain(Effect.TRANSPARENCY),
+        effects.explain(Effect.TRANSPARENCY),
         reads=(depth, *lighting.reads),
         changes={image: f"{image} with transparency"},
     )
@@ -152,22 +158,22 @@ def _draw(
     frame: Frame,
     lighting: Lighting,
     shader: type[TransparentShader],
-    contents: Sequence[str],
+    resources: Sequence[str],
     depth: str,
     blending: BlendFunction,
     *,
     clear: Color | None = None,
     in_order: bool = True,
 ) -> None:
-    """Draw the transparent objects in view to `contents`, tested against `depth`."""
+    """Draw the transparent objects in view to these resources, tested against `depth`."""
     targets = frame.targets
-    surfaces = scene_pass(
+    surfaces = make_scene_drawer(
         frame,
         shader,
         *lighting.bases,
         own=lighting.bind(frame),
         switches=lighting.switches,
-        color=[targets[name] for name in contents],
+        color=[targets[name] for name in resources],
         depth=targets[depth],
         clear=clear,
         states=(DepthWrite.OFF, NEARER[frame.camera.projection.depth], blending),
@@ -179,5 +185,5 @@ def _draw(
 def _blend(frame: Frame, *, image: str) -> None:
     targets = frame.targets
     bindings = {"colors": targets[COLORS], "weights": targets[WEIGHTS]}
-    if len(frame.drawn.transparent):
+    if len(frame.draw_result.transparent):
         draw_full_screen(frame, BlendShader, targets[image], bindings, states=(BlendFunction.PREMULTIPLIED,))

@@ -1,7 +1,8 @@
-"""Variants of shaders: what a frame needs decides their switches, and what they read is bound by its name.
+"""Variants of shaders: a frame's effects set their switches, and their bindings are looked up by name.
 
-A name means one thing in a frame: `SOURCES` says what, or it is that of contents of the frame's plan. So a technique
-composes shaders, and lists no bindings but those that are its own.
+`shader_variant` combines the parts that a technique names with two that all techniques share: the filter of shadows,
+and the shader of a material. `bind` takes bindings from `FrameBindings`, where a name means one thing in a frame; a
+technique passes only the bindings that are its own.
 """
 
 from __future__ import annotations
@@ -13,28 +14,28 @@ from typing import Any, Final
 
 from renderer.frame import (
     DEPTH_FORMAT,
-    LAMPS,
+    LOCAL_LIGHTS,
     SHADOW_EFFECTS,
     BoundProgram,
     Effect,
     Frame,
-    Needs,
-    Pass,
+    FrameEffects,
+    FramePass,
     Target,
-    TechniquePass,
+    TechniqueDrawer,
 )
-from renderer.frame.air import bind_fog, bind_haze
-from renderer.frame.images import MOST_ARRAYS, SceneImages
+from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
 from renderer.shadows import FILTERS, ShadowMaps, ShadowReceiver
-from renderer.techniques.parts.full_screen import BEHIND, Color, bind_rays, make_triangle
+from renderer.techniques.parts.frame_bindings import FrameBindings
+from renderer.techniques.parts.full_screen import BEHIND, Color, make_triangle
 from renderer.techniques.parts.scene_shader import ForwardShader, SceneShader
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Program, State, Texture
 
 
 @dataclass(frozen=True, slots=True)
 class Lighting:
-    """The way in which a technique lights the surfaces that it draws: the bases of a `ForwardShader`'s variant, its
-    switches, what it binds besides what a frame has by name, and the contents that it reads."""
+    """How a technique lights the surfaces that it draws: the bases of a `ForwardShader` variant, its
+    switches, its own bindings, and the resources that it reads."""
 
     bases: tuple[type[Any], ...] = (ForwardShader,)
     switches: Mapping[str, Any] = field(default_factory=dict)
@@ -42,17 +43,17 @@ class Lighting:
     reads: tuple[str, ...] = ()
 
 
-NO_LAMPS: Final = {"has_point_lights": False, "has_spot_lights": False}
+NO_LOCAL_LIGHTS: Final = {f"has_{kind.name}_lights": False for kind in LOCAL_LIGHT_KINDS}
 
 
-def list_lamps(needs: Needs) -> list[Effect]:
-    """Return the kinds of lights with a range that a frame needs."""
-    return [effect for effect in LAMPS if effect in needs.effects]
+def local_light_effects(effects: FrameEffects) -> list[Effect]:
+    """The kinds of local lights that a frame has in view."""
+    return [effect for effect in LOCAL_LIGHTS if effect in effects.enabled]
 
 
-def explain_lamps(needs: Needs) -> str:
-    """Return why a frame needs a pass about lamps."""
-    return "; ".join(map(needs.explain, list_lamps(needs)))
+def explain_local_lights(effects: FrameEffects) -> str:
+    """Why a frame needs a pass about local lights."""
+    return "; ".join(map(effects.explain, local_light_effects(effects)))
 
 
 FORWARD: Final = Lighting()
@@ -65,27 +66,35 @@ COVERAGE: Final[Mapping[str, bool]] = {"has_normal_maps": False, "has_two_sides"
 
 @cache
 def combine(bases: tuple[type[Any], ...], constants: tuple[tuple[str, Any], ...] = ()) -> type[Any]:
-    """Return the shader with these bases and constants."""
+    """The shader class with these bases and constants."""
     return type(bases[-1].__name__, bases, {"__module__": bases[-1].__module__, **dict(constants)})
 
 
-def find_variant(frame: Frame, *bases: type[Any], **fixed: Any) -> type[Any]:
-    """Return the shader with these bases for what the frame needs; switches that are `fixed` don't depend on it."""
-    needs, images = frame.needs, frame.resources.images
-    is_own = any(base in needs.shaders for base in bases)
-    if not needs.effects.isdisjoint(SHADOW_EFFECTS) and any(issubclass(base, ShadowReceiver) for base in bases):
+def shader_variant(frame: Frame, *bases: type[Any], **fixed: Any) -> type[Any]:
+    """The shader with these bases and the switches of the frame's effects; `fixed` switches don't depend
+    on the frame."""
+    effects, images = frame.effects, frame.resources.images
+    is_own = any(base in effects.shaders for base in bases)
+    if not effects.enabled.isdisjoint(SHADOW_EFFECTS) and any(issubclass(base, ShadowReceiver) for base in bases):
         bases = (FILTERS[frame.resources.workspace(ShadowMaps).settings.filter], *bases)
     sizes = None
     if images is not None:
-        sizes = len(images.colors), len(images.data), images.table is not None, images.footprint
-    facts = (needs.effects, needs.has_sun, needs.has_both_models, needs.has_planes, is_own, sizes)
-    return choose_variant(bases, *facts, **fixed)
+        sizes = len(images.colors), len(images.data), images.table is not None, images.gradient_scale
+    facts = (
+        effects.enabled,
+        effects.has_single_directional_light,
+        effects.has_both_models,
+        effects.has_geometric_normals,
+        is_own,
+        sizes,
+    )
+    return cached_shader_variant(bases, *facts, **fixed)
 
 
 @cache
-def choose_variant(
+def cached_shader_variant(
     bases: tuple[type[Any], ...],
-    effects: frozenset[Effect],
+    enabled: frozenset[Effect],
     sun: bool,
     both_models: bool,
     planes: bool,
@@ -94,101 +103,64 @@ def choose_variant(
     /,
     **fixed: Any,
 ) -> type[Any]:
-    """Return the variant of `find_variant` for these facts about a frame; each is chosen once."""
-    switches: dict[str, Any] = {name: effect in effects for effect, name in SWITCHES.items()}
-    switches |= {"has_sun": sun, "has_both_models": both_models, "has_planes": planes}
+    """The variant of `shader_variant` for these properties of a frame, created once."""
+    switches: dict[str, Any] = {name: effect in enabled for effect, name in SWITCHES.items()}
+    switches |= {"has_single_directional_light": sun, "has_both_models": both_models, "has_geometric_normals": planes}
     if images is not None:
-        switches |= dict(zip(("image_arrays", "map_arrays", "has_table", "footprint"), images, strict=True))
+        switches |= dict(zip(("image_arrays", "map_arrays", "has_table", "gradient_scale"), images, strict=True))
     needs_changes = images is not None and (images[2] or images[3] != 1.0)
-    switches |= {"is_own": is_own, "has_changes": is_own or needs_changes}
+    switches |= {"is_own": is_own, "has_gradients": is_own or needs_changes}
     switches |= fixed
     switches["has_second_uvs"] = switches["has_second_uvs"] and switches.get("has_table", False)
-    return combine(bases, tuple((name, switches[name]) for name in _find_known(bases, tuple(switches))))
+    return combine(bases, tuple((name, switches[name]) for name in _list_switches(bases, tuple(switches))))
 
 
 @cache
-def _find_known(bases: tuple[type[Any], ...], names: tuple[str, ...]) -> list[str]:
-    """Return the names that are attributes of any of the bases."""
+def _list_switches(bases: tuple[type[Any], ...], names: tuple[str, ...]) -> list[str]:
+    """The names that are attributes of any of the bases."""
     return [name for name in names if any(hasattr(base, name) for base in bases)]
 
 
-SOURCES: Final[dict[str, Callable[[Frame], Any]]] = {
-    "view": lambda frame: frame.view.buffer,
-    "rays": bind_rays,
-    "objects": lambda frame: frame.resources.objects.buffer,
-    "places": lambda frame: frame.resources.places.buffer,
-    "materials": lambda frame: frame.resources.materials.buffer,
-    "ambient": lambda frame: frame.resources.ambient.buffer,
-    "directional_lights": lambda frame: frame.resources.directional.buffer,
-    "point_lights": lambda frame: frame.resources.point.buffer,
-    "spot_lights": lambda frame: frame.resources.spot.buffer,
-    "source_radii": lambda frame: frame.resources.source_radii.texture,
-    "light_rows": lambda frame: frame.resources.light_rows.buffer,
-    "textures": lambda frame: _images_of(frame).table,
-    "fog": bind_fog,
-    "haze": bind_haze,
-}
-"""The sources of what shaders bind by these names."""
-_SHADOWS: Final = ("suns", "lamps", "lamp_slots", "lamp_maps", "shadow_compare", "shadow_atlas")
-_IMAGES: Final = {f"{kind}_{i}" if i else kind: (kind, i) for kind in ("images", "maps") for i in range(MOST_ARRAYS)}
-
-
-def find_binding(frame: Frame, name: str) -> Any:
-    """Return what a name stands for in a frame."""
-    if name in SOURCES:
-        return SOURCES[name](frame)
-    if name in _SHADOWS:
-        return frame.resources.workspace(ShadowMaps).find(name)
-    if name in _IMAGES:
-        kind, number = _IMAGES[name]
-        images = _images_of(frame)
-        return (images.colors if kind == "images" else images.data)[number]
-    return frame.targets[name.replace("_samples", " samples")]  # see `name_samples`
-
-
-def _images_of(frame: Frame) -> SceneImages:
-    images = frame.resources.images
-    assert images is not None, "images are bound where the scene has some"
-    return images
-
-
 def bind(frame: Frame, program: Program[...], own: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the bindings of a program: those of its `own` that it has, and what its other names stand for."""
+    """Bindings of a program: its `own`, and for all other names those of `FrameBindings`."""
+    bindings = FrameBindings(frame)
     names = [binding.name for binding in program.descriptor.bindings]
-    return {name: own[name] if name in own else find_binding(frame, name) for name in names}
+    return {name: own[name] if name in own else bindings[name] for name in names}
 
 
 def bind_programs(
     frame: Frame, *bases: type[Any], own: Mapping[str, Any] = {}, switches: Mapping[str, Any] = {}
 ) -> list[BoundProgram]:
-    """Return the programs that draw the scene's geometry by the variant of a shader with these bases: one, or where
-    materials have shaders of their own, the renderer's and one for each of these."""
-    program: Program[...] = frame.program(find_variant(frame, *bases, **switches))
+    """Programs that draw the scene's geometry with these bases: one, and one more for each shader of
+    materials, if there are any."""
+    program: Program[...] = frame.program(shader_variant(frame, *bases, **switches))
     bound = [BoundProgram(program, bind(frame, program, own))]
-    effects = frame.needs.effects
+    enabled = frame.effects.enabled
     reads_materials = any(issubclass(base, SceneShader) and not base.is_coverage for base in bases)
-    cuts = issubclass(bases[-1], SceneShader) and switches.get("has_masks", Effect.MASKS in effects)
-    if not switches.get("has_material_shaders", Effect.MATERIAL_SHADERS in effects) or not (reads_materials or cuts):
+    cuts = issubclass(bases[-1], SceneShader) and switches.get("has_masks", Effect.MASKS in enabled)
+    if not switches.get("has_material_shaders", Effect.MATERIAL_SHADERS in enabled) or not (reads_materials or cuts):
         return bound
-    bound *= 1 + len(frame.needs.shaders)
+    bound *= 1 + len(frame.effects.shaders)
     for number, shader, parameters in list_shaders(frame)[1:]:
-        program = frame.program(find_variant(frame, *shader, *bases, **switches))
+        program = frame.program(shader_variant(frame, *shader, *bases, **switches))
         bound[number] = BoundProgram(program, bind(frame, program, {**own, **parameters}))
     return bound
 
 
 def list_shaders(frame: Frame) -> list[tuple[int, tuple[type[Any], ...], dict[str, Any]]]:
-    """Return the shaders of materials that objects have: their numbers, further bases of a variant, and bindings. The
-    renderer's is the first, whether or not any object has it."""
+    """Shaders of materials in use: number, further bases of a variant, and bindings. The renderer's own
+    comes first, even if no object has it."""
     resources = frame.resources
     listed: list[tuple[int, tuple[type[Any], ...], dict[str, Any]]] = [(0, (), {})]
-    for number, (one, values) in enumerate(zip(resources.scene.shaders, resources.parameters, strict=True), 1):
+    for number, (material_shader, values) in enumerate(
+        zip(resources.scene.shaders, resources.parameters, strict=True), 1
+    ):
         if resources.has_shader(number):
-            listed.append((number, (one.shader,), {"parameters": values.buffer}))
+            listed.append((number, (material_shader.shader,), {"parameters": values.buffer}))
     return listed
 
 
-def scene_pass(
+def make_scene_drawer(
     frame: Frame,
     *bases: type[Any],
     color: Texture | list[Texture] | None,
@@ -196,11 +168,10 @@ def scene_pass(
     depth: Texture | None = None,
     switches: Mapping[str, Any] = {},
     **options: Any,
-) -> TechniquePass:
-    """Return the pass that draws the scene's geometry by the variant of a shader with these bases. `options` are those
-    of a `TechniquePass`."""
+) -> TechniqueDrawer:
+    """The drawer of the scene's geometry with these bases; `options` are those of `TechniqueDrawer`."""
     programs, depth = bind_programs(frame, *bases, own=own, switches=switches), depth or frame.targets["depth"]
-    return TechniquePass(frame.device, frame.resources, frame.view, programs, color=color, depth=depth, **options)
+    return TechniqueDrawer(frame.device, frame.resources, frame.view, programs, color=color, depth=depth, **options)
 
 
 def draw_full_screen(
@@ -214,11 +185,11 @@ def draw_full_screen(
     states: tuple[State, ...] = (),
     switches: Mapping[str, Any] = {},
 ) -> None:
-    """Run the variant of a `BackgroundScreen` shader, or of one with these bases, for each pixel of the targets, in a
-    pass of its own.
+    """Run the variant of a `BackgroundScreen` shader, or of several bases, for each pixel of the targets,
+    in a pass of its own.
 
     Args:
-        own: bindings that `find_binding` doesn't know, or that are others here.
+        own: bindings that `FrameBindings` doesn't have, or that are others here.
         depth: the depth that geometry was drawn to. Then the shader runs only for pixels with a surface. It can't be
             among the bindings.
         clear: the colour of pixels for which the shader isn't run, or that it discards; None keeps what the targets
@@ -231,31 +202,36 @@ def draw_full_screen(
         defaults += (DepthTest.OFF,)
     else:
         defaults += (DepthTest.ON, BEHIND[frame.camera.projection.depth])
-    chosen = {type(state): state for state in (*defaults, *states)}
+    states_by_kind = {type(state): state for state in (*defaults, *states)}
     bases = shader if isinstance(shader, tuple) else (shader,)
-    program: Any = frame.program(find_variant(frame, *bases, **switches))
+    program: Any = frame.program(shader_variant(frame, *bases, **switches))
     triangle = frame.view.workspace(make_triangle)
-    with device.render_pass(color, depth, clear=clear), device.states(*chosen.values()):
+    with device.render_pass(color, depth, clear=clear), device.states(*states_by_kind.values()):
         device.draw(program, triangle, **bind(frame, program, own))
 
 
-def name_samples(contents: str, samples: int) -> str:
-    """Return the name of contents with so many samples per pixel."""
-    return contents if samples == 1 else f"{contents} samples"
+def name_samples(resource: str, samples: int) -> str:
+    """Name of a resource with this number of samples per pixel; shaders bind it by this name."""
+    return resource if samples == 1 else f"{resource}_samples"
 
 
 def lit_pass(
-    needs: Needs, lighting: Lighting, because: str,
-    *, after_depth: bool = False, name: str = "forward", samples: int = 1,
-) -> Pass[Frame]:  # fmt: skip
-    """Return the pass that draws the visible objects lit, to `needs.image` and `depth`, or with several samples to
-    contents that `name_samples` names; where depth was drawn before, only what is seen."""
+    effects: FrameEffects,
+    lighting: Lighting,
+    reason: str,
+    *,
+    after_depth: bool = False,
+    name: str = "forward",
+    samples: int = 1,
+) -> FramePass[Frame]:
+    """The pass that draws the visible objects lit, to `effects.image` and `depth`, or with several samples
+    to the resources that `name_samples` names; after a depth pass, only visible surfaces."""
     depth = Target(name_samples("depth", samples), DEPTH_FORMAT, samples=samples)
-    image = replace(needs.image, name=name_samples(needs.image.name, samples), samples=samples)
-    return Pass(
+    image = replace(effects.image, name=name_samples(effects.image.name, samples), samples=samples)
+    return FramePass(
         name,
         partial(draw_lit, lighting=lighting, after_depth=after_depth, samples=samples),
-        because if samples == 1 else f"{because}, {samples} samples per pixel",
+        reason if samples == 1 else f"{reason}, {samples} samples per pixel",
         reads=(*([depth.name] if after_depth else []), *(["depth"] if samples > 1 else []), *lighting.reads),
         writes=(image,) if after_depth else (image, depth),
     )
@@ -263,12 +239,12 @@ def lit_pass(
 
 def draw_lit(frame: Frame, lighting: Lighting = FORWARD, *, after_depth: bool = False, samples: int = 1) -> None:
     """Draw the visible objects lit; see `lit_pass`."""
-    lit = scene_pass(
+    lit = make_scene_drawer(
         frame,
         *lighting.bases,
         own=lighting.bind(frame),
         switches=lighting.switches,
-        color=frame.targets[name_samples(frame.needs.image.name, samples)],
+        color=frame.targets[name_samples(frame.effects.image.name, samples)],
         depth=frame.targets[name_samples("depth", samples)],
         clear=frame.background,
         # Not EQUAL: nothing is nearer than what was drawn, and a test of order lets rasterisers skip what is hidden.

@@ -3,8 +3,8 @@
 A box and its object are rasterised apart, each with its own rounding: vertices move to the nearest fraction of a
 pixel, depths to the nearest float. So that a box covers every sample that its object covers, and is never the farther
 of the two, it is drawn a little larger (`pad_boxes`). A box that the near plane cuts has no front face there, so
-objects that near count as visible without a query (`find_near`). `see_boxes` does both for each object's tightest
-box.
+objects that near count as visible without a query (`near_mask`). `compute_query_boxes` does both for each object's
+tightest box.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene import Camera, Depth, FrustumPlane
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Indices
 from renderer.visibility.boxes.volumes import RotatedBoxes
 from rhi.math import is_parallel
 
-_SHARE: Final = 2.0**-11  # of half the image: 1/256 pixel or more where half the image has 8 pixels or more
+_IMAGE_FRACTION: Final = 2.0**-11  # of half the image: 1/256 pixel or more where half the image has 8 pixels or more
 ROUNDING: Final = 2.0**-20  # of the distance: 16 times the rounding of a float32 position
 _DEPTH_STEPS: Final = 2.0**-21  # of standard depth, whose floats are dense near the eye and sparse far away
-LARGEST_SQUARED: Final = 1e100
+MAX_SQUARABLE: Final = 1e100
 """Limit of distances in metres, so that their squares are finite."""
 TOO_FAR: Final = 1e15
 """Distance in metres beyond which float32 might overflow on the way to the screen: such objects are drawn without
@@ -47,8 +47,10 @@ class QueryBoxes:
     near: NDArray[np.bool_]
 
 
-def see_boxes(camera: Camera, lower: Floats, upper: Floats, rotated: RotatedBoxes, rows: Rows) -> QueryBoxes:
-    """Return the boxes (n, 3) as `camera` sees them, with the boxes `rows` (k,) replaced by the `rotated` ones (k,).
+def compute_query_boxes(
+    camera: Camera, lower: Floats, upper: Floats, rotated: RotatedBoxes, indices: Indices
+) -> QueryBoxes:
+    """Return the boxes (n, 3) as `camera` sees them, with the boxes `indices` (k,) replaced by the `rotated` ones (k,).
 
     A rotated box that the near plane may cut is not used; the aligned one is, unless that may be cut too. So no box
     of a group inside a box that isn't near is itself near.
@@ -56,12 +58,12 @@ def see_boxes(camera: Camera, lower: Floats, upper: Floats, rotated: RotatedBoxe
     low, high, far = pad_boxes(camera, lower, upper)
     x, y = np.zeros((2, len(low), 3), np.float32)
     x[:, 0] = y[:, 1] = 1.0
-    boxes = QueryBoxes(0.5 * (low + high), 0.5 * (high - low), x, y, find_near(camera, low, high, far))
+    boxes = QueryBoxes(0.5 * (low + high), 0.5 * (high - low), x, y, near_mask(camera, low, high, far))
     half, near = pad_rotated(camera, rotated)
     used = np.flatnonzero(~near)
-    rows = rows[used]
-    boxes.centre[rows], boxes.half[rows], boxes.near[rows] = rotated.centre[used], half[used], False
-    boxes.x[rows], boxes.y[rows] = rotated.axes[used, 0], rotated.axes[used, 1]
+    indices = indices[used]
+    boxes.centre[indices], boxes.half[indices], boxes.near[indices] = rotated.centre[used], half[used], False
+    boxes.x[indices], boxes.y[indices] = rotated.axes[used, 0], rotated.axes[used, 1]
     return boxes
 
 
@@ -72,29 +74,29 @@ def pad_boxes(camera: Camera, lower: Floats, upper: Floats) -> tuple[Floats, Flo
     padded box that it lies in without padding.
     """
     eye = camera.position
-    reach = np.minimum(np.maximum(np.abs(lower - eye), np.abs(upper - eye)), LARGEST_SQUARED)
+    reach = np.minimum(np.maximum(np.abs(lower - eye), np.abs(upper - eye)), MAX_SQUARABLE)
     far = np.asarray(np.sqrt(np.einsum("ij,ij->i", reach, reach)))
-    margin = _find_margins(camera, far)
+    margin = _margins(camera, far)
     return lower - margin[:, None], upper + margin[:, None], far
 
 
 def pad_rotated(camera: Camera, rotated: RotatedBoxes) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return half sizes (k, 3) enlarged as by `pad_boxes`, and whether each box is near (k,), as by `find_near`."""
+    """Return half sizes (k, 3) enlarged as by `pad_boxes`, and whether each box is near (k,), as by `near_mask`."""
     local = np.abs(np.einsum("kij,kj->ki", rotated.axes, camera.position - rotated.centre))
-    reach = np.minimum(local + rotated.half, LARGEST_SQUARED)
+    reach = np.minimum(local + rotated.half, MAX_SQUARABLE)
     far = np.asarray(np.sqrt(np.einsum("ij,ij->i", reach, reach)))
-    half = rotated.half + _find_margins(camera, far)[:, None]
+    half = rotated.half + _margins(camera, far)[:, None]
     if is_parallel(camera.projection):
         plane = camera.frustum.planes[FrustumPlane.NEAR]
         before = rotated.centre @ plane[:3] + plane[3]
         near = before <= (half * np.abs(rotated.axes @ plane[:3])).sum(axis=1)
     else:
-        away = np.minimum(np.maximum(local - half, 0.0), LARGEST_SQUARED)
+        away = np.minimum(np.maximum(local - half, 0.0), MAX_SQUARABLE)
         near = np.einsum("ij,ij->i", away, away) <= near_radius(camera) ** 2
     return half, near | (far > TOO_FAR)
 
 
-def _find_margins(camera: Camera, far: Floats) -> Floats:
+def _margins(camera: Camera, far: Floats) -> Floats:
     constant, linear, square = margin_terms(camera)
     return constant + far * (linear + far * square)
 
@@ -102,14 +104,14 @@ def _find_margins(camera: Camera, far: Floats) -> Floats:
 def margin_terms(camera: Camera) -> tuple[float, float, float]:
     """Return (a, b, c): a box whose farthest point is f metres from the eye has a margin of a + b f + c f² metres."""
     matrix = camera.projection.matrix
-    share = float(max(1.0 / matrix[0, 0], 1.0 / matrix[1, 1])) * _SHARE
+    fraction = float(max(1.0 / matrix[0, 0], 1.0 / matrix[1, 1])) * _IMAGE_FRACTION
     steps = _DEPTH_STEPS if camera.projection.depth is Depth.STANDARD else 0.0
     if is_parallel(camera.projection):
-        return share + steps / abs(matrix[2, 2]), ROUNDING, 0.0
-    return 0.0, share + ROUNDING, steps / abs(matrix[2, 3])  # metres to depth
+        return fraction + steps / abs(matrix[2, 2]), ROUNDING, 0.0
+    return 0.0, fraction + ROUNDING, steps / abs(matrix[2, 3])  # metres to depth
 
 
-def find_near(camera: Camera, lower: Floats, upper: Floats, far: Floats) -> NDArray[np.bool_]:
+def near_mask(camera: Camera, lower: Floats, upper: Floats, far: Floats) -> NDArray[np.bool_]:
     """Return which padded boxes (n, 3) are so near that they are drawn without a query, (n,) bool.
 
     In a perspective projection these are the boxes within near · √(1 + tan²(fx/2) + tan²(fy/2)) of the eye, the
@@ -135,5 +137,5 @@ def near_radius(camera: Camera) -> float:
 def squared_distances(eye: Floats, lower: Floats, upper: Floats) -> Floats:
     """Return squared distances (n,) from `eye` (3,) to boxes (n, 3); 0 for an eye inside a box."""
     away = np.maximum(np.maximum(lower - eye, eye - upper), 0.0)
-    np.minimum(away, LARGEST_SQUARED, out=away)
+    np.minimum(away, MAX_SQUARABLE, out=away)
     return np.asarray(np.einsum("ij,ij->i", away, away))

@@ -24,8 +24,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene.arrays import Floats, Rows
-from renderer.visibility.boxes.hierarchy import LARGEST, Hierarchy
+from renderer.scene.arrays import Floats, Indices
+from renderer.visibility.boxes.hierarchy import MAX_COORDINATE, Hierarchy
 
 Bits = NDArray[np.uint8]
 """A set of planes for each box: bit p is plane p. `_OUTSIDE` marks a box that some plane culls."""
@@ -35,13 +35,13 @@ _NODES: Final = 1024  # number of nodes aimed for between these limits
 _WIDEST: Final = 8192  # number of nodes in the first cut above which a coarser cut is added
 _WIDTH: Final = 64  # nodes of a cut for each node of the cut above
 _STALE: Final = 16  # the first cut is sorted again when one node in this many changes its culling plane
-_MOST_PLANES: Final = 7
-_OUTSIDE: Final = np.uint8(1 << _MOST_PLANES)
-_BIT: Final = np.left_shift(1, np.arange(_MOST_PLANES)).astype(np.uint8)
-_WEIGHTS: Final = [np.append(np.full(p, _OUTSIDE), _BIT[:p])[:, None] for p in range(_MOST_PLANES + 1)]
+_MAX_PLANES: Final = 7
+_OUTSIDE: Final = np.uint8(1 << _MAX_PLANES)
+_BIT: Final = np.left_shift(1, np.arange(_MAX_PLANES)).astype(np.uint8)
+_WEIGHTS: Final = [np.append(np.full(p, _OUTSIDE), _BIT[:p])[:, None] for p in range(_MAX_PLANES + 1)]
 _LOWER: Final = np.arange(3)[:, None]  # rows of the lower corner among the six numbers of a box
 _UPPER: Final = _LOWER + 3
-_MEMBERS: Final = (np.arange(1 << _MOST_PLANES)[:, None] & _BIT) != 0  # (128, 7) each set of planes as flags
+_MEMBERS: Final = (np.arange(1 << _MAX_PLANES)[:, None] & _BIT) != 0  # (128, 7) each set of planes as flags
 _SIZES: Final = _MEMBERS.sum(axis=1)
 _MARGIN: Final = 64.0 * float(np.finfo(np.float64).eps)  # of the terms' sum; each way rounds by 8 eps at most
 
@@ -58,7 +58,7 @@ class CullingCounts:
         return CullingCounts(self.nodes + other.nodes, self.objects + other.objects, self.planes + other.planes)
 
 
-def find_visible(planes: Floats, lower: Floats, upper: Floats) -> NDArray[np.bool_]:
+def select_visible(planes: Floats, lower: Floats, upper: Floats) -> NDArray[np.bool_]:
     """Return which boxes (n, 3) are not outside any of `planes` (p, 4), (n,) bool, by testing all against all.
 
     Fastest when each column is contiguous, as in the transpose of a (3, n) array.
@@ -73,20 +73,20 @@ def find_visible(planes: Floats, lower: Floats, upper: Floats) -> NDArray[np.boo
     return visible
 
 
-class AllBoxes:
+class BruteForceCuller:
     """Culls boxes by brute force, where there are so few that a hierarchy would take longer to traverse."""
 
     def __init__(self, lower: Floats, upper: Floats) -> None:
         self._lower, self._upper = (np.ascontiguousarray(corner.T).T for corner in (lower, upper))
 
-    def find_visible(self, planes: Floats) -> tuple[Rows, CullingCounts]:
-        """Return the rows, ascending, of the boxes that are not outside any of `planes` (p, 4), and the cost."""
+    def select_visible(self, planes: Floats) -> tuple[Indices, CullingCounts]:
+        """Return the indices, ascending, of the boxes that are not outside any of `planes` (p, 4), and the cost."""
         count = len(self._lower)
-        visible = find_visible(planes, self._lower, self._upper).nonzero()[0]
+        visible = select_visible(planes, self._lower, self._upper).nonzero()[0]
         return visible, CullingCounts(0, count, count * len(planes))
 
 
-class Culler:
+class HierarchyCuller:
     """Culls the boxes of one hierarchy frame after frame, and remembers which plane culled each node."""
 
     def __init__(self, hierarchy: Hierarchy, lower: Floats, upper: Floats) -> None:
@@ -106,25 +106,25 @@ class Culler:
             for level in range(1, len(bounds))
         ]
 
-    def find_visible(self, planes: Floats) -> tuple[Rows, CullingCounts]:
-        """Return the rows, ascending, of the boxes that are not outside any of `planes` (p, 4), and the cost.
+    def select_visible(self, planes: Floats) -> tuple[Indices, CullingCounts]:
+        """Return the indices, ascending, of the boxes that are not outside any of `planes` (p, 4), and the cost.
 
         There are at most 7 planes, with unit normals.
         """
         tables = _Tables(planes)
         nodes, across, tested, pairs = self._groups.test(tables)
-        found: list[Rows] = []
+        parts: list[Indices] = []
         objects = 0
         for runs, blocks in zip(self._runs, self._blocks, strict=False):
             tested += objects
             inside = nodes.take((across == 0).nonzero()[0])
-            found.append(_expand(runs.take(inside), runs.take(inside + 1)))
+            parts.append(_expand(runs.take(inside), runs.take(inside + 1)))
             crossing = across.nonzero()[0]
             nodes, across = nodes.take(crossing), across.take(crossing)
             nodes, across, objects, more = blocks.test(tables, nodes, across, blocks is self._blocks[-1])
             pairs += more
-        found.append(nodes)
-        visible = self._order.take(np.concatenate(found))
+        parts.append(nodes)
+        visible = self._order.take(np.concatenate(parts))
         visible.sort()  # takes half the time with 32 bits
         return visible.astype(np.int64), CullingCounts(tested, objects, pairs)
 
@@ -140,7 +140,7 @@ class _Tables:
         self.weights = _WEIGHTS[len(planes)]
 
     @property
-    def near(self) -> Rows:
+    def near(self) -> Indices:
         """The rows of each plane's n-vertex: on each axis the corner that the p-vertex does not use."""
         return (_LOWER + _UPPER) - self.far
 
@@ -156,14 +156,14 @@ class _Groups:
     """
 
     def __init__(self, lower: Floats, upper: Floats) -> None:
-        self.nodes: Rows = np.arange(len(lower))
+        self.nodes: Indices = np.arange(len(lower))
         self.corners = np.ones((7, len(lower)))
         self.corners[:3], self.corners[3:6] = lower.T, upper.T
         self.last = np.zeros(len(lower), np.uint8)
         self.reach = np.maximum(np.abs(lower), np.abs(upper)).max(axis=0, initial=0.0).sum()
-        self._find_starts()
+        self._update_starts()
 
-    def test(self, tables: _Tables) -> tuple[Rows, Bits, int, int]:
+    def test(self, tables: _Tables) -> tuple[Indices, Bits, int, int]:
         """Return the nodes that are not outside, the planes that each of them crosses, and the numbers of nodes and
         of (node, plane) pairs tested."""
         count = len(tables.planes)
@@ -178,12 +178,12 @@ class _Groups:
 
         behind = np.matmul(matrix, self.corners.take(columns, axis=1)) < 0.0
         bits = np.bitwise_or.reduce(behind * tables.weights)
-        kept = (bits < _OUTSIDE).nonzero()[0]
-        nodes = self.nodes.take(columns.take(kept))
-        if _STALE * (len(columns) - len(kept)) > len(self.nodes):
+        passing = (bits < _OUTSIDE).nonzero()[0]
+        nodes = self.nodes.take(columns.take(passing))
+        if _STALE * (len(columns) - len(passing)) > len(self.nodes):
             outside = (bits >= _OUTSIDE).nonzero()[0]
             self._sort(columns.take(outside), behind[:count].take(outside, axis=1).argmax(axis=0))
-        return nodes, bits.take(kept), len(self.nodes), len(self.nodes) + len(columns) * (count - 1)
+        return nodes, bits.take(passing), len(self.nodes), len(self.nodes) + len(columns) * (count - 1)
 
     def _make_matrix(self, planes: Floats) -> Floats:
         """Return (2 p, 7) to multiply `corners` by: p-vertices' distances plus the margin, n-vertices' minus it."""
@@ -199,16 +199,16 @@ class _Groups:
         np.subtract(offsets, margin, out=matrix[count:, 6])
         return matrix
 
-    def _sort(self, columns: Rows, planes: Rows) -> None:
+    def _sort(self, columns: Indices, planes: Indices) -> None:
         """Record that `planes` culled the nodes in `columns`, and sort by plane again."""
         self.last[columns] = planes
         order = np.argsort(self.last, kind="stable")
         self.nodes, self.last = self.nodes.take(order), self.last.take(order)
         self.corners = self.corners.take(order, axis=1)
-        self._find_starts()
+        self._update_starts()
 
-    def _find_starts(self) -> None:
-        self.starts = [0, *np.cumsum(np.bincount(self.last, minlength=_MOST_PLANES)).tolist()]
+    def _update_starts(self) -> None:
+        self.starts = [0, *np.cumsum(np.bincount(self.last, minlength=_MAX_PLANES)).tolist()]
 
 
 class _Blocks:
@@ -220,46 +220,46 @@ class _Blocks:
         first: (b,) the first child of each node. size: (b,) the number of its children.
     """
 
-    def __init__(self, lower: Floats, upper: Floats, starts: Rows) -> None:
+    def __init__(self, lower: Floats, upper: Floats, starts: Indices) -> None:
         self.first, self.size = starts[:-1].copy(), np.diff(starts)
         self.width = -(-int(self.size.max(initial=1)) // 8) * 8
         lane = np.arange(self.width)
         child = np.minimum(self.first[:, None] + lane, max(len(lower) - 1, 0))
         unused = (lane >= self.size[:, None])[..., None]
-        corners = np.where(unused, LARGEST, lower[child]), np.where(unused, -LARGEST, upper[child])
+        corners = np.where(unused, MAX_COORDINATE, lower[child]), np.where(unused, -MAX_COORDINATE, upper[child])
         blocks = np.concatenate(corners, axis=2).transpose(0, 2, 1)
         self.corners = np.ascontiguousarray(blocks).reshape(6 * len(self.first), self.width)
 
-    def test(self, tables: _Tables, nodes: Rows, across: Bits, last: bool) -> tuple[Rows, Bits, int, int]:
+    def test(self, tables: _Tables, nodes: Indices, across: Bits, last: bool) -> tuple[Indices, Bits, int, int]:
         """Test the children of `nodes` (k,) against the planes `across` (k,) that their node crosses.
 
         Return the children that are not outside, the planes that each of them crosses (not computed for the `last`
         level, which has nothing below it), and the numbers of children and of pairs tested.
         """
         flat = _MEMBERS.take(across, axis=0).reshape(-1).nonzero()[0]
-        above = flat // _MOST_PLANES
-        plane = flat - above * _MOST_PLANES
+        above = flat // _MAX_PLANES
+        plane = flat - above * _MAX_PLANES
         node = nodes.take(above)
         limits = tables.limits.take(plane)[:, None]
         normals = tables.normals.take(plane, axis=1)[:, :, None]
-        bits = self._find_behind(tables.far, normals, node, plane, limits).view(np.uint8)
+        bits = self._behind_mask(tables.far, normals, node, plane, limits).view(np.uint8)
         if not last:
             bits = bits * _OUTSIDE
-            bits |= self._find_behind(tables.near, normals, node, plane, limits) * _BIT.take(plane)[:, None]
+            bits |= self._behind_mask(tables.near, normals, node, plane, limits) * _BIT.take(plane)[:, None]
         pairs = _SIZES.take(across)
         if len(above) > len(nodes):
             bits = _merge(bits, pairs.cumsum() - pairs)
         bits = bits.reshape(-1)
-        kept = (bits < (1 if last else _OUTSIDE)).nonzero()[0]
-        row = kept // self.width
+        passing = (bits < (1 if last else _OUTSIDE)).nonzero()[0]
+        row = passing // self.width
         children = self.first.take(nodes.take(row))
-        children += kept
+        children += passing
         children -= row * self.width
         size = self.size.take(nodes)
-        return children, bits if last else bits.take(kept), int(np.add.reduce(size)), int(size.dot(pairs))
+        return children, bits if last else bits.take(passing), int(np.add.reduce(size)), int(size.dot(pairs))
 
-    def _find_behind(
-        self, columns: Rows, normals: Floats, node: Rows, plane: Rows, limits: Floats
+    def _behind_mask(
+        self, columns: Indices, normals: Floats, node: Indices, plane: Indices, limits: Floats
     ) -> NDArray[np.bool_]:
         """Return (pairs, w) bool: whether the corners of the children that `columns` selects lie behind the plane."""
         rows = columns.take(plane, axis=1)
@@ -272,12 +272,12 @@ class _Blocks:
         return total < limits
 
 
-def _merge(bits: Bits, starts: Rows) -> Bits:
+def _merge(bits: Bits, starts: Indices) -> Bits:
     """Return the `bitwise_or` of the rows from each start to the next, computed on eight bytes at a time."""
     return np.bitwise_or.reduceat(bits.view(np.uint64), starts, axis=0).view(np.uint8)
 
 
-def _expand(first: Rows, end: Rows) -> Rows:
+def _expand(first: Indices, end: Indices) -> Indices:
     """Return the ranges first[0] to end[0], first[1] to end[1], and so on, concatenated."""
     count = end - first
     last = count.cumsum()

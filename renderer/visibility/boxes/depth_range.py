@@ -14,40 +14,42 @@ _CORNERS: Final = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (
 _FACES: Final = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 
 
-def find_depth_range(scene: Scene, camera: Camera) -> tuple[float, float] | None:
+def compute_depth_range(scene: Scene, camera: Camera) -> tuple[float, float] | None:
     """Return the least and the greatest distance along the view at which `camera` sees the box of an object that is
     shown, None if it sees none.
 
-    The nearest part of a box is that inside the frustum: a street begins where it enters the picture, not under the
+    The nearest part of a box is that inside the frustum: a street begins where it enters the image, not under the
     camera. Boxes that hold the camera are left out, since they don't tell how far their objects are.
     """
     planes = camera.frustum.planes
     side = classify(planes, scene.objects.lower, scene.objects.upper)
     lower, upper = scene.objects.lower - camera.position, scene.objects.upper - camera.position
     holds = ((lower <= 0.0) & (upper >= 0.0)).all(axis=1)
-    rows = np.flatnonzero((side != Containment.OUTSIDE) & ~holds & scene.objects.shown)
-    if not len(rows):
+    object_indices = np.flatnonzero((side != Containment.OUTSIDE) & ~holds & scene.objects.is_shown)
+    if not len(object_indices):
         return None
     relative = planes.copy()
     relative[:, 3] += planes[:, :3] @ camera.position
     near = -float(relative[4, 3])  # of the near plane, along the view
-    ends = np.where(camera.forward > 0.0, lower[rows], upper[rows]) @ camera.forward
+    ends = np.where(camera.forward > 0.0, lower[object_indices], upper[object_indices]) @ camera.forward
     order = np.argsort(ends)
     nearest = np.inf
-    for row, begin in zip(rows[order].tolist(), ends[order].tolist(), strict=True):
+    for object_index, begin in zip(object_indices[order].tolist(), ends[order].tolist(), strict=True):
         if max(begin, near) >= nearest:
             break
-        if side[row] == Containment.INSIDE:
+        if side[object_index] == Containment.INSIDE:
             nearest = begin
         else:
-            nearest = min(nearest, _find_nearest(lower[row], upper[row], relative, camera.forward))
-    farthest = float((np.where(camera.forward > 0.0, upper[rows], lower[rows]) @ camera.forward).max())
+            nearest = min(nearest, _nearest_depth(lower[object_index], upper[object_index], relative, camera.forward))
+    farthest = float(
+        (np.where(camera.forward > 0.0, upper[object_indices], lower[object_indices]) @ camera.forward).max()
+    )
     if len(relative) == 6:
         farthest = min(farthest, float(relative[5, 3]))
     return (nearest, max(farthest, nearest)) if np.isfinite(nearest) else None
 
 
-def _find_nearest(lower: Floats, upper: Floats, planes: Floats, forward: Floats) -> float:
+def _nearest_depth(lower: Floats, upper: Floats, planes: Floats, forward: Floats) -> float:
     """Return how far along the view a box begins inside all planes, inf if it isn't inside: each face is cut by
     them."""
     corners = np.where(_CORNERS, upper, lower)
@@ -66,10 +68,10 @@ def _find_nearest(lower: Floats, upper: Floats, planes: Floats, forward: Floats)
 def _cut(polygon: Floats, inside: Floats) -> Floats:
     """Return the part of a polygon (k, 3) where `inside` (k,) isn't negative (Sutherland and Hodgman, 1974)."""
     points = []
-    for i, place in enumerate(inside):
+    for i, distance in enumerate(inside):
         last = inside[i - 1]
-        if (place < 0.0) != (last < 0.0):
-            points.append(polygon[i - 1] + (polygon[i] - polygon[i - 1]) * (last / (last - place)))
-        if place >= 0.0:
+        if (distance < 0.0) != (last < 0.0):
+            points.append(polygon[i - 1] + (polygon[i] - polygon[i - 1]) * (last / (last - distance)))
+        if distance >= 0.0:
             points.append(polygon[i])
     return np.array(points).reshape(-1, 3)

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Indices
 from rhi.errors import refuse
 
-LARGEST: Final = 1e300
+MAX_COORDINATE: Final = 1e300
 """The largest allowed absolute coordinate of a box, so that distances to planes never overflow."""
 
 _BINS: Final = 16
@@ -42,21 +42,21 @@ class Hierarchy:
 
     lower: Floats
     upper: Floats
-    parent: Rows
-    child: Rows
-    first: Rows
-    count: Rows
-    order: Rows
-    level_starts: Rows
+    parent: Indices
+    child: Indices
+    first: Indices
+    count: Indices
+    order: Indices
+    level_starts: Indices
 
     def __len__(self) -> int:
         return len(self.parent)
 
-    def fit(self, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
+    def refit_bounds(self, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
         """Return the bounds (m, 3) of the nodes for boxes (n, 3) that have moved; the tree stays the same."""
         return _node_bounds(lower[self.order], upper[self.order], self.first, self.count, self.child, self.level_starts)
 
-    def cut(self, size: int) -> Rows:
+    def cut(self, size: int) -> Indices:
         """Return the nodes nearest to the root that have at most `size` boxes or are leaves, in tree order.
 
         Their runs are consecutive and make up all of `order`.
@@ -71,8 +71,8 @@ def check_bounds(call: str, lower: Floats, upper: Floats) -> None:
     """Refuse bounds that are not boxes (n, 3) of finite size."""
     if lower.ndim != 2 or lower.shape[1] != 3 or upper.shape != lower.shape:
         refuse(rules.BAD_BOUNDS, call, f"shapes {lower.shape} and {upper.shape}", "(n, 3)")
-    if not ((np.abs(lower) <= LARGEST).all() and (np.abs(upper) <= LARGEST).all()):
-        refuse(rules.BAD_BOUNDS, call, "a value that is not finite, or too large", f"at most {LARGEST:g}")
+    if not ((np.abs(lower) <= MAX_COORDINATE).all() and (np.abs(upper) <= MAX_COORDINATE).all()):
+        refuse(rules.BAD_BOUNDS, call, "a value that is not finite, or too large", f"at most {MAX_COORDINATE:g}")
     if (lower > upper).any():
         refuse(rules.BAD_BOUNDS, call, f"box {int(np.flatnonzero((lower > upper).any(1))[0])} inside out")
 
@@ -121,19 +121,19 @@ class _SplitState:
         self.depth = 0
         self._sort(self.order)
 
-    def _sort(self, order: Rows) -> None:
+    def _sort(self, order: Indices) -> None:
         self.order = order
         self.lower, self.upper = self.all_lower[order], self.all_upper[order]
         self.centre = 0.5 * (self.lower + self.upper)
         self.owner = np.repeat(np.arange(len(self.count)), self.count)
 
-    def descend(self, first: Rows, count: Rows, chosen: Rows) -> None:
-        """Go on to the children that are split further: the boxes `chosen`, in runs (first, count)."""
+    def descend(self, first: Indices, count: Indices, boxes: Indices) -> None:
+        """Go on to the children that are split further: the boxes `boxes`, in runs (first, count)."""
         self.first, self.count = np.concatenate([[0], np.cumsum(count)[:-1]]), count
         self.depth += 1
-        self._sort(self.order[chosen])
+        self._sort(self.order[boxes])
 
-    def split_by_median(self) -> Rows:
+    def split_by_median(self) -> Indices:
         """Sort the boxes of each node so that its halves are its children; return the left children's counts."""
         extent = self._reduce(np.maximum, self.centre) - self._reduce(np.minimum, self.centre)
         axis = extent.argmax(1)[self.owner]
@@ -141,7 +141,7 @@ class _SplitState:
         self._sort(self.order[np.lexsort((key, self.owner))])
         return self.count // 2
 
-    def split_in_middle(self, allowed: bool) -> Rows:
+    def split_in_middle(self, allowed: bool) -> Indices:
         """Sort like `split_by_median`, but split in the middle of the longest axis; nodes whose centres coincide get
         equal halves."""
         if not allowed:
@@ -154,7 +154,7 @@ class _SplitState:
         right = self.centre[np.arange(len(self.owner)), axis[self.owner]] > middle[self.owner]
         return self._divide(right, (low <= middle) & (middle < high))
 
-    def split_by_area(self, allowed: bool) -> Rows:
+    def split_by_area(self, allowed: bool) -> Indices:
         """Sort like `split_by_median`, but split at the cheapest plane; nodes without one get equal halves."""
         if not allowed:
             return self.split_by_median()
@@ -170,21 +170,22 @@ class _SplitState:
             value = cost[np.arange(groups), plane]
             better = value < best_cost
             best_cost[better], best_axis[better], best_plane[better] = value[better], axis, plane[better]
-        found = np.isfinite(best_cost)
+        has_split = np.isfinite(best_cost)
         right = bins[np.arange(len(bins)), best_axis[self.owner]] > best_plane[self.owner]
-        return self._divide(right, found)
+        return self._divide(right, has_split)
 
-    def _divide(self, right: NDArray[np.bool_], found: NDArray[np.bool_]) -> Rows:
-        """Sort the boxes (k,) that go to the right behind the others of their node; return the left children's counts.
+    def _divide(self, right: NDArray[np.bool_], has_split: NDArray[np.bool_]) -> Indices:
+        """Sort the boxes (k,) that go to the right behind the others of their node; return the left children's
+        counts.
 
         Of nodes (g,) without a plane that has boxes on both sides, the upper half of the order goes to the right.
         """
-        place = np.arange(len(right)) - self.first[self.owner]
-        right = np.where(found[self.owner], right, place >= (self.count // 2)[self.owner])
+        rank = np.arange(len(right)) - self.first[self.owner]
+        right = np.where(has_split[self.owner], right, rank >= (self.count // 2)[self.owner])
         self._sort(self.order[np.argsort(2 * self.owner + right, kind="stable")])
         return self.count - np.add.reduceat(right.astype(np.int64), self.first)
 
-    def _plane_costs(self, bin_of: Rows) -> Floats:
+    def _plane_costs(self, bin_of: Indices) -> Floats:
         """Return the costs (g, 15) of the planes between bins: the sum over both sides of area times count.
 
         The cost is inf where a side is empty.
@@ -216,15 +217,15 @@ def _areas(lower: Floats, upper: Floats) -> Floats:
     return np.asarray(x * y + y * z + z * x)
 
 
-def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_SplitState], Rows]) -> Hierarchy:
+def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_SplitState], Indices]) -> Hierarchy:
     """Split all nodes of a level at once until none holds more than `leaf_size` boxes."""
     total = len(lower)
-    order: Rows = np.arange(total)
+    order: Indices = np.arange(total)
     parents = [np.full(min(total, 1), -1)]
     firsts, counts = [np.zeros(min(total, 1), np.int64)], [np.full(min(total, 1), total)]
-    children: list[Rows] = []
-    level_first: Rows = firsts[0]
-    level_count: Rows = counts[0]
+    children: list[Indices] = []
+    level_first: Indices = firsts[0]
+    level_count: Indices = counts[0]
     base, end = 0, len(level_first)
     work = _SplitState(lower, upper) if total > leaf_size else None
     while True:
@@ -246,8 +247,8 @@ def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_Split
         base, end = end, end + len(level_first)
         deeper = level_count > leaf_size
         local = np.cumsum(level_count) - level_count
-        chosen = np.flatnonzero(np.repeat(deeper, level_count))
-        work.descend(local[deeper], level_count[deeper], chosen)
+        deeper_boxes = np.flatnonzero(np.repeat(deeper, level_count))
+        work.descend(local[deeper], level_count[deeper], deeper_boxes)
     first, count = np.concatenate(firsts), np.concatenate(counts)
     starts = np.cumsum([0, *(len(level) for level in firsts)])
     node_lower, node_upper = _node_bounds(lower[order], upper[order], first, count, np.concatenate(children), starts)
@@ -257,7 +258,7 @@ def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_Split
 
 
 def _node_bounds(
-    lower: Floats, upper: Floats, first: Rows, count: Rows, child: Rows, starts: Rows
+    lower: Floats, upper: Floats, first: Indices, count: Indices, child: Indices, starts: Indices
 ) -> tuple[Floats, Floats]:
     """Compute the bounds of all nodes: those of leaves from the sorted boxes, all others from their children."""
     node_lower, node_upper = np.empty((len(first), 3)), np.empty((len(first), 3))

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene import Camera, Scene
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Indices
 
 _MARGIN: Final = 64.0 * float(np.finfo(np.float64).eps)  # of the terms' sum; they round by 16 eps at most
 
-_RIGHT: Final = 1e-9  # largest cosine of an angle that counts as right
-_WORTH: Final = 0.98  # of the aligned box's surface: a smaller saving isn't worth another box
+_MAX_RIGHT_COSINE: Final = 1e-9  # largest cosine of an angle that counts as right
+_MAX_AREA_RATIO: Final = 0.98  # of the aligned box's surface: a smaller saving isn't worth another box
 
 
 class Containment(IntEnum):
@@ -52,16 +52,17 @@ def _project(normals: Floats, vectors: Floats) -> Floats:
     return vectors @ normals.T if normals.ndim == 2 else (normals @ vectors[:, :, None])[..., 0]
 
 
-def find_in_view(scene: Scene, camera: Camera, rows: Rows) -> Rows:
-    """Return those of the objects `rows` (k,) that are shown and whose bounds are not outside the view."""
-    return find_inside(scene, camera.frustum.planes, rows) if len(rows) else rows
+def select_in_view(scene: Scene, camera: Camera, object_indices: Indices) -> Indices:
+    """Return those of the objects `object_indices` (k,) that are shown and whose bounds are not outside the view."""
+    return select_inside(scene, camera.frustum.planes, object_indices) if len(object_indices) else object_indices
 
 
-def find_inside(scene: Scene, planes: Floats, rows: Rows) -> Rows:
-    """Return those of the objects `rows` (k,) that are shown and whose bounds are not outside of `planes` (p, 4)."""
-    rows = scene.objects.find_shown(rows)
-    side = classify(planes, scene.objects.lower[rows], scene.objects.upper[rows])
-    return np.asarray(rows.take(np.flatnonzero(side != Containment.OUTSIDE)))
+def select_inside(scene: Scene, planes: Floats, object_indices: Indices) -> Indices:
+    """Return those of the objects `object_indices` (k,) that are shown and whose bounds are not outside of `planes`
+    (p, 4)."""
+    object_indices = scene.objects.select_shown(object_indices)
+    side = classify(planes, scene.objects.lower[object_indices], scene.objects.upper[object_indices])
+    return np.asarray(object_indices.take(np.flatnonzero(side != Containment.OUTSIDE)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -69,12 +70,12 @@ class RotatedBoxes:
     """Rectangular boxes, k of them, that fit their objects more closely than aligned ones.
 
     Attributes:
-        rows: (k,) the rows of the objects.
+        rows: (k,) the indices of the objects.
         centre: (k, 3) world positions. half: (k, 3) half sizes along the boxes' own axes.
         axes: (k, 3, 3) those axes: the rows are unit vectors, right-handed.
     """
 
-    rows: Rows
+    object_indices: Indices
     centre: Floats
     half: Floats
     axes: Floats
@@ -85,24 +86,28 @@ class TightestBoxes:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._static = find_rotated(scene, scene.objects.fixed_rows)
+        self._static = compute_rotated_boxes(scene, scene.objects.fixed_indices)
 
-    def find(self) -> RotatedBoxes:
+    def collect(self) -> RotatedBoxes:
         """Return the rotated boxes of all such objects, of moving ones as they are now."""
-        moving = self._scene.objects.following_rows
+        moving = self._scene.objects.following_indices
         if not len(moving):
             return self._static
-        both = (self._static, find_rotated(self._scene, moving))
+        both = (self._static, compute_rotated_boxes(self._scene, moving))
         return RotatedBoxes(
-            *(np.concatenate([getattr(one, field.name) for one in both]) for field in fields(RotatedBoxes))
+            *(np.concatenate([getattr(boxes, field.name) for boxes in both]) for field in fields(RotatedBoxes))
         )
 
 
-def find_rotated(scene: Scene, rows: Rows) -> RotatedBoxes:
-    """Return rotated boxes of those of the objects `rows` (n,) whose oriented box is rectangular and has a smaller
-    surface than the aligned one."""
+def compute_rotated_boxes(scene: Scene, object_indices: Indices) -> RotatedBoxes:
+    """Return rotated boxes of those of the objects `object_indices` (n,) whose oriented box is rectangular and has a
+    smaller surface than the aligned one."""
     boxes = scene.objects.boxes
-    world, lower, upper = boxes.place(scene.nodes, rows), boxes.lower[rows], boxes.upper[rows]
+    world, lower, upper = (
+        boxes.transforms(scene.nodes, object_indices),
+        boxes.lower[object_indices],
+        boxes.upper[object_indices],
+    )
     linear, offset = world[:, :3, :3], world[:, :3, 3]
     centre = np.einsum("nij,nj->ni", linear, 0.5 * (lower + upper)) + offset
     furthest = np.maximum(np.abs(lower), np.abs(upper))
@@ -119,9 +124,11 @@ def find_rotated(scene: Scene, rows: Rows) -> RotatedBoxes:
     off = np.abs(np.einsum("nij,nkj->nik", axes, axes) - np.eye(3)).max(axis=(1, 2))
     # The rounding of the oriented box's corners; the aligned box already includes its own.
     half += _MARGIN * scale[:, None]
-    better = _surface(half) < _WORTH * _surface(0.5 * (scene.objects.upper[rows] - scene.objects.lower[rows]))
-    chosen = np.flatnonzero((off < _RIGHT) & better)
-    return RotatedBoxes(rows[chosen], centre[chosen], half[chosen], axes[chosen])
+    better = _surface(half) < _MAX_AREA_RATIO * _surface(
+        0.5 * (scene.objects.upper[object_indices] - scene.objects.lower[object_indices])
+    )
+    tighter = np.flatnonzero((off < _MAX_RIGHT_COSINE) & better)
+    return RotatedBoxes(object_indices[tighter], centre[tighter], half[tighter], axes[tighter])
 
 
 def _surface(half: Floats) -> Floats:

@@ -5,11 +5,10 @@
    are drawn; all visible objects are drawn first in the next frame.
 
 A box is tested by one invocation: it compares the box's nearest depth with the texels under the rectangle around its
-corners, in the finest level in which the rectangle is at most 8 texels wide and high, or as many as settings say, or in
-the last level. The box is visible unless it is behind all of them. The texels of the next coarser level are tested
+corners, in the finest level in which the rectangle is at most 8 texels wide and high, or as many as settings say, or
+in the last level. The box is visible unless it is behind all of them. The texels of the next coarser level are tested
 first: what is behind those is behind all of these. The rectangle is larger than the box, and the depth of its texels
-farther than that of the pixels, so more is drawn than if boxes were rasterised.
-"""
+farther than that of the pixels, so more is drawn than if boxes were rasterised."""
 
 from __future__ import annotations
 
@@ -21,9 +20,9 @@ from renderer.shaders import ViewConstants
 from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility.gpu.device_culling import DeviceCulling
 from renderer.visibility.gpu.draw_lists import CountKeys, WriteDraws, count_parts, with_parts
-from renderer.visibility.gpu.farthest_depth import SCALE, STEPS, FarthestDepth, of_direction
-from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, FindOccludees, Occludee
-from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.gpu.farthest_depth import SCALE, STEPS, DepthPyramid, depth_variant
+from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, ComputeOccludees, Occludee
+from renderer.visibility.scene_drawer import SceneDrawer
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device, DrawPlan, Encoder, Preparation, UniformBuffer
 
@@ -31,7 +30,7 @@ _LEVELS: Final = 9
 """The number of levels of an image of 65,536 pixels a side, the image included."""
 
 
-class Levels(sl.Struct):
+class PyramidLevels(sl.Struct):
     """The number of levels of a pyramid, and for each its width, height and first element; level 0 is the image.
     `texels` is the largest number of texels that a test covers in each direction."""
 
@@ -40,13 +39,13 @@ class Levels(sl.Struct):
     texels: int
 
 
-class FindSeen(FindOccludees):
+class ComputeOccludeesWithHistory(ComputeOccludees):
     """Finds the boxes, and marks what was visible in the last frame VISIBLE."""
 
-    seen: sl.Storage[sl.uint]
+    was_visible: sl.Storage[sl.uint]
 
-    def first_mark(self, row: int) -> int:
-        return VISIBLE if self.seen[row] == sl.uint(1) else HIDDEN
+    def initial_mark(self, object_index: int) -> int:
+        return VISIBLE if self.was_visible[object_index] == sl.uint(1) else HIDDEN
 
 
 class BoxTest(sl.Shader):
@@ -54,7 +53,7 @@ class BoxTest(sl.Shader):
 
     work_group = (GROUP,)
     view: sl.Uniform[ViewConstants]
-    pyramid: sl.Uniform[Levels]
+    pyramid: sl.Uniform[PyramidLevels]
     depth: sl.Texture2D
     farthest: sl.Storage[float]
     boxes: sl.Storage[Occludee]
@@ -103,79 +102,79 @@ class BoxTest(sl.Shader):
     def fetch(self, level: int, at: sl.ivec2) -> float:
         if level == 0:
             return self.depth.load(at).r
-        chosen = self.pyramid.levels[level]
-        return self.farthest[chosen.z + at.y * chosen.x + at.x]
+        level_info = self.pyramid.levels[level]
+        return self.farthest[level_info.z + at.y * level_info.x + at.x]
 
 
 class CompareBoxes(BoxTest):
-    """Marks visible objects, and records them in `seen` for the next frame."""
+    """Marks visible objects, and records them in `was_visible` for the next frame."""
 
     marks: sl.StorageRW[sl.uint]
-    seen: sl.StorageRW[sl.uint]
+    was_visible: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        row = sl.global_id().x
-        if row >= len(self.marks):
+        object_index = sl.global_id().x
+        if object_index >= len(self.marks):
             return
-        mark = self.marks[row]
+        mark = self.marks[object_index]
         visible = False
         if mark == sl.uint(HIDDEN) or mark == sl.uint(DRAWN):
-            visible = self.is_visible(self.boxes[row])
-        self.seen[row] = sl.uint(1 if visible else 0)
+            visible = self.is_visible(self.boxes[object_index])
+        self.was_visible[object_index] = sl.uint(1 if visible else 0)
         if visible and mark == sl.uint(HIDDEN):
-            self.marks[row] = sl.uint(VISIBLE)
+            self.marks[object_index] = sl.uint(VISIBLE)
 
 
 class DepthPyramidCulling(DeviceCulling):
     """Draws what was visible in the last frame, then what isn't behind it."""
 
     def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS) -> None:
-        super().__init__(scene, device, FindSeen)
+        super().__init__(scene, device, ComputeOccludeesWithHistory)
         self._texels = settings.pyramid_texels
-        self._seen = device.storage(sl.uint, len(scene.objects), label="seen")
-        self._pyramid: FarthestDepth | None = None
-        self._levels: UniformBuffer[Levels] = device.uniform(
-            Levels(levels=[(0, 0, 0, 0)] * _LEVELS, count=0, texels=self._texels)
+        self._was_visible = device.storage(sl.uint, len(scene.objects), label="was_visible")
+        self._pyramid: DepthPyramid | None = None
+        self._levels: UniformBuffer[PyramidLevels] = device.uniform(
+            PyramidLevels(levels=[(0, 0, 0, 0)] * _LEVELS, count=0, texels=self._texels)
         )
 
     def _aim(self, camera: Camera, size: tuple[int, int]) -> tuple[object, ...]:
         return (self._fit(size),)
 
-    def _mark_likely(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
-        self._occludees.find(encoder, scene_pass.arrays, seen=self._seen)
+    def _mark_likely(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:
+        self._occludees.compute_boxes(encoder, scene_drawer.arrays, was_visible=self._was_visible)
 
-    def _mark_missed(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
-        pyramid, occludees = self._fit(scene_pass.depth.size), self._occludees
-        pyramid.build(encoder, scene_pass.depth, direction)
+    def _mark_missed(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:
+        pyramid, occludees = self._fit(scene_drawer.depth.size), self._occludees
+        pyramid.build(encoder, scene_drawer.depth, direction)
         encoder.dispatch(
-            self._device.program(of_direction(CompareBoxes, direction)),
+            self._device.program(depth_variant(CompareBoxes, direction)),
             occludees.groups,
-            view=scene_pass.arrays.view,
+            view=scene_drawer.arrays.view,
             pyramid=self._levels,
-            depth=scene_pass.depth,
+            depth=scene_drawer.depth,
             farthest=pyramid.farthest,
             boxes=occludees.boxes,
             marks=occludees.marks,
-            seen=self._seen,
+            was_visible=self._was_visible,
         )
 
-    def _remember(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
+    def _remember(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:
         """Do nothing: the shader has recorded what was visible."""
 
-    def _fit(self, size: tuple[int, int]) -> FarthestDepth:
+    def _fit(self, size: tuple[int, int]) -> DepthPyramid:
         """Return the pyramid for an image of `size`; it is made again when the size changes."""
         pyramid = self._pyramid
         if pyramid is None or pyramid.size != size:
             if pyramid is not None:
                 pyramid.destroy()
-            pyramid = self._pyramid = FarthestDepth(self._device, size)
+            pyramid = self._pyramid = DepthPyramid(self._device, size)
             self._levels.write(make_levels(pyramid, self._texels))
         return pyramid
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
         super().destroy()
-        self._seen.destroy()
+        self._was_visible.destroy()
         self._levels.destroy()
         if self._pyramid is not None:
             self._pyramid.destroy()
@@ -185,12 +184,20 @@ class DepthPyramidCulling(DeviceCulling):
 def prepare_depth_pyramid(scene: Scene, device: Device, depth: Depth) -> Preparation:
     """Begin to build all that the algorithm dispatches in a scene whose depth has this direction."""
     parts = count_parts(scene)
-    shaders: list[type[Any]] = [FindSeen, with_parts(CountKeys, parts), PrefixSum, with_parts(WriteDraws, parts)]
-    shaders += [of_direction(shader, depth) for shader in (*STEPS, CompareBoxes)]
+    shaders: list[type[Any]] = [
+        ComputeOccludeesWithHistory,
+        with_parts(CountKeys, parts),
+        PrefixSum,
+        with_parts(WriteDraws, parts),
+    ]
+    shaders += [depth_variant(shader, depth) for shader in (*STEPS, CompareBoxes)]
     return device.prepare([DrawPlan(device.program(shader)) for shader in shaders])
 
 
-def make_levels(pyramid: FarthestDepth, texels: int = DEFAULTS.pyramid_texels) -> Levels:
+def make_levels(pyramid: DepthPyramid, texels: int = DEFAULTS.pyramid_texels) -> PyramidLevels:
     """Return a pyramid's levels as the shader reads them, with how many texels a test covers in each direction."""
-    rows = [(*size, begin, 0) for size, begin in zip(pyramid.sizes, pyramid.begins, strict=True)]
-    return Levels(levels=rows + [(0, 0, 0, 0)] * (_LEVELS - len(rows)), count=len(rows), texels=texels)
+    image_offset = 0  # isn't read: the shader reads level 0 from the depth texture
+    offsets = [image_offset, *pyramid.offsets]
+    levels = [(*size, offset, 0) for size, offset in zip(pyramid.sizes, offsets, strict=True)]
+    unused = [(0, 0, 0, 0)] * (_LEVELS - len(levels))
+    return PyramidLevels(levels=levels + unused, count=len(levels), texels=texels)

@@ -1,13 +1,12 @@
 """The common part of algorithms that run on the device: two lists of draws per frame.
 
-The first list holds what is likely to be visible, judged by the last frame. With the depth of those objects it is
+The first list holds what is likely to be visible, as far as the last frame shows. With the depth of those objects it is
 known exactly what else is visible; that is the second list. So whatever the first list misses, which after a teleport
 is everything, is drawn in the same frame. What it holds too much costs time, and changes no pixel.
 
 The CPU knows none of this. It submits the same commands whatever is visible, and however many objects there are: they
-are recorded once, and a frame writes its constants and submits them. While the device takes timestamps they are issued
-one by one, and so the steps are timed.
-"""
+are recorded once, and a frame writes its constants and submits them. While the device takes timestamps they are
+issued one by one, and so the steps are timed."""
 
 from __future__ import annotations
 
@@ -17,10 +16,10 @@ from typing import Final
 from renderer import rules
 from renderer.scene import Camera, Depth, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
+from renderer.visibility.command_cache import CommandCache
 from renderer.visibility.gpu.draw_lists import IndirectDrawList, count_parts
-from renderer.visibility.gpu.occludees import FindOccludees, Occludees
-from renderer.visibility.repeated import RepeatedCommands
-from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.gpu.occludees import ComputeOccludees, Occludees
+from renderer.visibility.scene_drawer import SceneDrawer
 from rhi import Device, Encoder, refuse
 
 
@@ -35,47 +34,47 @@ class DeviceCulling(ABC):
 
     opens_pass: Final = True
 
-    def __init__(self, scene: Scene, device: Device, find: type[FindOccludees]) -> None:
+    def __init__(self, scene: Scene, device: Device, occludee_shader: type[ComputeOccludees]) -> None:
         if not (device.capabilities.compute and device.capabilities.draws):
-            given = f"a {device.backend_name} device that lacks them"
-            refuse(rules.NO_COMPUTE, f"{type(self).__name__}(...)", given)
+            lacking = f"a {device.backend_name} device that lacks them"
+            refuse(rules.NO_COMPUTE, f"{type(self).__name__}(...)", lacking)
         self._device = device
-        self._occludees = Occludees(device, len(scene.objects), find)
+        self._occludees = Occludees(device, len(scene.objects), occludee_shader)
         parts = count_parts(scene)
         self.first = IndirectDrawList(device, self._occludees, parts)
         self.second = IndirectDrawList(device, self._occludees, parts)
-        self._repeated = RepeatedCommands(device, "culling")
+        self._repeated = CommandCache(device, "culling")
 
     @staticmethod
-    def find_obstacle(device: Device) -> str | None:
+    def find_missing_feature(device: Device) -> str | None:
         """Return what a device lacks to cull and draw by itself."""
         can = device.capabilities
         return None if can.renders and can.compute else "compute shaders and draws that run"
 
-    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
-        """Draw what was likely to be visible, then what else is visible."""
-        scene_pass.close()
+    def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
+        """Draw the objects that were likely to be visible, then those that the depth shows to be visible."""
+        scene_drawer.close()
         self._occludees.aim(camera)
-        own = self._aim(camera, scene_pass.depth.size)
+        own = self._aim(camera, scene_drawer.depth.size)
         direction = camera.projection.depth
-        key = (*scene_pass.key, scene_pass.arrays, scene_pass.depth, direction, *own)
+        key = (*scene_drawer.key, scene_drawer.arrays, scene_drawer.depth, direction, *own)
         for draws in (self.first, self.second):
             draws.renew()
-            scene_pass.begin_list(draws)
+            scene_drawer.begin_list(draws)
 
         def issue(encoder: Encoder) -> None:
             with encoder.event("likely"):
-                self._mark_likely(encoder, direction, scene_pass)
+                self._mark_likely(encoder, direction, scene_drawer)
                 with encoder.event("list draws"):
-                    self.first.list_draws(encoder, scene_pass.arrays)
-            scene_pass.draw_list(encoder, self.first, first=True)
+                    self.first.list_draws(encoder, scene_drawer.arrays)
+            scene_drawer.draw_list(encoder, self.first, first=True)
             with encoder.event("missed"):
-                self._mark_missed(encoder, direction, scene_pass)
+                self._mark_missed(encoder, direction, scene_drawer)
                 with encoder.event("list draws"):
-                    self.second.list_draws(encoder, scene_pass.arrays)
-            scene_pass.draw_list(encoder, self.second, first=False)
+                    self.second.list_draws(encoder, scene_drawer.arrays)
+            scene_drawer.draw_list(encoder, self.second, first=False)
             with encoder.event("remember"):
-                self._remember(encoder, direction, scene_pass)
+                self._remember(encoder, direction, scene_drawer)
 
         if self._device.timing:
             issue(self._device)  # of recorded commands, events take no timestamps
@@ -85,19 +84,19 @@ class DeviceCulling(ABC):
 
     @abstractmethod
     def _aim(self, camera: Camera, size: tuple[int, int]) -> tuple[object, ...]:
-        """Write the constants of a frame, and return what its commands depend on besides the size and the direction of
-        depth."""
+        """Write the constants of a frame, and return what its commands depend on besides the size and the direction
+        of depth."""
 
     @abstractmethod
-    def _mark_likely(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
+    def _mark_likely(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:
         """Find the boxes, and mark the objects of the first list."""
 
     @abstractmethod
-    def _mark_missed(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
+    def _mark_missed(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:
         """Mark the objects of the second list: visible given the depth of the first list, and not yet drawn."""
 
     @abstractmethod
-    def _remember(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
+    def _remember(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:
         """Keep what the next frame needs of this one."""
 
     def _count(self) -> VisibilityStatistics:

@@ -25,9 +25,9 @@ import rhi.shading as sl
 from renderer.scene import Scene
 from renderer.shaders import DRAW_LISTS, MeshPart, ObjectPosition
 from renderer.shaders.prefix_sum import PrefixSum
+from renderer.visibility.command_cache import clear
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, Occludee, Occludees
-from renderer.visibility.repeated import clear
-from renderer.visibility.scene_pass import SceneArrays
+from renderer.visibility.scene_drawer import SceneArrays
 from rhi import DRAW, Device, Encoder, IndirectDraws, Program, Readback
 
 _BUCKETS: Final = 31
@@ -36,7 +36,7 @@ beyond. More parts have fewer and wider ones."""
 _NO_KEY: Final = 2 * GROUP - 1
 KEYS: Final = 2 * GROUP
 """Number of keys. Each of a group's lanes counts two of them."""
-MOST_PARTS: Final = (KEYS - 2) // 2
+MAX_PARTS: Final = (KEYS - 2) // 2
 """The most parts of a list: each has two distance classes then."""
 
 
@@ -65,7 +65,7 @@ class CountKeys(sl.Shader):
     work_group = (GROUP,)
     parts = DRAW_LISTS
     buckets = _BUCKETS
-    places: sl.Storage[ObjectPosition]
+    object_positions: sl.Storage[ObjectPosition]
     occludees: sl.Storage[Occludee]
     marks: sl.StorageRW[sl.uint]
     keys: sl.StorageRW[sl.uint]
@@ -73,16 +73,16 @@ class CountKeys(sl.Shader):
     in_group = sl.shared(sl.uint, GROUP)
 
     def compute(self) -> None:
-        row = sl.global_id().x
+        object_index = sl.global_id().x
         lane = sl.local_index()
         key = _NO_KEY
-        if row < len(self.marks):
-            mark = self.marks[row]
+        if object_index < len(self.marks):
+            mark = self.marks[object_index]
             if mark == sl.uint(VISIBLE):
-                octaves = sl.log2(sl.max(self.occludees[row].depth, 0.125))
+                octaves = sl.log2(sl.max(self.occludees[object_index].depth, 0.125))
                 key = sl.clamp(int(sl.floor((octaves + 3.0) * (2.0 * self.buckets / _BUCKETS))), 0, self.buckets - 1)
-                key += self.buckets * self.places[row].draw_list
-                self.marks[row] = sl.uint(DRAWN)
+                key += self.buckets * self.object_positions[object_index].draw_list
+                self.marks[object_index] = sl.uint(DRAWN)
             elif mark == sl.uint(HIDDEN):
                 key = self.parts * self.buckets
         self.in_group[lane] = sl.uint(key)
@@ -91,15 +91,15 @@ class CountKeys(sl.Shader):
         count = sl.uint(0)
         count_beyond = sl.uint(0)
         for other in range(GROUP):
-            found = self.in_group[other]
-            if found == sl.uint(lane):
+            other_key = self.in_group[other]
+            if other_key == sl.uint(lane):
                 count += 1
-            if found == sl.uint(lane + GROUP):
+            if other_key == sl.uint(lane + GROUP):
                 count_beyond += 1
-            if other < lane and found == sl.uint(key):
+            if other < lane and other_key == sl.uint(key):
                 rank += 1
-        if row < len(self.marks):
-            self.keys[row] = sl.uint(key + KEYS * rank)
+        if object_index < len(self.marks):
+            self.keys[object_index] = sl.uint(key + KEYS * rank)
         self.counts[lane * sl.group_count().x + sl.group_id().x] = count
         self.counts[(lane + GROUP) * sl.group_count().x + sl.group_id().x] = count_beyond
 
@@ -110,8 +110,8 @@ class WriteDraws(sl.Shader):
     work_group = (GROUP,)
     parts = DRAW_LISTS
     buckets = _BUCKETS
-    places: sl.Storage[ObjectPosition]
-    meshes: sl.Storage[MeshPart]
+    object_positions: sl.Storage[ObjectPosition]
+    mesh_parts: sl.Storage[MeshPart]
     keys: sl.Storage[sl.uint]
     sums: sl.Storage[sl.uint]
     listed: sl.StorageRW[DrawArguments]
@@ -120,34 +120,34 @@ class WriteDraws(sl.Shader):
     boxes: sl.StorageRW[DrawArguments]
 
     def compute(self) -> None:
-        row = sl.global_id().x
+        object_index = sl.global_id().x
         groups = sl.group_count().x
         hidden_key = self.parts * self.buckets
         hidden = self.sums[hidden_key * groups]
-        if row == 0:
+        if object_index == 0:
             for number in range(self.parts):
                 begin = self.sums[number * self.buckets * groups]
                 self.totals[number] = self.sums[(number + 1) * self.buckets * groups] - begin
             count = self.sums[_NO_KEY * groups] - hidden
             self.totals[self.parts] = count
             self.boxes[0].instances = count
-        if row < len(self.keys):
-            packed = int(self.keys[row])
+        if object_index < len(self.keys):
+            packed = int(self.keys[object_index])
             key = packed % KEYS
-            place = self.sums[key * groups + sl.group_id().x] + sl.uint(packed // KEYS)
+            sorted_index = self.sums[key * groups + sl.group_id().x] + sl.uint(packed // KEYS)
             if key < hidden_key:
                 number = key // self.buckets
-                at = int(place - self.sums[number * self.buckets * groups]) + number * len(self.keys)
-                part = self.meshes[self.places[row].mesh]
+                at = int(sorted_index - self.sums[number * self.buckets * groups]) + number * len(self.keys)
+                part = self.mesh_parts[self.object_positions[object_index].mesh]
                 self.listed[at] = DrawArguments(
                     count=part.count,
                     instances=sl.uint(1),
                     first=part.first,
                     base_vertex=part.base_vertex,
-                    base_instance=sl.uint(row),
+                    base_instance=sl.uint(object_index),
                 )
             elif key == hidden_key:
-                self.hidden[int(place - hidden)] = sl.uint(row)
+                self.hidden[int(sorted_index - hidden)] = sl.uint(object_index)
 
 
 def count_parts(scene: Scene) -> int:
@@ -156,10 +156,10 @@ def count_parts(scene: Scene) -> int:
 
 
 class IndirectDrawList:
-    """A list of draws that the device makes: a `DeviceList`.
+    """A list of draws that the device makes: a `DeviceDrawList`.
 
     Attributes:
-        parts: the number of parts, at most `MOST_PARTS`.
+        parts: the number of parts, at most `MAX_PARTS`.
         draws: (parts n,) of `rhi.DRAW`: part i, the objects whose `ObjectPosition.draw_list` is i, from n i on.
         totals: (parts + 1,) the numbers of draws of each part, and of hidden objects.
         hidden: (n,) rows of the hidden objects. box_draw: a draw of as many boxes.
@@ -194,7 +194,7 @@ class IndirectDrawList:
         encoder.dispatch(
             self._count_keys,
             occludees.groups,
-            places=arrays.places,
+            object_positions=arrays.object_positions,
             occludees=occludees.boxes,
             marks=occludees.marks,
             keys=self._keys,
@@ -204,8 +204,8 @@ class IndirectDrawList:
         encoder.dispatch(
             self._write_draws,
             occludees.groups,
-            places=arrays.places,
-            meshes=arrays.parts,
+            object_positions=arrays.object_positions,
+            mesh_parts=arrays.mesh_parts,
             keys=self._keys,
             sums=self._counts,
             listed=self.draws,
@@ -226,25 +226,26 @@ class IndirectDrawList:
             count_offset=4 * part if counted else 0,
         )
 
-    def read_rows(self) -> NDArray[np.int64]:
-        """Return the rows of the listed objects, in the order of their draws. Waits for the device."""
+    def read_object_indices(self) -> NDArray[np.int64]:
+        """Return the indices of the listed objects, in the order of their draws. Waits for the device."""
         count = self._occludees.count
         sizes = self.totals.read().tolist()[:-1]
-        return _find_rows([self.draws.read(count * part, size) for part, size in enumerate(sizes) if size])
+        return _object_indices([self.draws.read(count * part, size) for part, size in enumerate(sizes) if size])
 
-    def read_rows_async(self) -> Callable[[], NDArray[np.int64]]:
-        """Begin to read what `read_rows` returns, and return a function that returns it. That waits for the device."""
+    def read_object_indices_async(self) -> Callable[[], NDArray[np.int64]]:
+        """Begin to read what `read_object_indices` returns, and return a function that waits for the device and
+        returns it."""
         totals, draws, count = self.totals.read_async(), self.draws.read_async(), self._occludees.count
 
         def wait() -> NDArray[np.int64]:
             rows, sizes = draws.result(), totals.result().tolist()[:-1]
-            return _find_rows([rows[count * part : count * part + size] for part, size in enumerate(sizes)])
+            return _object_indices([rows[count * part : count * part + size] for part, size in enumerate(sizes)])
 
         return wait
 
-    def read_marks(self, first: int, count: int) -> Readback:
-        """Begin to read the marks (`count`,) of the objects from row `first` on."""
-        return self._occludees.marks.read_async(first, count)
+    def read_marks(self, first_object: int, count: int) -> Readback:
+        """Begin to read the marks (`count`,) of the objects from row `first_object` on."""
+        return self._occludees.marks.read_async(first_object, count)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
@@ -252,6 +253,6 @@ class IndirectDrawList:
             resource.destroy()
 
 
-def _find_rows(parts: list[NDArray[Any]]) -> NDArray[np.int64]:
-    """Return the rows of the objects that parts of a list draw."""
+def _object_indices(parts: list[NDArray[Any]]) -> NDArray[np.int64]:
+    """Return the indices of the objects that parts of a list draw."""
     return np.concatenate([np.zeros(0, np.int64), *(part["base_instance"].astype(np.int64) for part in parts)])

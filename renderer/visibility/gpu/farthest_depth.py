@@ -16,10 +16,12 @@ from typing import Any, Final
 
 import rhi.shading as sl
 from renderer.scene import Depth
-from rhi import Device, Encoder, Texture, UniformBuffer
+from rhi import Device, Encoder, Program, StorageBuffer, Texture, UniformBuffer
 
 SCALE: Final = 4
 """Number of texels of a level, in each direction, that one texel of the next level covers."""
+COARSEST: Final = 16
+"""No level follows one of this many texels a side: comparing with all of them costs less than another dispatch."""
 _GROUP: Final = 8
 
 FAR: Final = {Depth.REVERSED: 0.0, Depth.STANDARD: 1.0}
@@ -31,8 +33,8 @@ class ReductionStep(sl.Struct):
 
     source: sl.ivec2
     target: sl.ivec2
-    source_begin: int
-    target_begin: int
+    source_offset: int
+    target_offset: int
 
 
 class DownSample(sl.Shader):
@@ -51,15 +53,15 @@ class DownSample(sl.Shader):
         if at.x >= size.x or at.y >= size.y:
             return
         last = self.step.source - 1
-        found = 1.0 if self.is_reversed else 0.0
+        farthest_depth = 1.0 if self.is_reversed else 0.0
         for y in range(self.down):
             for x in range(self.across):
                 depth = self.fetch(sl.min(sl.ivec2(self.across * at.x + x, self.down * at.y + y), last))
-                found = sl.min(found, depth) if self.is_reversed else sl.max(found, depth)
-        self.farthest[self.step.target_begin + at.y * size.x + at.x] = found
+                farthest_depth = sl.min(farthest_depth, depth) if self.is_reversed else sl.max(farthest_depth, depth)
+        self.farthest[self.step.target_offset + at.y * size.x + at.x] = farthest_depth
 
     def fetch(self, at: sl.ivec2) -> float:
-        return self.farthest[self.step.source_begin + at.y * self.step.source.x + at.x]
+        return self.farthest[self.step.source_offset + at.y * self.step.source.x + at.x]
 
 
 class DownSampleTexture(DownSample):
@@ -73,9 +75,13 @@ class DownSampleTexture(DownSample):
 
 
 class DownSampleRows(DownSample):
-    """Computes the farthest of four texels of each row of what `DownSampleTexture` has found."""
+    """Computes the farthest of four texels of each row of `rows`, which `DownSampleTexture` has written."""
 
+    rows: sl.Storage[float]
     down = 1
+
+    def fetch(self, at: sl.ivec2) -> float:
+        return self.rows[at.y * self.step.source.x + at.x]
 
 
 STEPS: Final = (DownSampleTexture, DownSampleRows, DownSample)
@@ -83,7 +89,7 @@ STEPS: Final = (DownSampleTexture, DownSampleRows, DownSample)
 
 
 @cache
-def of_direction(shader: type[Any], direction: Depth) -> type[Any]:
+def depth_variant(shader: type[Any], direction: Depth) -> type[Any]:
     """Return the variant of a shader with a constant `is_reversed` for a direction of depth."""
     if direction is Depth.REVERSED:
         return shader
@@ -91,46 +97,61 @@ def of_direction(shader: type[Any], direction: Depth) -> type[Any]:
     return type(f"{shader.__name__}Standard", (shader,), names)
 
 
-class FarthestDepth:
+class DepthPyramid:
     """The levels from 1 on of an image of `size` pixels.
 
     Attributes:
-        size: (width, height) of the image. sizes: (width, height) of each level, from the image on.
-        begins: the first element of each level in `farthest`, -1 for the image.
-        farthest: the depths of all levels, row by row, and behind them those of the first step.
+        size: (width, height) of the image.
+        sizes: (width, height) of each level; level 0 is the image.
+        offsets: the first element in `farthest` of each level from 1 on.
+        farthest: the depths of all levels from 1 on, row by row.
     """
 
     def __init__(self, device: Device, size: tuple[int, int], levels: int | None = None) -> None:
-        """There are `levels` besides the image, or by default as many as it takes to reach 16 texels a side, at least
-        1."""
+        """Create the buffers of `levels` levels besides the image; by default as many as it takes to reach `COARSEST`
+        texels a side, at least 1."""
         self.size = size
         self.sizes = [size]
-        # No level follows one of 16 texels a side: comparing with all of them costs less than another dispatch.
-        while len(self.sizes) - 1 < (levels or 1) or (levels is None and max(self.sizes[-1]) > SCALE**2):
+        while len(self.sizes) - 1 < (levels or 1) or (levels is None and max(self.sizes[-1]) > COARSEST):
             width, height = self.sizes[-1]
             self.sizes.append((-(-width // SCALE), -(-height // SCALE)))
-        self.begins, total = [-1], 0
+        self.offsets: list[int] = []
+        total = 0
         for width, height in self.sizes[1:]:
-            self.begins.append(total)
+            self.offsets.append(total)
             total += width * height
-        self._targets = [(size[0], self.sizes[1][1]), *self.sizes[1:]]
-        begins, sources = [-1, total, *self.begins[1:]], [size, *self._targets]
-        self.farthest = device.storage(float, total + size[0] * self.sizes[1][1], label="farthest depths")
         self._device = device
+        self.farthest: StorageBuffer[float] = device.storage(float, total, label="farthest depths")
+        rows_size = (size[0], self.sizes[1][1])
+        self._rows: StorageBuffer[float] = device.storage(
+            float, rows_size[0] * rows_size[1], label="farthest depths of rows"
+        )
+        self._targets = [rows_size, *self.sizes[1:]]
+        sources = [size, *self._targets[:-1]]
+        # The first step writes `_rows` and the second reads it: both begin at its first element.
+        target_offsets = [0, *self.offsets]
+        source_offsets = [0, 0, *self.offsets[:-1]]
         self._steps: list[UniformBuffer[ReductionStep]] = [
-            device.uniform(ReductionStep(source=source, target=target, source_begin=begin, target_begin=target_begin))
-            for source, target, begin, target_begin in zip(sources, self._targets, begins, begins[1:], strict=False)
+            device.uniform(
+                ReductionStep(source=source, target=target, source_offset=source_offset, target_offset=target_offset)
+            )
+            for source, target, source_offset, target_offset in zip(
+                sources, self._targets, source_offsets, target_offsets, strict=True
+            )
         ]
 
     def build(self, encoder: Encoder, depth: Texture, direction: Depth) -> None:
         """Compute all levels from the image's depth. Must be called outside of passes."""
+        first: dict[str, Any] = {"depth": depth, "farthest": self._rows}
+        second: dict[str, Any] = {"rows": self._rows, "farthest": self.farthest}
+        later: dict[str, Any] = {"farthest": self.farthest}
         for number, (step, target) in enumerate(zip(self._steps, self._targets, strict=True)):
+            kind = min(number, len(STEPS) - 1)
+            program: Program[...] = self._device.program(depth_variant(STEPS[kind], direction))
             groups = tuple(-(-length // _GROUP) for length in target)
-            reads: dict[str, Any] = {} if number else {"depth": depth}
-            shader = of_direction(STEPS[min(number, len(STEPS) - 1)], direction)
-            encoder.dispatch(self._device.program(shader), groups, step=step, farthest=self.farthest, **reads)
+            encoder.dispatch(program, groups, step=step, **(first, second, later)[kind])
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        for resource in (self.farthest, *self._steps):
+        for resource in (self.farthest, self._rows, *self._steps):
             resource.destroy()

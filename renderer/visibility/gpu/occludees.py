@@ -1,4 +1,4 @@
-"""Boxes of all objects, found, tested and marked on the device: the CPU does the same for ten objects and a million.
+"""Boxes of all objects, computed, tested and marked on the device: the CPU's work doesn't depend on their number.
 
 - A box is the mesh's own box under the object's transform: an oriented box, which fits rotated objects tightly too.
 - It is padded as for queries (`bounds`): each face moves outwards by the margin. Boxes too flat or too skewed for
@@ -18,7 +18,7 @@ from renderer.scene import Camera, Depth, FrustumPlane
 from renderer.shaders import MeshPart, Object, ObjectPosition, ViewConstants, relative_position
 from renderer.visibility.boxes.bounds import ROUNDING, TOO_FAR, margin_terms, near_radius
 from renderer.visibility.boxes.cubes import BoxCamera, CubeCorner, make_cube
-from renderer.visibility.scene_pass import SceneArrays
+from renderer.visibility.scene_drawer import SceneArrays
 from rhi import (
     CullMode,
     DepthFunction,
@@ -47,8 +47,8 @@ DRAWN: Final = 3
 GROUP: Final = 64
 """Number of objects per work-group."""
 
-_SKEW: Final = 0.5  # a box is replaced if the volume spanned by its unit axes is less than this
-_SLACK: Final = 1.0001
+_MIN_VOLUME: Final = 0.5  # a box is replaced if the volume spanned by its unit axes is less than this
+_RADIUS_MARGIN: Final = 1.0001
 _NEARER: Final = {
     Depth.REVERSED: DepthFunction.GREATER_EQUAL,
     Depth.STANDARD: DepthFunction.LESS_EQUAL,
@@ -65,7 +65,7 @@ class Occludee(sl.Struct):
     z: sl.vec3
 
 
-class Lens(sl.Struct):
+class CullingCamera(sl.Struct):
     """The properties of a camera that are not in its matrix.
 
     The margin of a box whose farthest point is f metres away is dot(margin, (1, f, f²)). Boxes within `near_radius`
@@ -80,37 +80,37 @@ class Lens(sl.Struct):
 
 
 @sl.function
-def is_beyond(plane: sl.vec4, box: Occludee) -> bool:
+def is_behind(plane: sl.vec4, box: Occludee) -> bool:
     """Return whether a box is completely behind a plane."""
     n = plane.xyz
     reach = sl.abs(sl.dot(n, box.x)) + sl.abs(sl.dot(n, box.y)) + sl.abs(sl.dot(n, box.z))
     return sl.dot(n, box.centre) + plane.w + reach < 0.0
 
 
-class FindOccludees(sl.Shader):
+class ComputeOccludees(sl.Shader):
     """Writes the box and the first mark of each object."""
 
     work_group = (GROUP,)
     view: sl.Uniform[ViewConstants]
-    lens: sl.Uniform[Lens]
+    culling_camera: sl.Uniform[CullingCamera]
     objects: sl.Storage[Object]
-    places: sl.Storage[ObjectPosition]
-    parts: sl.Storage[MeshPart]
+    object_positions: sl.Storage[ObjectPosition]
+    mesh_parts: sl.Storage[MeshPart]
     boxes: sl.StorageRW[Occludee]
     marks: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        row = sl.global_id().x
-        if row >= len(self.marks):
+        object_index = sl.global_id().x
+        if object_index >= len(self.marks):
             return
-        place = self.places[row]
-        part = self.parts[place.mesh]
-        linear = self.objects[row].linear
+        object_position = self.object_positions[object_index]
+        part = self.mesh_parts[object_position.mesh]
+        linear = self.objects[object_index].linear
         middle = linear @ (0.5 * (part.lower + part.upper))
         half = 0.5 * (part.upper - part.lower)
         columns = sl.transpose(linear)
         box = Occludee(
-            centre=relative_position(place, self.view) + middle,
+            centre=relative_position(object_position, self.view) + middle,
             depth=0.0,
             x=columns[0] * half.x,
             y=columns[1] * half.y,
@@ -118,14 +118,16 @@ class FindOccludees(sl.Shader):
         )
         size = sl.length(box.x) + sl.length(box.y) + sl.length(box.z)
         far = sl.length(box.centre) + size
-        margin = sl.dot(self.lens.margin, sl.vec3(1.0, far, far * far)) + ROUNDING * (sl.length(middle) + size)
+        margin = sl.dot(self.culling_camera.margin, sl.vec3(1.0, far, far * far)) + ROUNDING * (
+            sl.length(middle) + size
+        )
 
         x = columns[0] / sl.max(sl.length(columns[0]), 1e-30)
         y = columns[1] / sl.max(sl.length(columns[1]), 1e-30)
         z = columns[2] / sl.max(sl.length(columns[2]), 1e-30)
         volume = sl.dot(x, sl.cross(y, z))
         sides = sl.abs(box.x) + sl.abs(box.y) + sl.abs(box.z) + margin
-        if sl.abs(volume) > _SKEW:
+        if sl.abs(volume) > _MIN_VOLUME:
             padding = margin / sl.abs(volume)
             box.x += x * padding
             box.y += y * padding
@@ -138,7 +140,7 @@ class FindOccludees(sl.Shader):
             box.y = sl.vec3(0.0, sides.y, 0.0)
             box.z = sl.vec3(0.0, 0.0, sides.z)
 
-        forward = self.lens.forward
+        forward = self.culling_camera.forward
         middle_depth = sl.dot(box.centre, forward)
         box.depth = (
             middle_depth
@@ -148,33 +150,33 @@ class FindOccludees(sl.Shader):
         )
         away = sl.max(sl.abs(box.centre) - sides, sl.vec3(0.0))
         begin = middle_depth - sl.dot(sl.abs(forward), sides)
-        mark = self.first_mark(row)
-        is_near = sl.length(away) <= self.lens.near_radius or begin <= self.lens.near_depth
+        mark = self.initial_mark(object_index)
+        is_near = sl.length(away) <= self.culling_camera.near_radius or begin <= self.culling_camera.near_depth
         if is_near or not far < TOO_FAR:
             mark = VISIBLE
         elif self.is_outside(box):
             mark = OUTSIDE
-        if place.draw_list < 0:  # it is on no list
+        if object_position.draw_list < 0:  # it is on no list
             mark = OUTSIDE
         if is_near or mark == OUTSIDE or not far < TOO_FAR:
             box.x = sl.vec3(0.0)
             box.y = sl.vec3(0.0)
             box.z = sl.vec3(0.0)
-        self.boxes[row] = box
-        self.marks[row] = sl.uint(mark)
+        self.boxes[object_index] = box
+        self.marks[object_index] = sl.uint(mark)
 
-    def first_mark(self, row: int) -> int:
+    def initial_mark(self, object_index: int) -> int:
         return HIDDEN
 
     def is_outside(self, box: Occludee) -> bool:
         m = self.view.relative_view_projection
         return (
-            is_beyond(m[3] + m[0], box)
-            or is_beyond(m[3] - m[0], box)
-            or is_beyond(m[3] + m[1], box)
-            or is_beyond(m[3] - m[1], box)
-            or is_beyond(m[2], box)
-            or is_beyond(m[3] - m[2], box)
+            is_behind(m[3] + m[0], box)
+            or is_behind(m[3] - m[0], box)
+            or is_behind(m[3] + m[1], box)
+            or is_behind(m[3] - m[1], box)
+            or is_behind(m[2], box)
+            or is_behind(m[3] - m[2], box)
         )
 
 
@@ -182,7 +184,7 @@ class BoxVarying(sl.Struct):
     """The varyings of `MarkBoxes`."""
 
     clip: sl.vec4
-    row: int
+    object_index: int
 
 
 class MarkBoxes(sl.Shader):
@@ -194,26 +196,26 @@ class MarkBoxes(sl.Shader):
     marks: sl.StorageRW[sl.uint]
 
     def vertex(self, v: CubeCorner) -> BoxVarying:
-        row = self.row()
-        box = self.boxes[row]
+        object_index = self.object_index()
+        box = self.boxes[object_index]
         p = v.position
         corner = box.centre + box.x * p.x + box.y * p.y + box.z * p.z
-        return BoxVarying(clip=self.camera.relative_view_projection @ sl.vec4(corner, 1.0), row=row)
+        return BoxVarying(clip=self.camera.relative_view_projection @ sl.vec4(corner, 1.0), object_index=object_index)
 
-    def row(self) -> int:
+    def object_index(self) -> int:
         return sl.instance_index()
 
     def fragment(self, v: BoxVarying) -> None:
-        self.marks[v.row] = sl.uint(VISIBLE)
+        self.marks[v.object_index] = sl.uint(VISIBLE)
 
 
 class MarkListedBoxes(MarkBoxes):
     """Like `MarkBoxes`, for the boxes of listed rows only."""
 
-    rows: sl.Storage[sl.uint]
+    object_indices: sl.Storage[sl.uint]
 
-    def row(self) -> int:
-        return int(self.rows[sl.instance_index()])
+    def object_index(self) -> int:
+        return int(self.object_indices[sl.instance_index()])
 
 
 class Occludees:
@@ -224,15 +226,15 @@ class Occludees:
         cube: the mesh that boxes are drawn as.
     """
 
-    def __init__(self, device: Device, count: int, find: type[FindOccludees] = FindOccludees) -> None:
-        """`find` is the shader that finds the boxes and decides their first marks."""
+    def __init__(self, device: Device, count: int, shader: type[ComputeOccludees] = ComputeOccludees) -> None:
+        """`shader` is the shader that finds the boxes and decides their first marks."""
         self.count = count
         self.boxes = device.storage(Occludee, count, label="boxes")
         self.marks = device.storage(sl.uint, count, label="marks")
         self.cube = make_cube(device)
-        self._lens = device.uniform(_lens(Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))))
+        self._culling_camera = device.uniform(_culling_camera(Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))))
         self._device = device
-        self._find: Program[...] = device.program(find)
+        self._shader: Program[...] = device.program(shader)
 
     @property
     def groups(self) -> int:
@@ -241,18 +243,18 @@ class Occludees:
 
     def aim(self, camera: Camera) -> None:
         """Write the camera that boxes are found for."""
-        self._lens.write(_lens(camera))
+        self._culling_camera.write(_culling_camera(camera))
 
-    def find(self, encoder: Encoder, arrays: SceneArrays, **more: sl.StorageRange[Any]) -> None:
+    def compute_boxes(self, encoder: Encoder, arrays: SceneArrays, **more: sl.StorageRange[Any]) -> None:
         """Find the boxes as the camera sees them, and set all first marks; `more` are further bindings."""
         encoder.dispatch(
-            self._find,
+            self._shader,
             self.groups,
             view=arrays.view,
-            lens=self._lens,
+            culling_camera=self._culling_camera,
             objects=arrays.objects,
-            places=arrays.places,
-            parts=arrays.parts,
+            object_positions=arrays.object_positions,
+            mesh_parts=arrays.mesh_parts,
             boxes=self.boxes,
             marks=self.marks,
             **more,
@@ -269,10 +271,10 @@ class Occludees:
         encoder: Encoder,
         camera: UniformBuffer[BoxCamera],
         depth: Depth,
-        rows: StorageBuffer[sl.uint],
+        object_indices: StorageBuffer[sl.uint],
         draw: StorageBuffer[Any],
     ) -> None:
-        """Mark like `mark_all`, for the boxes of `rows` only, whose number `draw` holds."""
+        """Mark like `mark_all`, for the boxes of `object_indices` only, whose number `draw` holds."""
         with self._states(encoder, depth):
             encoder.draw_indirect(
                 self._device.program(MarkListedBoxes),
@@ -281,7 +283,7 @@ class Occludees:
                 camera=camera,
                 boxes=self.boxes,
                 marks=self.marks,
-                rows=rows,
+                object_indices=object_indices,
             )
 
     def _states(self, encoder: Encoder, depth: Depth) -> StateScope:
@@ -289,14 +291,14 @@ class Occludees:
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        for resource in (self.boxes, self.marks, self.cube, self._lens):
+        for resource in (self.boxes, self.marks, self.cube, self._culling_camera):
             resource.destroy()
 
 
-def _lens(camera: Camera) -> Lens:
+def _culling_camera(camera: Camera) -> CullingCamera:
     if is_parallel(camera.projection):
         *normal, d = camera.frustum.planes[FrustumPlane.NEAR].tolist()
         radius, near = -1.0, -(float(camera.position @ normal) + d)
     else:
-        radius, near = _SLACK * near_radius(camera), -1e30
-    return Lens(forward=camera.forward, near_radius=radius, margin=margin_terms(camera), near_depth=near)
+        radius, near = _RADIUS_MARGIN * near_radius(camera), -1e30
+    return CullingCamera(forward=camera.forward, near_radius=radius, margin=margin_terms(camera), near_depth=near)

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 import rhi.shading as sl
 from renderer.scene import Camera, Depth, Scene
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Indices
 from renderer.shaders import Vertex, ViewConstants
-from renderer.visibility.gpu.depth_pyramid import BoxTest, Levels, make_levels
-from renderer.visibility.gpu.farthest_depth import FAR, FarthestDepth, of_direction
+from renderer.visibility.gpu.depth_pyramid import BoxTest, PyramidLevels, make_levels
+from renderer.visibility.gpu.farthest_depth import FAR, DepthPyramid, depth_variant
 from renderer.visibility.gpu.occludees import GROUP, Occludee
 from renderer.visibility.settings import DEFAULTS
 from rhi import (
@@ -62,25 +62,25 @@ class DrawOccluders(sl.Shader):
         pass
 
 
-class FindShown(BoxTest):
+class TestBoxes(BoxTest):
     """Writes 1 for each visible box, 0 for the others."""
 
     margin = 1.0 + 1.0 / 64.0
-    shown: sl.StorageRW[sl.uint]
+    visible_flags: sl.StorageRW[sl.uint]
 
     def compute(self) -> None:
-        row = sl.global_id().x
-        if row < len(self.shown):
-            self.shown[row] = sl.uint(1 if self.is_visible(self.boxes[row]) else 0)
+        box_index = sl.global_id().x
+        if box_index < len(self.visible_flags):
+            self.visible_flags[box_index] = sl.uint(1 if self.is_visible(self.boxes[box_index]) else 0)
 
 
-class _SizedDepth:
+class _DepthResources:
     """The resources that depend on the image's size: its depth, and the tiles."""
 
     def __init__(self, device: Device, size: tuple[int, int], texels: int) -> None:
         self.depth: Texture = device.texture(size, Format.D32F, label="occluder depth")
-        self.pyramid = FarthestDepth(device, size)
-        self.levels: UniformBuffer[Levels] = device.uniform(make_levels(self.pyramid, texels))
+        self.pyramid = DepthPyramid(device, size)
+        self.levels: UniformBuffer[PyramidLevels] = device.uniform(make_levels(self.pyramid, texels))
 
     def destroy(self) -> None:
         for part in (self.depth, self.pyramid, self.levels):
@@ -109,32 +109,32 @@ class OccluderDepth:
         self._view = device.uniform(_view(np.eye(4, dtype=np.float32)))
         self._occluders = device.storage(Occluder, occluders, label="occluders")
         self._boxes = device.storage(Occludee, boxes, label="boxes")
-        self._shown = device.storage(sl.uint, boxes, label="shown")
-        self._image: _SizedDepth | None = None
+        self._visible_flags = device.storage(sl.uint, boxes, label="shown")
+        self._image: _DepthResources | None = None
         self._depth = Depth.REVERSED
 
-    def render(self, camera: Camera, rows: Rows, size: tuple[int, int]) -> None:
-        """Draw the objects `rows` (k,) in an image of `size` pixels. Doesn't wait for the device."""
+    def render(self, camera: Camera, object_indices: Indices, size: tuple[int, int]) -> None:
+        """Draw the objects `object_indices` (k,) in an image of `size` pixels. Doesn't wait for the device."""
         image = self._image
         if image is None or image.pyramid.size != size:
             if image is not None:
                 image.destroy()
-            image = self._image = _SizedDepth(self._device, size, self._texels)
+            image = self._image = _DepthResources(self._device, size, self._texels)
         device, scene = self._device, self._scene
         self._depth = direction = camera.projection.depth
-        world = scene.nodes.world[scene.objects.node[rows]]
-        table = np.zeros(len(rows), Occluder.dtype)
+        world = scene.nodes.world[scene.objects.node[object_indices]]
+        table = np.zeros(len(object_indices), Occluder.dtype)
         table["linear"][:, :, :3] = world[:, :3, :3]
         table["position"] = world[:, :3, 3] - camera.position
-        if len(rows):
+        if len(object_indices):
             self._occluders.write(table)
         self._view.write(_view(camera.relative_view_projection))
-        ranges = scene.meshes.ranges[scene.objects.mesh[rows]]
+        ranges = scene.meshes.ranges[scene.objects.mesh[object_indices]]
         draws = self._mesh.draws(
             ranges["first_index"],
             ranges["index_count"],
             base_vertex=ranges["base_vertex"],
-            base_instance=np.arange(len(rows)),
+            base_instance=np.arange(len(object_indices)),
         )
         mirrored = np.linalg.det(world[:, :3, :3]) < 0.0
         program = device.program(DrawOccluders)
@@ -149,7 +149,7 @@ class OccluderDepth:
                         device.draw_many(program, self._mesh, part, view=self._view, occluders=self._occluders)
         image.pyramid.build(device, image.depth, direction)
 
-    def find_shown(self, centre: Floats, half: Floats) -> NDArray[np.bool_]:
+    def test_boxes(self, centre: Floats, half: Floats) -> NDArray[np.bool_]:
         """Return which boxes aren't behind what was rendered, (k,) bool. Waits for the device.
 
         `centre` (k, 3) is relative to the eye; `half` (k, 3) is the padded half size along the world's axes. The near
@@ -165,20 +165,20 @@ class OccluderDepth:
             table[name][:, axis] = half[:, axis]
         self._boxes.write(table)
         self._device.dispatch(
-            self._device.program(of_direction(FindShown, self._depth)),
+            self._device.program(depth_variant(TestBoxes, self._depth)),
             -(-count // GROUP),
             view=self._view,
             pyramid=image.levels,
             depth=image.depth,
             farthest=image.pyramid.farthest,
             boxes=self._boxes,
-            shown=self._shown,
+            visible_flags=self._visible_flags,
         )
-        return self._shown.read(0, count).astype(bool)
+        return self._visible_flags.read(0, count).astype(bool)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        for resource in (self._mesh, self._view, self._occluders, self._boxes, self._shown):
+        for resource in (self._mesh, self._view, self._occluders, self._boxes, self._visible_flags):
             resource.destroy()
         if self._image is not None:
             self._image.destroy()

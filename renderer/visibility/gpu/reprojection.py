@@ -25,8 +25,8 @@ import numpy as np
 import rhi.shading as sl
 from renderer.scene import Camera, Depth
 from renderer.scene.arrays import Floats
-from renderer.visibility.gpu.farthest_depth import FAR, SCALE, FarthestDepth, of_direction
-from renderer.visibility.repeated import clear
+from renderer.visibility.command_cache import clear
+from renderer.visibility.gpu.farthest_depth import FAR, SCALE, DepthPyramid, depth_variant
 from rhi import (
     CullMode,
     DepthFunction,
@@ -92,7 +92,7 @@ class FillHoles(Scatter):
     fills_holes = True
 
 
-class OnlyDepth(sl.Struct):
+class DepthOutput(sl.Struct):
     """The output of a fragment shader that writes only depth."""
 
     depth: sl.FragmentDepth
@@ -109,12 +109,12 @@ class WriteDepth(sl.Shader):
         corner = sl.vertex_index()
         return sl.vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
 
-    def fragment(self) -> OnlyDepth:
+    def fragment(self) -> DepthOutput:
         at = sl.ivec2(sl.fragment_coordinate().xy)
         key = self.keys[at.y * self.motion.texels.x + at.x]
         if key == sl.uint(0):
-            return OnlyDepth(depth=0.0 if self.is_reversed else 1.0)
-        return OnlyDepth(depth=sl.uint_bits_to_float(key if self.is_reversed else ~key))
+            return DepthOutput(depth=0.0 if self.is_reversed else 1.0)
+        return DepthOutput(depth=sl.uint_bits_to_float(key if self.is_reversed else ~key))
 
 
 class ReprojectedDepth:
@@ -124,9 +124,9 @@ class ReprojectedDepth:
         self._device = device
         self._triangle = device.mesh(3, label="whole target")
         self._motion = device.uniform(Motion(matrix=np.eye(4), pixels=(1.0, 1.0), texels=(1, 1)))
-        self._sized: _Sized | None = None
+        self._resources: _SizedResources | None = None
         self._camera: Camera | None = None  # the camera of the depth that is kept
-        self._knows = False  # whether that depth is of use for the present camera
+        self._is_valid = False  # whether that depth is of use for the present camera
 
     def aim(self, camera: Camera, size: tuple[int, int]) -> tuple[Floats, tuple[object, ...]]:
         """Write the constants of a frame in which `camera` sees an image of `size`, and whose depth is kept.
@@ -135,19 +135,19 @@ class ReprojectedDepth:
         depend on.
         """
         sized, last, direction = self._fit(size), self._camera, camera.projection.depth
-        self._knows = last is not None and last.projection.depth is direction
-        if self._knows:
+        self._is_valid = last is not None and last.projection.depth is direction
+        if self._is_valid:
             assert last is not None
             moved = np.eye(4)
             moved[:3, 3] = last.position - camera.position
             self._motion.write(sized.motion(_matrix(camera) @ moved @ np.linalg.inv(_matrix(last))))
         self._camera = camera
-        return sized.to_texels @ _matrix(camera), (sized, self._knows)
+        return sized.to_texels @ _matrix(camera), (sized, self._is_valid)
 
-    def keep(self, encoder: Encoder, depth: Texture, direction: Depth) -> None:
+    def store(self, encoder: Encoder, depth: Texture, direction: Depth) -> None:
         """Keep `depth`, which was drawn with the camera of `aim`. Must be called outside of passes."""
-        assert self._sized is not None, "aim must be called first"
-        self._sized.farthest.build(encoder, depth, direction)
+        assert self._resources is not None, "aim must be called first"
+        self._resources.farthest.build(encoder, depth, direction)
 
     @contextmanager
     def render_pass(self, encoder: Encoder, direction: Depth) -> Iterator[None]:
@@ -155,16 +155,16 @@ class ReprojectedDepth:
 
         Where nothing is known, the depth is far.
         """
-        sized, device = self._sized, self._device
+        sized, device = self._resources, self._device
         assert sized is not None, "aim must be called first"
-        if not self._knows:
+        if not self._is_valid:
             with encoder.render_pass(depth=sized.target, clear_depth=FAR[direction]):
                 yield
             return
         clear(encoder, sized.keys)
         for shader in (Scatter, FillHoles):
             encoder.dispatch(
-                device.program(of_direction(shader, direction)),
+                device.program(depth_variant(shader, direction)),
                 sized.groups,
                 motion=self._motion,
                 farthest=sized.farthest.farthest,
@@ -172,17 +172,17 @@ class ReprojectedDepth:
             )
         with encoder.render_pass(depth=sized.target):
             with encoder.states(CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS):
-                write: Program[...] = device.program(of_direction(WriteDepth, direction))
+                write: Program[...] = device.program(depth_variant(WriteDepth, direction))
                 encoder.draw(write, self._triangle, motion=self._motion, keys=sized.keys)
             yield
 
-    def _fit(self, size: tuple[int, int]) -> _Sized:
+    def _fit(self, size: tuple[int, int]) -> _SizedResources:
         """Return the resources for images of `size`. A depth kept for another size is discarded."""
-        sized = self._sized
+        sized = self._resources
         if sized is None or sized.size != size:
             if sized is not None:
                 sized.destroy()
-            sized = self._sized = _Sized(self._device, size)
+            sized = self._resources = _SizedResources(self._device, size)
             self._camera = None
         return sized
 
@@ -190,17 +190,17 @@ class ReprojectedDepth:
         """Destroy the resources on the device."""
         self._triangle.destroy()
         self._motion.destroy()
-        if self._sized is not None:
-            self._sized.destroy()
-            self._sized = None
+        if self._resources is not None:
+            self._resources.destroy()
+            self._resources = None
 
 
-class _Sized:
+class _SizedResources:
     """The resources for an image of `size` pixels, which has `texels` in each direction: depths, keys and target."""
 
     def __init__(self, device: Device, size: tuple[int, int]) -> None:
         self.size = size
-        self.farthest = FarthestDepth(device, size, levels=1)
+        self.farthest = DepthPyramid(device, size, levels=1)
         width, height = self.texels = self.farthest.sizes[1]
         self.groups = (-(-width // _GROUP), -(-height // _GROUP))
         self.keys: StorageBuffer[sl.uint] = device.storage(sl.uint, width * height, label="reprojected depths")

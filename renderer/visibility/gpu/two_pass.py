@@ -16,9 +16,9 @@ from renderer.scene import Camera, Depth, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.boxes.cubes import BoxCamera
 from renderer.visibility.gpu.device_culling import DeviceCulling
-from renderer.visibility.gpu.occludees import FindOccludees
+from renderer.visibility.gpu.occludees import ComputeOccludees
 from renderer.visibility.gpu.reprojection import ReprojectedDepth
-from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.scene_drawer import SceneDrawer
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device, Encoder
 
@@ -27,34 +27,36 @@ class TwoPassCulling(DeviceCulling):
     """Draws what the last frame's depth doesn't hide, then what this frame's depth doesn't hide."""
 
     def __init__(self, scene: Scene, device: Device, _: VisibilitySettings = DEFAULTS) -> None:
-        super().__init__(scene, device, FindOccludees)
+        super().__init__(scene, device, ComputeOccludees)
         self._reprojected = ReprojectedDepth(device)
-        self._guessed = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
-        self._exact = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
+        self._reprojected_camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
+        self._camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
 
     @staticmethod
-    def find_obstacle(device: Device) -> str | None:
+    def find_missing_feature(device: Device) -> str | None:
         """Return what a device lacks: also early depth tests, without which hidden boxes mark their objects."""
-        return DeviceCulling.find_obstacle(device) or (None if device.capabilities.early_depth else "early depth tests")
+        return DeviceCulling.find_missing_feature(device) or (
+            None if device.capabilities.early_depth else "early depth tests"
+        )
 
     def _aim(self, camera: Camera, size: tuple[int, int]) -> tuple[object, ...]:
         matrix, key = self._reprojected.aim(camera, size)
-        self._guessed.write(BoxCamera(relative_view_projection=matrix))
-        self._exact.write(BoxCamera(relative_view_projection=camera.relative_view_projection))
+        self._reprojected_camera.write(BoxCamera(relative_view_projection=matrix))
+        self._camera.write(BoxCamera(relative_view_projection=camera.relative_view_projection))
         return key
 
-    def _mark_likely(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
-        with encoder.event("find boxes"):
-            self._occludees.find(encoder, scene_pass.arrays)
+    def _mark_likely(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:
+        with encoder.event("compute boxes"):
+            self._occludees.compute_boxes(encoder, scene_drawer.arrays)
         with encoder.event("test boxes"), self._reprojected.render_pass(encoder, direction):
-            self._occludees.mark_all(encoder, self._guessed, direction)
+            self._occludees.mark_all(encoder, self._reprojected_camera, direction)
 
-    def _mark_missed(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
-        with encoder.event("test boxes"), encoder.render_pass(depth=scene_pass.depth):
-            self._occludees.mark_listed(encoder, self._exact, direction, self.first.hidden, self.first.box_draw)
+    def _mark_missed(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:
+        with encoder.event("test boxes"), encoder.render_pass(depth=scene_drawer.depth):
+            self._occludees.mark_listed(encoder, self._camera, direction, self.first.hidden, self.first.box_draw)
 
-    def _remember(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
-        self._reprojected.keep(encoder, scene_pass.depth, direction)
+    def _remember(self, encoder: Encoder, direction: Depth, scene_drawer: SceneDrawer) -> None:
+        self._reprojected.store(encoder, scene_drawer.depth, direction)
 
     def _count(self) -> VisibilityStatistics:
         count = self._occludees.count
@@ -63,5 +65,5 @@ class TwoPassCulling(DeviceCulling):
     def destroy(self) -> None:
         """Destroy the resources on the device."""
         super().destroy()
-        for part in (self._reprojected, self._guessed, self._exact):
+        for part in (self._reprojected, self._reprojected_camera, self._camera):
             part.destroy()

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene import Camera
-from renderer.scene.arrays import Rows
+from renderer.scene.arrays import Indices
 from renderer.visibility.boxes.bounds import QueryBoxes
 from renderer.visibility.boxes.cubes import BoxCamera, CubeCorner, make_cube
 from rhi import ColorWrite, CullMode, DepthWrite, Device, FrontFace, OcclusionQuery, QuerySet, StateScope
@@ -45,14 +45,14 @@ class QueryBoxShader(Shader):
 
     camera: Uniform[BoxCamera]
     boxes: Storage[QueryBox]
-    turns: Storage[QueryBoxAxes]
+    axes: Storage[QueryBoxAxes]
 
     def vertex(self, v: CubeCorner) -> vec4:
         box = self.boxes[instance_index()]
-        turn = self.turns[instance_index()]
+        turn = self.axes[instance_index()]
         corner = box.half * v.position
-        place = box.centre + turn.x * corner.x + turn.y * corner.y + cross(turn.x, turn.y) * corner.z
-        return self.camera.relative_view_projection @ vec4(place, 1.0)
+        position = box.centre + turn.x * corner.x + turn.y * corner.y + cross(turn.x, turn.y) * corner.z
+        return self.camera.relative_view_projection @ vec4(position, 1.0)
 
     def fragment(self) -> None:
         pass
@@ -69,60 +69,63 @@ class BoxQueries:
         stalled: seconds for which the CPU waited for results since `begin_frame`.
     """
 
-    def __init__(self, device: Device, sizes: Rows, members: Rows, threshold: int = 0, emulated: bool = False) -> None:
-        """`sizes` (n,) is the number of boxes of each node, 1 or more; `members` are their rows, node after node."""
+    def __init__(
+        self, device: Device, sizes: Indices, box_indices: Indices, threshold: int = 0, emulated: bool = False
+    ) -> None:
+        """`sizes` (n,) is the number of boxes of each node, 1 or more; `box_indices` are those of its boxes, node
+        after node."""
         self.device = device
         self.threshold = threshold
         self.emulated = emulated
         self.issued = self.draws = self.boxes = 0
         self.stalled = 0.0
-        self.asked = bytearray(len(sizes))
-        self._none_asked = bytes(len(sizes))
+        self.queried = bytearray(len(sizes))
+        self._none_queried = bytes(len(sizes))
         self._program = device.program(QueryBoxShader)
         self._mesh = make_cube(device)
         self._camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
-        self._make_buffers(max(len(members), 1))
-        self.arrange(sizes, members)
-        self._made: list[OcclusionQuery | QuerySet] = []  # also those in flight, and those of a frame that raised
+        self._make_buffers(max(len(box_indices), 1))
+        self.set_nodes(sizes, box_indices)
+        self._created: list[OcclusionQuery | QuerySet] = []  # also those in flight, and those of a frame that raised
         self._free: list[OcclusionQuery] = []
         self._free_sets: dict[int, list[QuerySet]] = {}  # by size
 
-    def arrange(self, sizes: Rows, members: Rows) -> None:
+    def set_nodes(self, sizes: Indices, box_indices: Indices) -> None:
         """Give the nodes other boxes; the arguments are those of the constructor."""
-        if len(members) > len(self._buffer):
+        if len(box_indices) > len(self._buffer):
             self._buffer.destroy()
-            self._turns.destroy()
-            self._make_buffers(len(members) + len(members) // 2)
-        self._members = members
+            self._axes.destroy()
+            self._make_buffers(len(box_indices) + len(box_indices) // 2)
+        self._box_indices = box_indices
         self._draws = self._mesh.draws(instances=sizes, base_instance=np.cumsum(sizes) - sizes)
         # Rows of `QueryBox` as plain floats: gathering whole rows is ten times as fast as gathering each field.
-        self._rows = np.zeros((len(members), 8), np.float32)
+        self._rows = np.zeros((len(box_indices), 8), np.float32)
         self._directions: tuple[NDArray[np.float32], ...] = (np.zeros((0, 3), np.float32),) * 2  # those on the device
 
     def _make_buffers(self, room: int) -> None:
         self._buffer = self.device.storage(QueryBox, room, label="boxes")
-        self._turns = self.device.storage(QueryBoxAxes, room, label="turns of boxes")
+        self._axes = self.device.storage(QueryBoxAxes, room, label="axes of boxes")
 
     def begin_frame(self, camera: Camera, boxes: QueryBoxes) -> None:
         """Upload the boxes of all nodes, gathered from `boxes`, and reset the counters."""
-        self.asked[:] = self._none_asked
+        self.queried[:] = self._none_queried
         self.issued = self.draws = self.boxes = 0
         self.stalled = 0.0
         self._camera.write(BoxCamera(relative_view_projection=camera.relative_view_projection))
-        rows, members = self._rows, self._members
+        rows, box_indices = self._rows, self._box_indices
         if not len(rows):
             return
         each = np.zeros((len(boxes.centre), 8), np.float32)
         with np.errstate(over="ignore"):  # what is too far for float32 is drawn without a query
             each[:, 0:3] = boxes.centre - camera.position
             each[:, 4:7] = boxes.half
-        each.take(members, axis=0, out=rows, mode="clip")  # "clip" avoids a copy
+        each.take(box_indices, axis=0, out=rows, mode="clip")  # "clip" avoids a copy
         self._buffer.write(rows.view(self._buffer.dtype)[:, 0])
         directions = (boxes.x, boxes.y)
         if not all(map(np.array_equal, self._directions, directions)):
-            turns = np.zeros(len(members), self._turns.dtype)
-            turns["x"], turns["y"] = boxes.x[members], boxes.y[members]
-            self._turns.write(turns)
+            axes = np.zeros(len(box_indices), self._axes.dtype)
+            axes["x"], axes["y"] = boxes.x[box_indices], boxes.y[box_indices]
+            self._axes.write(axes)
             self._directions = directions
 
     def states(self) -> StateScope:
@@ -131,9 +134,9 @@ class BoxQueries:
 
     def issue(self, nodes: Sequence[int]) -> OcclusionQuery:
         """Issue one query for all boxes of `nodes`. Pass the query to `resolve` or `release` later."""
-        asked = self.asked
+        queried = self.queried
         for node in nodes:
-            asked[node] = 1
+            queried[node] = 1
         query = self.acquire()
         draws = self._draws.take(nodes)
         with query:
@@ -143,7 +146,7 @@ class BoxQueries:
                 draws,
                 camera=self._camera,
                 boxes=self._buffer,
-                turns=self._turns,
+                axes=self._axes,
             )
         self.draws += len(draws)
         self.boxes += int(draws["instances"].sum())
@@ -155,13 +158,13 @@ class BoxQueries:
         if self._free:
             return self._free.pop()
         query = self.device.occlusion_query(emulated=self.emulated)
-        self._made.append(query)
+        self._created.append(query)
         return query
 
     def resolve(self, query: OcclusionQuery) -> bool:
         """Return whether more samples than the threshold passed, and release the query. Waits for the result if it is
         not yet available."""
-        samples: int = self._take_answer(query)
+        samples: int = self._read_samples(query)
         self._free.append(query)
         return samples > self.threshold
 
@@ -169,57 +172,58 @@ class BoxQueries:
         """Make a query reusable without reading its result."""
         self._free.append(query)
 
-    def ask(self, nodes: Sequence[int], rows: Sequence[int]) -> QuerySet:
-        """Query the boxes of `nodes` in one call. Node i is counted by row `rows[i]` of the set; nodes with the same
-        row are consecutive, and rows go from 0 up. Pass the set to `read` or `release_set` later."""
-        queries = self._acquire_set(rows[-1] + 1)
+    def issue_set(self, nodes: Sequence[int], query_indices: Sequence[int]) -> QuerySet:
+        """Query the boxes of `nodes` in one call. Node i is counted by query `query_indices[i]` of the set; nodes
+        with the same query are consecutive, and indices go from 0 up. Pass the set to `read` or `release_set`
+        later."""
+        queries = self._acquire_set(query_indices[-1] + 1)
         draws = self._draws.take(nodes)
-        asked = self.asked
+        queried = self.queried
         for node in nodes:
-            asked[node] = 1
+            queried[node] = 1
         try:
             self.device.draw_counted(
                 self._program,
                 self._mesh,
                 draws,
                 queries,
-                np.asarray(rows),
+                np.asarray(query_indices),
                 camera=self._camera,
                 boxes=self._buffer,
-                turns=self._turns,
+                axes=self._axes,
             )
         except BaseException:
             self.release_set(queries)
             raise
-        self.issued += rows[-1] + 1
+        self.issued += query_indices[-1] + 1
         self.draws += len(draws)
         self.boxes += int(draws["instances"].sum())
         return queries
 
-    def _acquire_set(self, rows: int) -> QuerySet:
+    def _acquire_set(self, count: int) -> QuerySet:
         """Return an unused set of at least so many rows, fewer than twice as many."""
-        size = 1 << (rows - 1).bit_length()
+        size = 1 << (count - 1).bit_length()
         free = self._free_sets.setdefault(size, [])
         if free:
             return free.pop()
         queries = self.device.query_set(size, emulated=self.emulated)
-        self._made.append(queries)
+        self._created.append(queries)
         return queries
 
     def read(self, queries: QuerySet) -> list[bool]:
         """Return for each row of a set whether more samples than the threshold passed, and release the set. Waits for
         the results if they are not yet available."""
-        samples: NDArray[np.int64] = self._take_answer(queries)
+        samples: NDArray[np.int64] = self._read_samples(queries)
         self.release_set(queries)
         shows: list[bool] = (samples > self.threshold).tolist()
         return shows
 
-    def _take_answer(self, asked: OcclusionQuery | QuerySet) -> Any:
+    def _read_samples(self, queried: OcclusionQuery | QuerySet) -> Any:
         """Return the samples that a query or each row of a set has counted, and count the time of a wait for them."""
-        if asked.is_finished:
-            return asked.visible_samples
+        if queried.is_finished:
+            return queried.visible_samples
         began = perf_counter()
-        samples = asked.wait()
+        samples = queried.wait()
         self.stalled += perf_counter() - began
         return samples
 
@@ -229,5 +233,5 @@ class BoxQueries:
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        for resource in (*self._made, self._mesh, self._buffer, self._turns, self._camera):
+        for resource in (*self._created, self._mesh, self._buffer, self._axes, self._camera):
             resource.destroy()

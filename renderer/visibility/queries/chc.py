@@ -18,9 +18,9 @@ from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.boxes.forest import NEAR
 from renderer.visibility.queries.query_culling import TreeCulling
-from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.scene_drawer import SceneDrawer
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
-from renderer.visibility.walk import CullingWalk, walk_forest
+from renderer.visibility.traversal import CullingTraversal, forest_traversal
 from rhi import Device, FixedQueue, OcclusionQuery
 
 
@@ -31,81 +31,81 @@ class Chc(TreeCulling):
         super().__init__(scene, device, settings, is_tight=False)
         self._query_queue: FixedQueue[tuple[int, bool, OcclusionQuery]] = FixedQueue(self._room)
 
-    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
+    def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
         """Draw what `camera` sees, and what it saw in the last frame."""
         forest, frontier = self._forest, self._frontier
         queries, query_queue = self._queries, self._query_queue
-        self._memory.follow(self._frame)
+        self._history.refit(self._frame)
         queries.begin_frame(camera, forest.update(camera))
         self._frame += 1
         self._drawn = self._batches = 0
-        self._shown.clear()
+        self._visible_nodes.clear()
         frontier.begin()
         while query_queue:  # left by a frame that raised
             queries.release(query_queue.pop()[2])
         while frontier or query_queue:
             while query_queue and (not frontier or query_queue.front[2].is_finished):
-                self._resolve(*query_queue.pop(), scene_pass)
+                self._resolve(*query_queue.pop(), scene_drawer)
             if frontier:
-                self._visit(frontier.pop(), scene_pass)
-        pull_up(self._shown, self._visible, forest.parent)
+                self._visit(frontier.pop(), scene_drawer)
+        pull_up(self._visible_nodes, self._visible, forest.parent)
         return self._count()
 
-    def _visit(self, node: int, scene_pass: ScenePass) -> None:
+    def _visit(self, node: int, scene_drawer: SceneDrawer) -> None:
         forest, queries, visible = self._forest, self._queries, self._visible
         was_visible = bool(visible[node]) and self._visited[node] == self._frame - 1
         self._visited[node] = self._frame
         visible[node] = 0
         if forest.status[node] == NEAR:
-            self._show(node, scene_pass)
+            self._mark_visible(node, scene_drawer)
         elif not was_visible:
             with queries.states():
                 self._query_queue.push((node, False, queries.issue((node,))))
         elif forest.child[node] < 0:
             query = queries.acquire()
             with query:
-                self._open(node, scene_pass)
+                self._open(node, scene_drawer)
             self._query_queue.push((node, True, query))
         else:
-            self._open(node, scene_pass)
+            self._open(node, scene_drawer)
 
-    def _resolve(self, node: int, is_drawn: bool, query: OcclusionQuery, scene_pass: ScenePass) -> None:
+    def _resolve(self, node: int, is_drawn: bool, query: OcclusionQuery, scene_drawer: SceneDrawer) -> None:
         if not self._queries.resolve(query):
             return
         if is_drawn:
             self._visible[node] = 1
-            self._shown.append(node)
+            self._visible_nodes.append(node)
         else:
-            self._show(node, scene_pass)
+            self._mark_visible(node, scene_drawer)
 
-    def _show(self, node: int, scene_pass: ScenePass) -> None:
+    def _mark_visible(self, node: int, scene_drawer: SceneDrawer) -> None:
         """Note that a node is visible in this frame, and open it."""
         self._visible[node] = 1
-        self._shown.append(node)
-        self._open(node, scene_pass)
+        self._visible_nodes.append(node)
+        self._open(node, scene_drawer)
 
-    def _open(self, node: int, scene_pass: ScenePass) -> None:
+    def _open(self, node: int, scene_drawer: SceneDrawer) -> None:
         """Draw a leaf; have the children of an inner node visited."""
         forest = self._forest
         if forest.child[node] < 0:
-            self._draw(forest.objects((node,)), scene_pass)
+            self._draw(forest.objects((node,)), scene_drawer)
         else:
             self._frontier.open(node)
 
-    def walk(self) -> CullingWalk:
+    def traversal(self) -> CullingTraversal:
         """Return the nodes that the last frame reached. Visible leaves that aren't near are queried by their own
         geometry."""
         forest, visited = self._forest, np.array(self._visited) == self._frame
-        asked = bytearray(
+        queried = bytearray(
             was or (child < 0 and status != NEAR)
-            for was, child, status in zip(self._queries.asked, forest.child, forest.status, strict=True)
+            for was, child, status in zip(self._queries.queried, forest.child, forest.status, strict=True)
         )
-        return walk_forest(forest, visited, self._visible, asked)
+        return forest_traversal(forest, visited, self._visible, queried)
 
 
-def pull_up(shown: list[int], visible: bytearray, parent: list[int]) -> None:
-    """Mark all ancestors of those nodes of `shown` that are (still) visible as visible."""
-    for node in shown:
+def pull_up(nodes: list[int], visible: bytearray, parent: list[int]) -> None:
+    """Mark all ancestors of those nodes of `nodes` that are (still) visible as visible."""
+    for node in nodes:
         if visible[node]:
             above = parent[node]
             while above >= 0 and not visible[above]:

@@ -1,4 +1,5 @@
-"""The common part of algorithms that ask the device: their queries, their trees, and the numbers of a frame."""
+"""Base classes of algorithms that issue occlusion queries: their queries, their trees, and the counters of a
+frame."""
 
 from __future__ import annotations
 
@@ -7,12 +8,12 @@ from typing import Final
 import numpy as np
 
 from renderer.scene import Scene
-from renderer.scene.arrays import Rows
+from renderer.scene.arrays import Indices
 from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.boxes.forest import Forest, Frontier
 from renderer.visibility.queries.box_queries import BoxQueries
-from renderer.visibility.queries.memory import NodeMemory
-from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.queries.node_history import NodeHistory
+from renderer.visibility.scene_drawer import SceneDrawer
 from renderer.visibility.settings import VisibilitySettings
 from rhi import Device
 
@@ -22,23 +23,25 @@ class QueryCulling:
 
     opens_pass: Final = False
 
-    def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings, sizes: Rows, members: Rows) -> None:
-        """`sizes` and `members` are those of `BoxQueries`."""
+    def __init__(
+        self, scene: Scene, device: Device, settings: VisibilitySettings, sizes: Indices, box_indices: Indices
+    ) -> None:
+        """`sizes` and `box_indices` are those of `BoxQueries`."""
         self._objects = scene.objects
-        self._queries = BoxQueries(device, sizes, members, settings.threshold, settings.emulated)
+        self._queries = BoxQueries(device, sizes, box_indices, settings.threshold, settings.emulated)
         self._drawn = self._batches = self._visits = 0
 
     @staticmethod
-    def find_obstacle(device: Device) -> str | None:
+    def find_missing_feature(device: Device) -> str | None:
         """Return what a device lacks to answer occlusion queries."""
         can = device.capabilities
         if not can.shading:
             return "draws that run, to answer its occlusion queries"
         return None if can.occlusion_queries or can.sample_counter else "occlusion queries or a sample counter"
 
-    def _draw(self, rows: Rows, scene_pass: ScenePass) -> None:
-        scene_pass.draw(rows)
-        self._drawn += len(rows)
+    def _draw(self, object_indices: Indices, scene_drawer: SceneDrawer) -> None:
+        scene_drawer.draw(object_indices)
+        self._drawn += len(object_indices)
         self._batches += 1
 
     def _count(self) -> VisibilityStatistics:
@@ -69,8 +72,8 @@ class TreeCulling(QueryCulling):
         boxes = (forest.tight_sizes, forest.tight) if is_tight else (np.ones_like(each), each)
         super().__init__(scene, device, settings, *boxes)
         self._room = max(len(forest), 1)
-        self._memory = NodeMemory(forest)
-        self._visible, self._visited = self._memory.visible, self._memory.visited
+        self._history = NodeHistory(forest)
+        self._visible, self._visited = self._history.visible, self._history.visited
         self._frontier = Frontier(forest)
         self._frame = 0
-        self._shown: list[int] = []
+        self._visible_nodes: list[int] = []

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from renderer.scene import Camera, Scene
-from renderer.visibility.algorithm import VisibilityStatistics, find_visible_objects
-from renderer.visibility.boxes.bounds import see_boxes
+from renderer.visibility.algorithm import VisibilityStatistics, list_visible_objects
+from renderer.visibility.boxes.bounds import compute_query_boxes
 from renderer.visibility.boxes.volumes import TightestBoxes
 from renderer.visibility.frustum import FrustumCulling
 from renderer.visibility.queries.query_culling import QueryCulling
-from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.scene_drawer import SceneDrawer
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device
 
@@ -28,22 +28,24 @@ class StopAndWait(QueryCulling):
         self._frustum = FrustumCulling(scene)
         self._tightest = TightestBoxes(scene)
 
-    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
+    def render(self, camera: Camera, scene_drawer: SceneDrawer) -> VisibilityStatistics:
         """Draw the objects that are not hidden behind nearer ones."""
         lower, upper = self._objects.lower, self._objects.upper
-        rows = find_visible_objects(self._frustum, camera)
-        rows = rows[np.argsort((lower[rows] + upper[rows]) @ camera.forward, kind="stable")]
-        rotated = self._tightest.find()
-        boxes = see_boxes(camera, lower, upper, rotated, rotated.rows)
+        object_indices = list_visible_objects(self._frustum, camera)
+        object_indices = object_indices[
+            np.argsort((lower[object_indices] + upper[object_indices]) @ camera.forward, kind="stable")
+        ]
+        rotated = self._tightest.collect()
+        boxes = compute_query_boxes(camera, lower, upper, rotated, rotated.object_indices)
         near = boxes.near
         queries = self._queries
         queries.begin_frame(camera, boxes)
         self._drawn = self._batches = 0
-        for index, row in enumerate(rows.tolist()):
-            if not near[row]:
+        for index, object_index in enumerate(object_indices.tolist()):
+            if not near[object_index]:
                 with queries.states():
-                    query = queries.issue((row,))
+                    query = queries.issue((object_index,))
                 if not queries.resolve(query):
                     continue
-            self._draw(rows[index : index + 1], scene_pass)
+            self._draw(object_indices[index : index + 1], scene_drawer)
         return self._count()

@@ -11,7 +11,7 @@ from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER
 
 if TYPE_CHECKING:
-    from rhi.backends.cl.backend import ClBackend
+    from rhi.backends.cl.cl_backend import ClBackend
 
 
 def create_backend(*, validation: bool = False) -> ClBackend:
@@ -27,15 +27,15 @@ def create_backend(*, validation: bool = False) -> ClBackend:
         import pyopencl
     except ImportError as error:
         raise DeviceError(DEVICE_DRIVER, "rhi.create_device('cl')", str(error), tip="pip install pyopencl") from error
-    from rhi.backends.cl.pocl.cache import settle_folder
-    from rhi.backends.cl.pocl.drivers import Loading
+    from rhi.backends.cl.pocl.driver_loader import DriverLoader
+    from rhi.backends.cl.pocl.kernel_cache import settle_folder
 
     settle_folder()
-    loading = Loading(pyopencl._cl.__file__)
-    import rhi.shading.opencl.stages  # noqa: F401  # what the first shader needs
-    from rhi.backends.cl.backend import ClBackend
-    from rhi.backends.cl.context import open_context
-    from rhi.backends.cl.errors import translate_errors
+    loading = DriverLoader(pyopencl._cl.__file__)
+    import rhi.shading.opencl.opencl_stages  # noqa: F401  # what the first shader needs
+    from rhi.backends.cl.cl_backend import ClBackend
+    from rhi.backends.cl.cl_context import open_context
+    from rhi.backends.cl.cl_errors import translate_errors
 
     context = open_context(loading)
     with translate_errors("rhi.create_device('cl')"):

@@ -6,9 +6,9 @@
 - The kernel that has taken most time is optimised first.
 - PoCL compiles one kernel at a time per process, and no kernel can be launched while it generates machine code. So
   other processes optimise kernels into the cache (`compiler.py`), from which a thread takes them.
-- `Optimisation.begin` begins that before the kernel is hot, or there at all.
+- `Optimisation.begin` begins the optimisation earlier, even before the kernel exists.
 - `RHI_KERNELS=quick` keeps the first kernels, `RHI_KERNELS=optimised` builds optimised ones at once. Drivers whose
-  cache isn't a folder (`rhi.backends.cl.pocl.cache`) always do the latter.
+  cache isn't a folder (`rhi.backends.cl.pocl.kernel_cache`) always do the latter.
 - The logger `rhi.kernels` reports at level INFO how many kernels are built. Cached kernels aren't reported.
 """
 
@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.context import (
+from rhi.backends.cl.cl_context import (
     FLUSHES_DENORMALS,
     KERNELS_ENVIRONMENT,
     QUICK,
@@ -33,27 +33,28 @@ from rhi.backends.cl.context import (
     build_cached,
 )
 from rhi.backends.cl.pocl.binaries import LARGE_GRID
-from rhi.backends.cl.pocl.cache import Request, make_mark
+from rhi.backends.cl.pocl.kernel_cache import Request, make_mark
 
 if TYPE_CHECKING:
     from rhi.backends.cl.pocl.compiler import Compiler
-    from rhi.backends.cl.pocl.held_programs import HeldProgram
+    from rhi.backends.cl.pocl.program_residency import EvictableProgram
 
 LOGGER: Final = logging.getLogger("rhi.kernels")
 HOT: Final = 0.02
 """Seconds of a kernel's launches after which it is optimised: one frame that is slow, or many that aren't."""
-_MOST_COMPILERS: Final = 4
+_MAX_COMPILERS: Final = 4
 _ARGUMENTS: Final = (np.uint64,)
 """The types of the arguments of kernels that draw: the address of a batch table."""
 
 
 class Launch(NamedTuple):
-    """The launches of a program's kernels by which another process has their machine code generated.
+    """Launches of a program's kernels, which make another process generate their machine code.
 
     Attributes:
         names: the kernels.
-        arguments: those of each kernel: an integer of 32 bits; bytes, which memory begins with before its zeros; or the
-            address of such memory, given as the bytes and the offsets in them of further addresses of zeros.
+        arguments: the arguments of each kernel. An `int` is an integer of 32 bits; bytes are memory that begins with
+            them and goes on with zeros; bytes with offsets are the address of such memory, with addresses of zeros
+            at these offsets.
     """
 
     names: tuple[str, ...]
@@ -61,11 +62,11 @@ class Launch(NamedTuple):
 
 
 class Optimisation:
-    """Optimised kernels, in the course of being built.
+    """A build of optimised kernels.
 
     Attributes:
         request: their source code.
-        launch: how they are launched at first.
+        launch: their first launch.
         program: None until they are built.
         done: the end of the build, with or without success; None until it begins.
         heat: seconds that launches of the kernels to be replaced have taken.
@@ -76,21 +77,20 @@ class Optimisation:
     def __init__(self, request: Request, launch: Launch, builds: Builds) -> None:
         self.request = request
         self.launch = launch
-        self.program: HeldProgram | None = None
+        self.program: EvictableProgram | None = None
         self.done: Future[None] | None = None
         self._builds = builds
         self.heat = 0.0
 
     def warm(self, items: int, seconds: float) -> None:
-        """Count the work-items that the kernels to be replaced are given, and the time of those before; begin when they
-        are hot."""
+        """Add the work-items and the seconds of a launch of the kernels to be replaced; begin when they are hot."""
         self._builds.quick_work += items
         self.heat += seconds
         if self.heat >= HOT and self.done is None:
             self.begin()
 
     def begin(self) -> Future[None]:
-        """Build the kernels, unless that has begun."""
+        """Begin the build, unless it has begun."""
         if self.done is None:
             self.done = self._builds.begin(self)
         return self.done
@@ -101,15 +101,15 @@ class Kernel:
 
     __slots__ = ("_items", "_name", "_optimisation", "_timed", "program")
 
-    def __init__(self, program: HeldProgram, name: str, optimisation: Optimisation | None = None) -> None:
-        """`optimisation`: what is going to replace the kernel, if anything."""
+    def __init__(self, program: EvictableProgram, name: str, optimisation: Optimisation | None = None) -> None:
+        """`optimisation`: the build that is going to replace the kernel, or None."""
         self._name = name
         self._optimisation = optimisation
         self._timed: tuple[cl.Event, int] | None = None  # a launch, and its work-items
         self._items = 0  # of all launches since then
         self._take(program)
 
-    def _take(self, program: HeldProgram) -> None:
+    def _take(self, program: EvictableProgram) -> None:
         self.program = program
 
     @property
@@ -118,10 +118,10 @@ class Kernel:
         return self._optimisation is not None
 
     def optimise(self) -> Future[None] | None:
-        """Begin to optimise the kernel; return the end of that, or None if there is nothing to do."""
+        """Begin to optimise the kernel; return a future of the end, or None if there is nothing to do."""
         return None if self._optimisation is None else self._optimisation.begin()
 
-    def find(self, items: int) -> cl.Kernel:
+    def get(self, items: int) -> cl.Kernel:
         """Return the kernel, of which `items` work-items are going to be launched."""
         self._renew(items)
         return self.program.find(self._name)
@@ -151,8 +151,9 @@ class Kernel:
         return self.watch(cl.enqueue_nd_range_kernel(queue, kernel, (items,), (1,)), items)
 
     def _take_time(self) -> float:
-        """Return the seconds of the launches so far, as soon as the first of them has ended: the others are given as
-        many for each work-item. The next launch is then the first."""
+        """Return the seconds of the launches so far, once the first of them has ended.
+
+        The others are assumed to take the same time per work-item. The next launch is then timed."""
         if self._timed is None:
             return 0.0
         event, items = self._timed
@@ -168,7 +169,7 @@ class Builds:
 
     Attributes:
         built: number of programs compiled in the calling thread, those from the cache not counted.
-        quick_work: the work-items that kernels were given which aren't optimised.
+        quick_work: number of work-items launched of kernels that aren't optimised.
     """
 
     def __init__(self, context: ClContext) -> None:
@@ -196,13 +197,13 @@ class Builds:
         """Return the request for kernels.
 
         Args:
-            names: those that draw. A compute program has none, since its kernel takes other arguments.
+            names: the kernels that draw. A compute program has none, since its kernel takes other arguments.
             flushes_denormals: whether numbers below 2^-126 count as 0 in them.
         """
         return self._cache.request(source, [FLUSHES_DENORMALS] if flushes_denormals else [], names)
 
     def build(self, request: Request, launch: Launch) -> list[Kernel]:
-        """Return the kernels of a request, which are optimised later unless they are in the cache.
+        """Build the kernels of a request; they are optimised later unless they are in the cache.
 
         Raises:
             pyopencl.Error: the driver rejects the source code.
@@ -214,9 +215,9 @@ class Builds:
 
     def is_cached(self, request: Request, launch: Launch) -> bool:
         """Return whether optimised machine code of the kernels is in the cache."""
-        return self._cache.knows(request.key, launch.names)
+        return self._cache.contains(request.key, launch.names)
 
-    def compile(self, request: Request, quick: bool = False) -> HeldProgram:
+    def compile(self, request: Request, quick: bool = False) -> EvictableProgram:
         """Compile source code, or take it from the cache.
 
         Raises:
@@ -230,15 +231,15 @@ class Builds:
         self._count(count, 0)
         try:
             program = build_cached(self._context.context, self._cache, request, stored)
-            return self._hold(program, request)
+            return self._make_evictable(program, request)
         finally:
             self._count(0, count)
 
-    def _hold(self, program: cl.Program, request: Request) -> HeldProgram:
-        return self._context.hold(program, request, _ARGUMENTS if request.kernels else None)
+    def _make_evictable(self, program: cl.Program, request: Request) -> EvictableProgram:
+        return self._context.make_evictable(program, request, _ARGUMENTS if request.kernels else None)
 
     def close(self) -> None:
-        """End the other processes, and what they are doing."""
+        """End the other processes and their builds."""
         with self._lock:
             self._closed = True
             for compiler in self._compilers:
@@ -253,7 +254,8 @@ class Builds:
     # -- in the background -----------------------------------------------------------------------------------
 
     def begin(self, optimisation: Optimisation) -> Future[None]:
-        """Let another process optimise kernels. The future ends without an error, since the kernels at hand remain."""
+        """Queue an optimisation for another process. Its future never has an error: if it fails, the quick
+        kernels stay."""
         done: Future[None] = Future()
         if not self._optimises:
             done.set_result(None)
@@ -261,7 +263,7 @@ class Builds:
         self._count(len(optimisation.launch.names), 0)
         with self._lock:
             self._waiting += 1
-            if self._waiting > len(self._threads) < min(os.cpu_count() or 1, _MOST_COMPILERS):
+            if self._waiting > len(self._threads) < min(os.cpu_count() or 1, _MAX_COMPILERS):
                 thread = threading.Thread(target=self._work, name="rhi kernels", daemon=True)
                 try:
                     thread.start()
@@ -276,7 +278,7 @@ class Builds:
             done.set_result(None)
         return done
 
-    def _find_job(self) -> tuple[Optimisation, Future[None]] | None:
+    def _wait_for_job(self) -> tuple[Optimisation, Future[None]] | None:
         """Return the job whose kernels have taken most time, as soon as there is one; None when the device is closed
         and there is none left."""
         with self._changed:
@@ -284,13 +286,13 @@ class Builds:
                 self._changed.wait()
             if not self._jobs:
                 return None
-            hottest = max(range(len(self._jobs)), key=lambda place: self._jobs[place][0].heat)
+            hottest = max(range(len(self._jobs)), key=lambda index: self._jobs[index][0].heat)
             return self._jobs.pop(hottest)
 
     def _work(self) -> None:
         """Optimise kernels until the device is closed."""
         compiler: Compiler | None = None
-        while (job := self._find_job()) is not None:
+        while (job := self._wait_for_job()) is not None:
             optimisation, done = job
             try:
                 if compiler is None:
@@ -318,22 +320,24 @@ class Builds:
             return compiler
 
     def _optimise(self, compiler: Compiler, optimisation: Optimisation) -> None:
-        """Have kernels compiled into the cache, and load them."""
+        """Compile kernels into the cache in the other process, and load them."""
         from rhi.backends.cl.pocl.compiler import Job
 
-        request, launch, cache = optimisation.request, optimisation.launch, self._cache
-        lock = cache.find_lock(request.key)
-        if not cache.knows(request.key, launch.names):
+        request = optimisation.request
+        launch = optimisation.launch
+        cache = self._cache
+        lock = cache.lock_path(request.key)
+        if not cache.contains(request.key, launch.names):
             if cache.takes_code and cache.read_code(request.key) is None:
                 mark = make_mark()
                 compiler.compile(Job(*request.write(mark), (), (), lock))
-                cache.keep_code(request.key, mark)
+                cache.store_code(request.key, mark)
             compiler.compile(Job(*cache.choose(request), *launch, lock))
             cache.record(request.key)
-        if cache.knows(request.key, launch.names):
+        if cache.contains(request.key, launch.names):
             code, options = cache.choose(request)
             program = build_again(self._context.context, cache.make_binary(request) or code, options)
-            optimisation.program = self._hold(program, request)
+            optimisation.program = self._make_evictable(program, request)
 
     def _count(self, begun: int, done: int) -> None:
         if not begun and not done:

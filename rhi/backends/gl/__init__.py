@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from rhi.backends.gl.platform_states import DepthClamp
 
 if TYPE_CHECKING:
-    from rhi.backends.gl.backend import GlBackend
-    from rhi.backends.gl.host import HostContext
+    from rhi.backends.gl.gl_backend import GlBackend
+    from rhi.backends.gl.gl_host import HostContext
 
 __all__ = ["DepthClamp", "create_backend"]
 
@@ -21,22 +21,22 @@ def create_backend(*, validation: bool = False, context: HostContext | None = No
 
     Args:
         validation: raise the errors that the driver reports as `DeviceError` (`device-debug`). This is slower.
-        context: the context of other code to share textures with and to show pictures in: moderngl's, or `"current"`,
-            the one that is current on this thread. None: the backend stands alone, without a window.
+        context: the context of other code to share textures with and to show images in: moderngl's, or
+            `"current"`, the one that is current on this thread. None: the backend has no window and shares nothing.
 
     Raises:
         DeviceError: `device-driver` if moderngl, EGL or a driver for GL 4.5 is missing; its tip says what to install.
     """
-    from rhi.backends.gl.context import open_context
+    from rhi.backends.gl.gl_context import open_context
 
     shared = None
     if context is None:
         opened = open_context()
     else:
-        from rhi.backends.gl.host import open_shared_context
+        from rhi.backends.gl.gl_host import open_shared_context
 
         opened, shared = open_shared_context(context)
-    from rhi.backends.gl.backend import GlBackend, release_dropped
+    from rhi.backends.gl.gl_backend import GlBackend, release_dropped
 
     release_dropped()
     if validation:

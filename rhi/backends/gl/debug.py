@@ -3,8 +3,8 @@
 - GL reports errors through a callback, and an exception can't leave a callback. So the callback collects the
   messages, and each method of the backend raises them at its end. Debug output is synchronous, so the error names the
   call that caused it.
-- Some drivers report nothing without a debug context, which moderngl can't request (Mesa doesn't need one). This is
-  tested once. For such a driver `glGetError` is called after each method instead.
+- Some drivers report nothing without a debug context, which moderngl can't request (Mesa doesn't need one). A
+  deliberate error at the start shows whether the driver is one of these; `glGetError` then follows each method.
 """
 
 from __future__ import annotations
@@ -20,17 +20,19 @@ from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
 from rhi.backends.gl import enums
-from rhi.backends.gl.backend import GlBackend
 from rhi.backends.gl.entry_points import DEBUG_CALLBACK, EntryPoints
-from rhi.backends.gl.errors import NAMES, drain_errors
-from rhi.backends.gl.host import SharedContext
-from rhi.backends.gl.turns import LoopTests
+from rhi.backends.gl.gl_backend import GlBackend
+from rhi.backends.gl.gl_errors import NAMES, drain_errors
+from rhi.backends.gl.gl_host import SharedContext
+from rhi.backends.gl.loop_checks import LoopChecks
 from rhi.contract.backend import Backend, PreparedQueries
 from rhi.contract.descriptors import BufferDescriptor, Id, Primitive
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DEBUG
 
-_WAITING: Final = frozenset({"read_buffer", "read_texture", "completed", "wait"})  # where the GPU has finished mostly
+_WAITING: Final = frozenset(
+    {"read_buffer", "read_texture", "completed", "wait"}
+)  # calls after which the GPU has mostly finished
 _FATAL: Final = (enums.DEBUG_TYPE_ERROR, enums.DEBUG_TYPE_UNDEFINED_BEHAVIOR)
 
 
@@ -79,18 +81,24 @@ class DebugGlBackend(GlBackend):
     def __init__(self, context: moderngl.Context, shared: SharedContext | None = None) -> None:
         super().__init__(context, shared)
         self._debug = DebugOutput(self.gl)
-        self._loops: LoopTests | None = None
+        self._loop_checks: LoopChecks | None = None
         if shared is None and "llvmpipe" in self.capabilities.device:
-            self._loops = LoopTests(context, self.gl)
-            self._programs.instrument = self._loops.add
+            self._loop_checks = LoopChecks(context, self.gl)
+            self._programs.instrument = self._loop_checks.add
 
     def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
         return lambda slot, offset, size: self.bind_uniform(slot, buffer, offset, size)
 
     def prepare_draw(
-        self, program: Id, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int,
+        self,
+        program: Id,
+        vertex_array: Id,
+        primitive: Primitive,
+        first: int,
+        count: int,
+        base_vertex: int,
         base_instance: int,
-    ) -> Callable[[int], object]:  # fmt: skip
+    ) -> Callable[[int], object]:
         return lambda instances: self.draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
 
     def create_filled_buffer(self, buffer: Id, descriptor: BufferDescriptor, data: BytesLike) -> None:
@@ -106,12 +114,12 @@ class DebugGlBackend(GlBackend):
 
     def make_current(self) -> None:
         super().make_current()
-        self._debug.clear()  # of calls that restore what nobody changed, some are errors
+        self._debug.clear()  # some of the calls that restore states are errors
 
     def check(self, call: Callable[..., object], name: str, *arguments: object) -> Any:
         """Call a function and raise the errors that the driver reports during the call.
 
-        The call is refused if other code has made another context current: earlier ones may be lost.
+        Refuse the call if other code has made another context current, since earlier calls may be lost.
         """
         self.check_context()
         try:
@@ -121,9 +129,9 @@ class DebugGlBackend(GlBackend):
             raise
         message = self._debug.take()
         if message:
-            shown = ", ".join(map(_show, arguments))
-            raise DeviceError(DEVICE_DEBUG, f"{name}({shown})", message)
-        error = self._loops.take() if self._loops is not None and name in _WAITING else None
+            text = ", ".join(map(_format_argument, arguments))
+            raise DeviceError(DEVICE_DEBUG, f"{name}({text})", message)
+        error = self._loop_checks.take() if self._loop_checks is not None and name in _WAITING else None
         if error is not None:
             raise error
         return result
@@ -136,17 +144,19 @@ class _CheckedQueries:
         self._queries = queries
         self._backend = backend
 
-    def draw(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]) -> None:
-        self._backend.check(self._queries.draw, "draw_counted", vertex_array, primitive, draws, rows)
+    def draw(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], query_indices: NDArray[np.int64]
+    ) -> None:
+        self._backend.check(self._queries.draw, "draw_counted", vertex_array, primitive, draws, query_indices)
 
     def draw_conditional(
-        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, rows: NDArray[np.int64]
+        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, query_indices: NDArray[np.int64]
     ) -> None:
         draw = self._queries.draw_conditional
-        self._backend.check(draw, "draw_conditional", vertex_array, primitive, buffer, offset, rows)
+        self._backend.check(draw, "draw_conditional", vertex_array, primitive, buffer, offset, query_indices)
 
-    def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
-        samples: NDArray[np.int64] | None = self._backend.check(self._queries.read, "read_queries", rows)
+    def read(self, query_indices: NDArray[np.int64]) -> NDArray[np.int64] | None:
+        samples: NDArray[np.int64] | None = self._backend.check(self._queries.read, "read_queries", query_indices)
         return samples
 
 
@@ -160,7 +170,7 @@ def _checked(name: str) -> Callable[..., Any]:
     return checked
 
 
-def _show(argument: object) -> str:
+def _format_argument(argument: object) -> str:
     text = repr(argument)
     return text if len(text) <= 60 else text[:57] + "..."
 

@@ -27,7 +27,7 @@ Int: TypeAlias = Annotated[int, ctypes.c_int]
 Size: TypeAlias = Annotated[int, ctypes.c_ssize_t]
 Wide: TypeAlias = Annotated[int, ctypes.c_uint64]
 Real: TypeAlias = Annotated[float, ctypes.c_float]
-Reference: TypeAlias = Annotated[_CArgObject | ctypes.Array[Any] | ctypes.c_void_p | None, ctypes.c_void_p]
+Pointer: TypeAlias = Annotated[_CArgObject | ctypes.Array[Any] | ctypes.c_void_p | None, ctypes.c_void_p]
 """A pointer to a ctypes object."""
 Address: TypeAlias = Annotated[int | None, ctypes.c_void_p]
 """A pointer as a number; None is null."""
@@ -44,11 +44,11 @@ class EntryPoints:
 
     # context
     GetError: Callable[[], Int]
-    GetIntegerv: Callable[[Int, Reference], None]
-    GetInternalformativ: Callable[[Int, Int, Int, Size, Reference], None]
-    GetIntegeri_v: Callable[[Int, Int, Reference], None]
-    GetInteger64v: Callable[[Int, Reference], None]
-    GetFloatv: Callable[[Int, Reference], None]
+    GetIntegerv: Callable[[Int, Pointer], None]
+    GetInternalformativ: Callable[[Int, Int, Int, Size, Pointer], None]
+    GetIntegeri_v: Callable[[Int, Int, Pointer], None]
+    GetInteger64v: Callable[[Int, Pointer], None]
+    GetFloatv: Callable[[Int, Pointer], None]
     GetString: Callable[[Int], Text]
     Flush: Annotated[Callable[[], None], _WAITS]
     Finish: Annotated[Callable[[], None], _WAITS]
@@ -86,21 +86,21 @@ class EntryPoints:
     ProvokingVertex: Callable[[Int], None]
 
     # buffers
-    CreateBuffers: Callable[[Int, Reference], None]
-    DeleteBuffers: Callable[[Int, Reference], None]
+    CreateBuffers: Callable[[Int, Pointer], None]
+    DeleteBuffers: Callable[[Int, Pointer], None]
     BindBuffer: Callable[[Int, Int], None]
     BindBufferBase: Callable[[Int, Int, Int], None]
-    BufferData: Callable[[Int, Size, Reference, Int], None]
-    NamedBufferStorage: Callable[[Int, Size, Reference, Int], None]
+    BufferData: Callable[[Int, Size, Pointer, Int], None]
+    NamedBufferStorage: Callable[[Int, Size, Pointer, Int], None]
     MapNamedBufferRange: Callable[[Int, Size, Size, Int], Address]
-    GetNamedBufferSubData: Annotated[Callable[[Int, Size, Size, Reference], None], _WAITS]
+    GetNamedBufferSubData: Annotated[Callable[[Int, Size, Size, Pointer], None], _WAITS]
     CopyNamedBufferSubData: Callable[[Int, Int, Size, Size, Size], None]
-    ClearNamedBufferSubData: Callable[[Int, Int, Size, Size, Int, Int, Reference], None]
+    ClearNamedBufferSubData: Callable[[Int, Int, Size, Size, Int, Int, Pointer], None]
     MemoryBarrier: Callable[[Int], None]
 
     # textures and samplers
-    CreateTextures: Callable[[Int, Int, Reference], None]
-    DeleteTextures: Callable[[Int, Reference], None]
+    CreateTextures: Callable[[Int, Int, Pointer], None]
+    DeleteTextures: Callable[[Int, Pointer], None]
     TextureStorage2D: Callable[[Int, Int, Int, Int, Int], None]
     TextureStorage3D: Callable[[Int, Int, Int, Int, Int, Int], None]
     TextureStorage2DMultisample: Callable[[Int, Int, Int, Int, Int, Int], None]
@@ -112,38 +112,38 @@ class EntryPoints:
     GetTextureSubImage: Annotated[
         Callable[[Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Address], None], _WAITS
     ]
-    ClearTexImage: Callable[[Int, Int, Int, Int, Reference], None]
+    ClearTexImage: Callable[[Int, Int, Int, Int, Pointer], None]
     CopyImageSubData: Callable[[Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int], None]
     IsTexture: Callable[[Int], Int]
-    GetTextureParameteriv: Callable[[Int, Int, Reference], None]
-    GetTextureLevelParameteriv: Callable[[Int, Int, Int, Reference], None]
+    GetTextureParameteriv: Callable[[Int, Int, Pointer], None]
+    GetTextureLevelParameteriv: Callable[[Int, Int, Int, Pointer], None]
     GenerateTextureMipmap: Callable[[Int], None]
     BindTextureUnit: Callable[[Int, Int], None]
     BindImageTexture: Callable[[Int, Int, Int, Int, Int, Int, Int], None]
-    CreateSamplers: Callable[[Int, Reference], None]
-    DeleteSamplers: Callable[[Int, Reference], None]
+    CreateSamplers: Callable[[Int, Pointer], None]
+    DeleteSamplers: Callable[[Int, Pointer], None]
     SamplerParameteri: Callable[[Int, Int, Int], None]
     SamplerParameterf: Callable[[Int, Int, Real], None]
-    SamplerParameterfv: Callable[[Int, Int, Reference], None]
+    SamplerParameterfv: Callable[[Int, Int, Pointer], None]
     BindSampler: Callable[[Int, Int], None]
 
     # framebuffers
-    CreateFramebuffers: Callable[[Int, Reference], None]
-    DeleteFramebuffers: Callable[[Int, Reference], None]
+    CreateFramebuffers: Callable[[Int, Pointer], None]
+    DeleteFramebuffers: Callable[[Int, Pointer], None]
     NamedFramebufferTexture: Callable[[Int, Int, Int, Int], None]
     NamedFramebufferTextureLayer: Callable[[Int, Int, Int, Int, Int], None]
-    NamedFramebufferDrawBuffers: Callable[[Int, Int, Reference], None]
+    NamedFramebufferDrawBuffers: Callable[[Int, Int, Pointer], None]
     NamedFramebufferParameteri: Callable[[Int, Int, Int], None]
     CheckNamedFramebufferStatus: Callable[[Int, Int], Int]
     BindFramebuffer: Callable[[Int, Int], None]
     BlitNamedFramebuffer: Callable[[Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int], None]
-    ClearBufferfv: Callable[[Int, Int, Reference], None]
-    ClearBufferiv: Callable[[Int, Int, Reference], None]
-    ClearBufferuiv: Callable[[Int, Int, Reference], None]
+    ClearBufferfv: Callable[[Int, Int, Pointer], None]
+    ClearBufferiv: Callable[[Int, Int, Pointer], None]
+    ClearBufferuiv: Callable[[Int, Int, Pointer], None]
     ClearBufferfi: Callable[[Int, Int, Real, Int], None]
 
     # in the host's context, which may be older
-    GenFramebuffers: Callable[[Int, Reference], None]
+    GenFramebuffers: Callable[[Int, Pointer], None]
     FramebufferTexture2D: Callable[[Int, Int, Int, Int, Int], None]
     BlitFramebuffer: Callable[[Int, Int, Int, Int, Int, Int, Int, Int, Int, Int], None]
     IsEnabled: Callable[[Int], Int]
@@ -162,20 +162,20 @@ class EntryPoints:
     VertexArrayAttribIFormat: Callable[[Int, Int, Int, Int, Int], None]
     EnableVertexArrayAttrib: Callable[[Int, Int], None]
     DrawArraysInstancedBaseInstance: Callable[[Int, Int, Int, Int, Int], None]
-    DrawElementsInstancedBaseVertexBaseInstance: Callable[[Int, Int, Int, Reference, Int, Int, Int], None]
+    DrawElementsInstancedBaseVertexBaseInstance: Callable[[Int, Int, Int, Pointer, Int, Int, Int], None]
     MultiDrawArraysIndirect: Callable[[Int, Size, Int, Int], None]
     MultiDrawElementsIndirect: Callable[[Int, Int, Size, Int, Int], None]
     MultiDrawArraysIndirectCountARB: Callable[[Int, Size, Size, Int, Int], None]  # ARB_indirect_parameters
     MultiDrawElementsIndirectCountARB: Callable[[Int, Int, Size, Size, Int, Int], None]
 
     # queries and fences
-    CreateQueries: Callable[[Int, Int, Reference], None]
-    DeleteQueries: Callable[[Int, Reference], None]
+    CreateQueries: Callable[[Int, Int, Pointer], None]
+    DeleteQueries: Callable[[Int, Pointer], None]
     BeginQuery: Callable[[Int, Int], None]
     EndQuery: Callable[[Int], None]
     QueryCounter: Callable[[Int, Int], None]
-    GetQueryiv: Callable[[Int, Int, Reference], None]
-    GetQueryObjectui64v: Callable[[Int, Int, Reference], None]
+    GetQueryiv: Callable[[Int, Int, Pointer], None]
+    GetQueryObjectui64v: Callable[[Int, Int, Pointer], None]
     BeginConditionalRender: Callable[[Int, Int], None]
     EndConditionalRender: Callable[[], None]
     FenceSync: Callable[[Int, Int], Address]
@@ -183,7 +183,7 @@ class EntryPoints:
     DeleteSync: Callable[[Address], None]
 
     # debug output
-    DebugMessageCallback: Callable[[Reference, Reference], None]
+    DebugMessageCallback: Callable[[Pointer, Pointer], None]
     PushDebugGroup: Callable[[Int, Int, Int, Text], None]
     PopDebugGroup: Callable[[], None]
     ObjectLabel: Callable[[Int, Int, Int, Text], None]
@@ -226,7 +226,7 @@ def _make_prototype(hint: Any) -> Any:
     waits = typing.get_origin(hint) is Annotated
     arguments, result = typing.get_args(typing.get_args(hint)[0] if waits else hint)
     factory = ctypes.CFUNCTYPE if waits else ctypes.PYFUNCTYPE
-    if all(argument in (Int, Reference) for argument in arguments):
+    if all(argument in (Int, Pointer) for argument in arguments):
         return factory(_ctype(result))
     return factory(_ctype(result), *map(_ctype, arguments))
 

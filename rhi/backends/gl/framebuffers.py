@@ -7,7 +7,7 @@ from typing import Final, TypeAlias
 
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
-from rhi.backends.gl.textures import Textures
+from rhi.backends.gl.gl_textures import Textures
 from rhi.contract.descriptors import Attachment, DepthAttachment, Id, PassDescriptor, TextureKind
 from rhi.contract.formats import ChannelKind
 from rhi.errors import DeviceError
@@ -28,7 +28,7 @@ class Framebuffers:
         self._keys: dict[Id, set[_AttachmentKey]] = {}  # by texture
         self._attached: dict[_AttachmentKey, set[Id]] = {}
 
-    def find(self, descriptor: PassDescriptor) -> int:
+    def get_or_create(self, descriptor: PassDescriptor) -> int:
         """Return GL's name of the framebuffer for a pass, creating it on first use."""
         colors, depth = descriptor.colors, descriptor.depth
         key: _AttachmentKey = tuple((color.texture, color.level, color.layer) for color in colors)
@@ -38,7 +38,7 @@ class Framebuffers:
             key = (descriptor.size, descriptor.samples)
         return self._names.get(key) or self._create(key, descriptor)
 
-    def find_color(self, texture: Id) -> int:
+    def get_for_color(self, texture: Id) -> int:
         """Return GL's name of a framebuffer whose only attachment is level 0, layer 0 of `texture`, for resolves."""
         key = ((texture, 0, 0),)
         descriptor = PassDescriptor(self._textures[texture].descriptor.size, (Attachment(texture),))
@@ -48,7 +48,9 @@ class Framebuffers:
         """Delete the framebuffers that have `texture` as an attachment."""
         for key in list(self._keys.get(texture, ())):
             self._gl.delete(self._gl.DeleteFramebuffers, self._names.pop(key))
-            for attached in self._attached.pop(key):  # a texture may outlive thousands that it was used with
+            for attached in self._attached.pop(
+                key
+            ):  # a texture may outlive thousands of textures that it shared a framebuffer with
                 self._keys[attached].remove(key)
         self._keys.pop(texture, None)
 

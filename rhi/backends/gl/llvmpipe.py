@@ -1,14 +1,15 @@
-"""Mesa's software rasteriser llvmpipe, where it needs more than OpenGL asks for.
+"""Workarounds for Mesa's software rasteriser, llvmpipe.
 
 - **Freed memory stays in the C heap.** For each draw whose uniforms changed, llvmpipe stores 18 kB (a copy of all its
   state), and frees them when the scene is done. Above a threshold of 128 kB, glibc returns freed memory at the end of
   its heap to the system. Each draw then costs four page faults to get it back: 11 µs a draw instead of 1.8
   (`docs/backends-gl.md`).
-- **Draws are finished before llvmpipe itself reads textures.** It draws on threads of its own. What is not a fragment
-  runs elsewhere, at once: reads and copies of textures, work groups, vertex stages. Before these, llvmpipe asks whether
-  a texture is in use by a pass that isn't finished. It takes the first pass that uses it: if that one samples the
-  texture, and a later one draws it, the draw isn't waited for, and the old texels are read (Mesa 22.3). So the backend
-  waits for all draws there. Other drivers keep the order that GL asks for, so nothing is waited for.
+- **Draws are finished before llvmpipe itself reads textures.** It draws on threads of its own. Everything but
+  fragments runs elsewhere, at once: reads and copies of textures, work-groups, vertex stages. Before these,
+  llvmpipe asks whether a texture is in use by a pass that isn't finished. It takes the first pass that uses
+  it: if that one samples the texture, and a later one draws it, the draw isn't waited for, and the old texels
+  are read (Mesa 22.3). So the backend waits for all draws there. Other drivers keep the order that GL asks
+  for, so nothing is waited for.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class UnfinishedDraws:
     __slots__ = ("_draws", "_gl", "_keeps_order")
 
     def __init__(self, gl: EntryPoints, keeps_order: bool) -> None:
-        """`keeps_order`: whether the driver itself waits for the draws of a texture that it reads."""
+        """`keeps_order`: whether the driver itself waits for draws to a texture before it reads it."""
         self._gl = gl
         self._keeps_order = keeps_order
         self._draws = False
@@ -54,7 +55,7 @@ class UnfinishedDraws:
         self._draws = not self._keeps_order
 
     def finish(self) -> None:
-        """Wait until all textures are drawn, if the driver may not."""
+        """Wait for all draws to textures, if the driver doesn't do so itself."""
         if self._draws:
             self._gl.Finish()
             self._draws = False

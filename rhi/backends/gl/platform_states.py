@@ -1,4 +1,4 @@
-"""States that only OpenGL has here: they are used where `capabilities.platform_states` names them."""
+"""States that only the GL backend supports; `capabilities.platform_states` lists them."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Quads, which GL's core profile lacks. They are drawn as indexed triangles 0 1 2, 0 2 3 of each quad.
 
 Quads without indices share one index buffer. The indices of others are read back, which waits for the GPU, and expanded
-once: the result is kept until a command changes them. Where that can't be seen (memory that is mapped, and buffers that
-shaders may write), each draw expands anew what it draws.
+once: the result is kept until a command changes them. Changes of mapped memory, and of buffers that shaders may write,
+can't be observed; draws from such a buffer expand their indices each time.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.backends.gl.buffers import Buffers
+from rhi.backends.gl.gl_buffers import Buffers
 from rhi.contract.descriptors import Id
 from rhi.contract.formats import IndexFormat
 
@@ -32,7 +32,7 @@ class QuadIndices:
         self._buffer: moderngl.Buffer | None = None
         self._capacity = 0
         self._expanded: dict[Id, dict[tuple[IndexFormat, int], moderngl.Buffer]] = {}
-        self._latest: moderngl.Buffer | None = None  # that wasn't kept
+        self._latest: moderngl.Buffer | None = None  # of the latest draw whose indices can't be kept
 
     def release(self) -> None:
         """Release all buffers."""
@@ -54,8 +54,8 @@ class QuadIndices:
             first: the first index of `quads` quads.
         """
         corner = first % 4  # where the first quad of all begins
-        kept = self._expanded.get(buffer, {}).get((form, corner))
-        if kept is None:
+        expanded = self._expanded.get(buffer, {}).get((form, corner))
+        if expanded is None:
             self._check_context()
             if self._latest is not None:
                 self._latest.release()
@@ -66,9 +66,9 @@ class QuadIndices:
                 return self._latest.glo, 0
             whole = (self._buffers.objects[buffer].size // form.size - corner) // 4
             data = self._buffers.read(buffer, corner * form.size, 4 * whole * form.size)
-            kept = self._context.buffer(expand_indices(data, form))
-            self._expanded.setdefault(buffer, {})[form, corner] = kept
-        return kept.glo, first // 4 * CORNERS.size * form.size
+            expanded = self._context.buffer(expand_indices(data, form))
+            self._expanded.setdefault(buffer, {})[form, corner] = expanded
+        return expanded.glo, first // 4 * CORNERS.size * form.size
 
     def _forget(self, buffer: Id) -> None:
         for expanded in self._expanded.pop(buffer, {}).values():

@@ -5,15 +5,15 @@
 """
 
 from rhi.backends.null.answers import AnswerLog, RecordedAnswers
-from rhi.backends.null.backend import ExecutionStatistics, NullBackend
-from rhi.backends.null.capabilities import PROFILES, find_profile
-from rhi.backends.null.draws import Draw, ExecutedIndirectDraws
 from rhi.backends.null.faults import FaultInjector, Faults
+from rhi.backends.null.null_backend import ExecutionStatistics, NullBackend
+from rhi.backends.null.null_capabilities import PROFILES, get_profile
+from rhi.backends.null.null_draws import Draw, ExecutedIndirectDraws
 from rhi.backends.null.shaders import StandIn
 from rhi.backends.null.simulation.activity import Activity, ActivityTimeline, FrameActivity, Lane, Span
-from rhi.backends.null.simulation.backend import SimulatedBackend, Simulation
 from rhi.backends.null.simulation.cost import CommandWork, CostModel
 from rhi.backends.null.simulation.hazards import Hazard, HazardKind
+from rhi.backends.null.simulation.simulated_backend import SimulatedBackend, Simulation
 from rhi.contract.backend import Backend, Capabilities
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT
@@ -65,6 +65,6 @@ def create_backend(
     for name, value, kind in (("simulation", simulation, Simulation), ("faults", faults, Faults)):
         if not isinstance(value, (kind, type(None))):  # `rhi.create_device` forwards any value
             refuse(DEVICE_ARGUMENT, f"{name}=", repr(value), f"a {kind.__name__}, or None")
-    capabilities = find_profile(profile)
+    capabilities = get_profile(profile)
     backend = NullBackend(capabilities) if simulation is None else SimulatedBackend(simulation, capabilities)
     return backend if faults is None else FaultInjector(backend, faults)

@@ -1,4 +1,4 @@
-"""The answers of queries, on a device that rasterises nothing.
+"""Results of queries, on a device that rasterises nothing.
 
 - Answers come from a number, a script, a mapping by query, a function, or a run on another backend.
 - An answer belongs to one use of a query: its n-th begin (for a counter, its n-th write).
@@ -44,23 +44,22 @@ Answers: TypeAlias = int | Sequence[int | None] | Mapping[Id, int] | Callable[[I
 id; a function of the id; or the answers of another run. None, a missing key and the end of a script mean unknown."""
 
 AnswerFunction: TypeAlias = Callable[[Id, int, int], object]
-"""A function from a query, the number of its use, and its place in the order of ended queries (−1: none) to
-samples."""
+"""A function (query id, number of its use, index among the ended queries or −1) → samples."""
 
 
 def make_answer_function(answers: Answers) -> AnswerFunction:
     """Return answers of any form as one function, which returns None for unknown answers."""
     given: Any = answers
     if isinstance(answers, RecordedAnswers):
-        return lambda query, use, place: answers.samples.get((query, use))
+        return lambda query, use, result_index: answers.samples.get((query, use))
     if callable(answers):
-        return lambda query, use, place: given(query)
+        return lambda query, use, result_index: given(query)
     if isinstance(answers, Mapping):
-        return lambda query, use, place: given.get(query)
+        return lambda query, use, result_index: given.get(query)
     if isinstance(answers, Sequence) and not isinstance(answers, str):
         script = tuple(answers)
-        return lambda query, use, place: script[place] if 0 <= place < len(script) else None
-    return lambda query, use, place: given
+        return lambda query, use, result_index: script[result_index] if 0 <= result_index < len(script) else None
+    return lambda query, use, result_index: given
 
 
 class AnswerLog(ForwardingBackend):

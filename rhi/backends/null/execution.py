@@ -1,4 +1,4 @@
-"""The state while commands are executed: that of a `StreamContext`, and whether conditional rendering drops draws.
+"""The state while commands are executed: a `StreamContext`, and whether conditional rendering drops draws.
 
 The condition is unknown if the samples of its query are. Its draws are then neither executed nor dropped but
 *undecided*: they are counted as such, and sample counts that include them become unknown.
@@ -36,11 +36,11 @@ class ExecutionState(StreamContext):
         super().__init__()
         self.outcome = DrawOutcome.EXECUTED
 
-    def find(self, resource: Id, kind: type[D]) -> D:
+    def get(self, resource: Id, kind: type[D]) -> D:
         """Return the descriptor of a resource of this kind."""
-        found = self.resources[resource]
-        assert isinstance(found, kind)
-        return found
+        value = self.resources[resource]
+        assert isinstance(value, kind)
+        return value
 
     def decide(self, samples: int | None, inverted: bool) -> None:
         """Begin conditional rendering on a query that counted `samples`, None if unknown."""

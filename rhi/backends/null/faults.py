@@ -1,4 +1,4 @@
-"""Fault injection: a backend in front of the null one that fails as real devices do, at chosen places.
+"""Fault injection: a backend in front of the null backend that fails like real devices, at selected calls.
 
 - A `Faults` says what fails, and when. `Faults.from_seed` chooses one fault for a program from a clean run of it.
 - A creation or compilation that fails never reaches the backend behind, as the contract requires. A lost device stays
@@ -15,7 +15,7 @@ from types import CodeType
 from typing import Any
 
 from rhi.commands.ops import CREATIONS, Op
-from rhi.commands.recorder import ForwardingBackend, pass_on
+from rhi.commands.recorder import ForwardingBackend, forward
 from rhi.commands.stream import CommandStream
 from rhi.contract.backend import Backend
 from rhi.contract.descriptors import Id, ProgramDescriptor, QueryKind
@@ -50,23 +50,23 @@ class Faults:
         ops = Counter(command.op for command in stream)
         creations = sum(ops[op] for op in CREATIONS)
         generator = random.Random(seed)
-        places = {
+        counts = {
             "memory": creations,
             "compilation": ops[Op.CREATE_PROGRAM],
             "loss": len(stream),
             "silent_query": ops[Op.CREATE_QUERY],
         }
-        kinds = [kind for kind, count in places.items() if count] + ["late_frames"] * bool(ops[Op.PRESENT])
+        kinds = [kind for kind, count in counts.items() if count] + ["late_frames"] * bool(ops[Op.PRESENT])
         if not kinds:
             return cls()
         kind = generator.choice(kinds)
         if kind == "late_frames":
             return cls(late_frames=generator.randint(1, 4))
-        return cls(**{kind: generator.randrange(places[kind])})
+        return cls(**{kind: generator.randrange(counts[kind])})
 
 
 class FaultInjector(ForwardingBackend):
-    """A backend that forwards calls to another, and fails where its `faults` say so."""
+    """A backend that forwards calls to another, and injects its `faults`."""
 
     METHOD = """\
     self._enter({op})
@@ -83,13 +83,14 @@ class FaultInjector(ForwardingBackend):
         self._lost = False
         self._presented = 0
         self._signalled: dict[int, int] = {}  # by fence value not yet seen, the number of frames presented before
-        self._seen = 0
+        self._observed = 0
         self._silent: Id = 0
 
-    def pass_on(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
-        """Forward a command of a command buffer with its call site; never one that this class defines."""
+    def forward(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
+        """Forward a command of a command buffer with its call site. It is none of the commands that this class
+        defines."""
         self._enter(op)
-        pass_on(self.backend, op, arguments, code, offset)
+        forward(self.backend, op, arguments, code, offset)
 
     # -- faults ------------------------------------------------------------------------------------------
 
@@ -144,20 +145,20 @@ class FaultInjector(ForwardingBackend):
         for value in sorted(self._signalled):
             if value > reached or self._signalled[value] + self.faults.late_frames > self._presented:
                 break
-            self._see(value)
-        return self._seen
+            self._observe(value)
+        return self._observed
 
     def wait(self, value: int, seconds: float) -> bool:
         self._enter(Op.WAIT)
         missing = self._signalled.get(value, 0) + self.faults.late_frames - self._presented
-        if value > self._seen and missing * FRAME_SECONDS > seconds:
+        if value > self._observed and missing * FRAME_SECONDS > seconds:
             return False
         reached = self.backend.wait(value, seconds)
         if reached:
-            self._see(value)
+            self._observe(value)
         return reached
 
-    def _see(self, value: int) -> None:
-        self._seen = max(self._seen, value)
+    def _observe(self, value: int) -> None:
+        self._observed = max(self._observed, value)
         for each in [each for each in self._signalled if each <= value]:
             del self._signalled[each]

@@ -15,10 +15,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.backends.null.buffers import Buffers
-from rhi.backends.null.draws import Draw
 from rhi.backends.null.execution import ExecutionState
-from rhi.backends.null.textures import Textures
+from rhi.backends.null.null_buffers import Buffers
+from rhi.backends.null.null_draws import Draw
+from rhi.backends.null.null_textures import Textures
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, SamplerDescriptor, Stage
 from rhi.contract.layout import Layout, dtype_of, element_dtype
 
@@ -62,7 +62,7 @@ class Shaders:
                 name: bound.reshape(-1).view(np.uint32) if isinstance(bound, np.ndarray) else bound
                 for name, bound in self._bound(program).items()
             }
-            self._kernel(self._state.find(program, ProgramDescriptor)).launch(groups, memory)
+            self._kernel(self._state.get(program, ProgramDescriptor)).launch(groups, memory)
 
     def _kernel(self, descriptor: ProgramDescriptor) -> Any:
         kernel = self._kernels.get(descriptor)
@@ -74,30 +74,31 @@ class Shaders:
         return kernel
 
     def _bound(self, program: Id) -> dict[str, Any]:
-        return {one.name: self._find(one) for one in self._state.find(program, ProgramDescriptor).bindings}
+        bindings = self._state.get(program, ProgramDescriptor).bindings
+        return {binding.name: self._bound_value(binding) for binding in bindings}
 
-    def _find(self, binding: Binding) -> Any:
-        name, *place = self._state.slots[binding.kind, binding.slot]
+    def _bound_value(self, binding: Binding) -> Any:
+        name, *location = self._state.slots[binding.kind, binding.slot]
         if binding.kind is BindingKind.TEXTURE:
-            return self._texture(binding, name, place[0])
+            return self._texture(binding, name, location[0])
         if binding.kind is BindingKind.IMAGE:
-            return self._image(binding, name, *place)
-        offset, size = place
+            return self._image(binding, name, *location)
+        offset, size = location
         return _view(self._buffers.memory[name][offset : offset + size], binding)
 
     def _texture(self, binding: Binding, name: Id, sampler: Id) -> Any:
-        from rhi.shading.numpy.textures import HostTexture
+        from rhi.shading.numpy.host_textures import HostTexture
 
         texture = self._textures.textures[name]
         return HostTexture(
             texture.levels,
             texture.descriptor.format,
             texture.descriptor.kind,
-            self._state.find(sampler, SamplerDescriptor),
+            self._state.get(sampler, SamplerDescriptor),
         )
 
     def _image(self, binding: Binding, name: Id, level: int, layer: int) -> Any:
-        from rhi.shading.numpy.textures import HostTexture
+        from rhi.shading.numpy.host_textures import HostTexture
 
         texture = self._textures.textures[name]
         texels = texture.levels[level]

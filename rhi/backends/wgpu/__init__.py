@@ -11,7 +11,7 @@ from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER
 
 if TYPE_CHECKING:
-    from rhi.backends.wgpu.backend import WgpuBackend
+    from rhi.backends.wgpu.wgpu_backend import WgpuBackend
 
 __all__ = ["create_backend", "find_obstacle"]
 
@@ -29,8 +29,8 @@ def create_backend(*, validation: bool = False) -> WgpuBackend:
     except (ImportError, OSError, RuntimeError) as error:
         call, tip = "rhi.create_device('wgpu')", 'pip install "rhi[wgpu]"'
         raise DeviceError(DEVICE_DRIVER, call, str(error), tip=tip) from error
-    from rhi.backends.wgpu.backend import WgpuBackend
-    from rhi.backends.wgpu.host import open_host
+    from rhi.backends.wgpu.adapters import open_host
+    from rhi.backends.wgpu.wgpu_backend import WgpuBackend
 
     return WgpuBackend(open_host())
 

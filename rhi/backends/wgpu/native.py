@@ -1,10 +1,9 @@
 """wgpu-native's own functions: what wgpu-py lacks (fences, submissions) or makes slow (draws).
 
-- This is the only module that knows the C interface. wgpu-py promises nothing about it, so its version is pinned.
-- `lib` has the functions as they are: their errors are those of the encoder, which is checked when it is finished.
+- This is the only module that uses the C interface. wgpu-py gives no guarantees for it, so its version is pinned.
+- `lib` has the functions as they are. Their errors surface when the encoder is finished.
   `checked` has the same functions, and raises their errors at once.
-- A handle that was released would end the process. So handles are taken from objects that the tables of the backend
-  keep, and whoever keeps a handle keeps its object.
+- Using a released handle aborts the process. So whoever stores a handle also stores its object.
 """
 
 from __future__ import annotations
@@ -21,9 +20,22 @@ from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER
 
 __all__ = [
-    "NEVER_SLICED", "NULL", "VERSION", "Fence", "GpuObject", "Handle", "Mappings", "check_version", "checked", "ffi",
-    "keep_callbacks", "lib", "release", "timestamp_period", "write_queue",
-]  # fmt: skip
+    "NEVER_SLICED",
+    "NULL",
+    "VERSION",
+    "Fence",
+    "GpuObject",
+    "Handle",
+    "Mappings",
+    "check_version",
+    "checked",
+    "ffi",
+    "lib",
+    "release",
+    "retain_callbacks",
+    "timestamp_period",
+    "write_queue",
+]
 
 VERSION: Final = "0.32"
 """The version of wgpu-py whose C interface this module is written for."""
@@ -50,9 +62,10 @@ _FUNCTIONS: Final = (
 
 
 def _parse_types() -> None:
-    """Let cffi parse the types of the interface at once: it would parse each when it is first named, and read all names
-    of types again for each, which took .8 of the time to the first picture. It keeps what it has parsed by its text."""
-    parsed = getattr(ffi, "_parsed_types", {})  # were it renamed, only time would be lost
+    """Make cffi parse all types of the interface at once. Left alone, it parses each type when it is first
+    named, and reads all type names again each time: 80 % of the time to the first frame. It caches parsed types
+    by their text."""
+    parsed = getattr(ffi, "_parsed_types", {})  # if it is renamed, only time is lost
     names = [name for name in ffi.list_types()[0] if name.startswith("WGPU") and not name.startswith("WGPUProc")]
     names += ["char", "uint32_t"]
     pointers = ", ".join(f"{name} *, {name}(*)[]" for name in names)
@@ -81,16 +94,17 @@ def check_version() -> None:
 
 
 _callbacks: Final[list[Any]] = []
-"""Callbacks of all devices: what a lost device has not done may call them as late as the process ends."""
+"""Callbacks of all devices. The unfinished work of a lost device may call them as late as the end of the
+process."""
 
 
-def keep_callbacks(device: GpuObject) -> None:
-    """Let the callbacks of wgpu-py outlive their device, which calls them when it is lost or released."""
+def retain_callbacks(device: GpuObject) -> None:
+    """Keep the callbacks of wgpu-py alive beyond their device, which calls them when it is lost or released."""
     _callbacks.extend((device._uncaptured_error_callback, device._device_lost_callback))
 
 
 def release(device: GpuObject) -> None:
-    """Destroy a device, and give its handle back while its callbacks exist."""
+    """Destroy a device, and release its handle while its callbacks exist."""
     device.destroy()
     device._release()
 
@@ -130,7 +144,7 @@ class Fence:
         return self.reached
 
     def process(self) -> None:
-        """Let the callbacks of all that is done be called."""
+        """Run the callbacks of all finished work."""
         lib.wgpuDevicePoll(self._device, False, NULL)
 
     def finish(self, submission: int) -> None:
@@ -151,7 +165,7 @@ def _make_done_callback(fence: Fence) -> Any:
 
 
 class Mappings:
-    """Reads of buffers that the CPU may map, without the threads that wgpu-py would start for them."""
+    """Maps buffers for reading, without the threads that wgpu-py would start for it."""
 
     def __init__(self) -> None:
         self._status: dict[int, int] = {}
@@ -166,7 +180,7 @@ class Mappings:
         _callbacks.append(mapped)
 
     def begin(self, buffer: GpuObject, size: int) -> int:
-        """Begin to map the first bytes of a buffer once all that was submitted is done; return a ticket."""
+        """Begin to map the first bytes of a buffer after all submitted work; return a ticket."""
         self._latest += 1
         info = ffi.new("WGPUBufferMapCallbackInfo *")
         info.mode = lib.WGPUCallbackMode_AllowProcessEvents
@@ -176,7 +190,7 @@ class Mappings:
         return self._latest
 
     def is_done(self, ticket: int) -> bool:
-        """Return whether the buffer is mapped."""
+        """Whether the buffer is mapped."""
         return ticket in self._status
 
     def end(self, ticket: int, buffer: GpuObject, offset: int, size: int) -> bytes:
@@ -191,10 +205,10 @@ class Mappings:
 
 def write_queue(device: GpuObject, buffer: Handle, offset: int, data: Any, start: int, size: int) -> None:
     """Write a part of `data`, a buffer of Python, before the next submission. Offset and size are multiples of 4."""
-    with ffi.from_buffer("uint8_t[]", data) as source:  # released at once: an error would keep it in a ring
+    with ffi.from_buffer("uint8_t[]", data) as source:  # released at once: else an error keeps it in a cycle
         checked.wgpuQueueWriteBuffer(device.queue._internal, buffer, offset, source + start, size)
 
 
 def timestamp_period(device: GpuObject) -> float:
-    """Return the nanoseconds of a timestamp's unit."""
+    """The unit of timestamps, in nanoseconds."""
     return float(lib.wgpuQueueGetTimestampPeriod(device.queue._internal))

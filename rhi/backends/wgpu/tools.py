@@ -1,4 +1,4 @@
-"""Programs of this backend's own: what WebGPU's copies lack.
+"""The backend's own programs, for copies that WebGPU lacks.
 
 - Depth is read by a compute stage, since copies of 24-bit depth don't exist; stencil too.
 - A part of a depth texture is copied by drawing it. Stencil has no output, so it is drawn bit by bit: bits are zeroed,
@@ -17,8 +17,8 @@ import numpy as np
 import wgpu
 from numpy.typing import NDArray
 
-from rhi.backends.wgpu.buffers import Buffers
 from rhi.backends.wgpu.native import GpuObject
+from rhi.backends.wgpu.wgpu_buffers import Buffers
 from rhi.contract.descriptors import Region
 
 DEPTH_READ: Final = """
@@ -80,7 +80,7 @@ fn taps(at: u32, size: u32) -> vec3<f32> {{  // weights of the texels from 2 at 
   return sum;
 }}
 """
-_SHOW: Final = f"""
+_BLIT: Final = f"""
 @group(0) @binding(0) var source: texture_2d<f32>;
 @group(0) @binding(1) var<uniform> p: vec4<u32>;  // the target's size
 {_TRIANGLE}
@@ -93,7 +93,7 @@ LIST_DRAWS: Final = """
 @group(0) @binding(0) var<storage, read> source: array<u32>;
 @group(0) @binding(1) var<storage, read> counts: array<u32>;
 @group(0) @binding(2) var<storage, read_write> out: array<u32>;
-@group(0) @binding(3) var<uniform> p: array<vec4<u32>, 2>;  // offset, stride, draws, words; the count's place, if any
+@group(0) @binding(3) var<uniform> p: array<vec4<u32>, 2>;  // offset, stride, draws, words; the count's index, if any
 @compute @workgroup_size(64) fn main(@builtin(global_invocation_id) id: vec3<u32>) {
   if (id.x >= p[0].z) { return; }
   let keep = p[1].y == 0u || id.x < counts[p[1].x];
@@ -131,13 +131,13 @@ class Tools:
     def __init__(self, device: GpuObject, buffers: Buffers) -> None:
         self.device = device
         self.buffers = buffers
-        self._made: dict[object, Any] = {}
+        self._cache: dict[object, Any] = {}
 
-    def find(self, key: object, make: Callable[[], Any]) -> Any:
+    def get_or_create(self, key: object, make: Callable[[], Any]) -> Any:
         """Return the tool of this key, making it on first use."""
-        if key not in self._made:
-            self._made[key] = make()
-        return self._made[key]
+        if key not in self._cache:
+            self._cache[key] = make()
+        return self._cache[key]
 
     def constants(self, values: Sequence[int], kind: type[np.generic] = np.uint32) -> dict[str, GpuObject]:
         """Return constants as the resource of a group."""
@@ -152,7 +152,7 @@ class Tools:
         self, encoder: GpuObject, code: str, resources: Sequence[object], x: int, y: int = 1, z: int = 1
     ) -> None:
         """Run the compute program of this text on `x * y * z` work-groups."""
-        pipeline = self.find(code, lambda: self._compute_pipeline(code))
+        pipeline = self.get_or_create(code, lambda: self._compute_pipeline(code))
         with_pass = encoder.begin_compute_pass()
         with_pass.set_pipeline(pipeline)
         with_pass.set_bind_group(0, self.group(pipeline, resources))
@@ -167,13 +167,13 @@ class Tools:
         """Draw a level of a texture from the view of the one above."""
         self._draw(encoder, _HALVE, form, [source], target)
 
-    def show(self, encoder: GpuObject, source: GpuObject, target: GpuObject) -> None:
-        """Draw what a view shows to all of a texture of any size, opaque."""
+    def blit(self, encoder: GpuObject, source: GpuObject, target: GpuObject) -> None:
+        """Draw a view over the whole of a texture of any size, opaque."""
         size = self.constants([*target.size[:2], 0, 0])
-        self._draw(encoder, _SHOW, target.format, [source, size], target.create_view())
+        self._draw(encoder, _BLIT, target.format, [source, size], target.create_view())
 
     def _draw(self, encoder: GpuObject, code: str, form: str, resources: Sequence[object], target: GpuObject) -> None:
-        pipeline = self.find((code, form), lambda: self._render_pipeline(code, [{"format": form}], None))
+        pipeline = self.get_or_create((code, form), lambda: self._render_pipeline(code, [{"format": form}], None))
         color = {"view": target, "load_op": "clear", "store_op": "store"}
         render = encoder.begin_render_pass(color_attachments=[color])
         render.set_pipeline(pipeline)
@@ -182,17 +182,26 @@ class Tools:
         render.end()
 
     def _render_pipeline(self, code: str, targets: Sequence[Any], depth: Mapping[str, Any] | None) -> GpuObject:
-        module = self.find(("module", code), lambda: self.device.create_shader_module(code=code))
+        module = self.get_or_create(("module", code), lambda: self.device.create_shader_module(code=code))
         return self.device.create_render_pipeline(
-            layout="auto", vertex={"module": module, "entry_point": "vs"},
-            fragment={"module": module, "entry_point": "fs", "targets": targets}, depth_stencil=depth,
-        )  # fmt: skip
+            layout="auto",
+            vertex={"module": module, "entry_point": "vs"},
+            fragment={"module": module, "entry_point": "fs", "targets": targets},
+            depth_stencil=depth,
+        )
 
     def draw_depth(
-        self, encoder: GpuObject, form: str, source: GpuObject, stencil: GpuObject | None, target: GpuObject,
-        region: Region, x: int, y: int,
-    ) -> None:  # fmt: skip
-        """Draw a part of a depth texture, and of its stencil if there is a view of it, to another place."""
+        self,
+        encoder: GpuObject,
+        form: str,
+        source: GpuObject,
+        stencil: GpuObject | None,
+        target: GpuObject,
+        region: Region,
+        x: int,
+        y: int,
+    ) -> None:
+        """Copy a region of a depth texture to another by drawing it; with a view of its stencil, also that."""
         info = {"view": target, "depth_load_op": "load", "depth_store_op": "store"}
         if stencil is not None:
             info |= {"stencil_load_op": "load", "stencil_store_op": "store"}
@@ -205,14 +214,14 @@ class Tools:
             render.set_bind_group(0, self.group(pipeline, [view, self.constants([*way, bit, everywhere], np.int32)]))
             render.draw(3)
 
-        draw(self.find(("depth", form), lambda: self._depth_pipeline(form)), source, 0, 0)
+        draw(self.get_or_create(("depth", form), lambda: self._depth_pipeline(form)), source, 0, 0)
         if stencil is not None:
             render.set_stencil_reference(255)
-            for bit in (1 << place for place in range(8)):
+            for bit in (1 << bit_index for bit_index in range(8)):
                 for operation, everywhere in (("zero", 1), ("replace", 0)):
                     key = ("stencil", form, bit, operation)
                     make = lambda bit=bit, operation=operation: self._stencil_pipeline(form, bit, operation)  # noqa: E731
-                    draw(self.find(key, make), stencil, bit, everywhere)
+                    draw(self.get_or_create(key, make), stencil, bit, everywhere)
         render.end()
 
     def _depth_pipeline(self, form: str) -> GpuObject:
@@ -222,14 +231,18 @@ class Tools:
     def _stencil_pipeline(self, form: str, bit: int, operation: str) -> GpuObject:
         face = {"compare": "always", "pass_op": operation, "fail_op": "keep", "depth_fail_op": "keep"}
         depth = {
-            "format": form, "depth_write_enabled": False, "depth_compare": "always", "stencil_front": face,
-            "stencil_back": face, "stencil_write_mask": bit,
-        }  # fmt: skip
+            "format": form,
+            "depth_write_enabled": False,
+            "depth_compare": "always",
+            "stencil_front": face,
+            "stencil_back": face,
+            "stencil_write_mask": bit,
+        }
         return self._render_pipeline(_STENCIL_COPY, [], depth)
 
 
 def expand_fan(indices: NDArray[np.generic], restart: int | None) -> NDArray[np.uint32]:
-    """Return the triangles (n, 3) of fans as indices; their first vertices are those that flat varyings come from.
+    """Expand triangle fans to indices of triangles (n, 3). The first vertex of each provides flat varyings.
 
     Args:
         restart: the index that begins a new fan.

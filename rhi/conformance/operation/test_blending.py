@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from rhi import BlendColor, BlendFactor, BlendFunction, BlendOperation, ColorWrite, Device, Format, Primitive
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import require_blendable, require_renderable
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import blend, channels_of, decode, encode, rounding
 from rhi.conformance.shaders import Colored, UintColored
 from rhi.conformance.shapes import centers, corners, rectangle
+from rhi.conformance.single_draws import draw_once
 
-pytestmark = pytest.mark.needs("draws", "shading")
+pytestmark = pytest.mark.requires("draws", "shading")
 
 CONSTANT = (0.2, 0.4, 0.6, 0.8)
 LEVELS = np.array([0.0, 0.25, 0.5, 1.0])

@@ -140,7 +140,7 @@ def test_the_last_of_two_writes_wins(device: Device) -> None:
 # -- locks -------------------------------------------------------------------------------------------------
 
 
-def test_a_read_lock_shows_the_contents(device: Device) -> None:
+def test_a_read_lock_exposes_the_data(device: Device) -> None:
     with device.buffer(numbers(8)) as buffer, buffer.lock(Access.READ) as array:
         assert_same(array, numbers(8))
 
@@ -183,11 +183,11 @@ def test_a_lock_of_structs_gives_fields(device: Device) -> None:
 
 
 def test_two_buffers_may_be_locked_at_once(device: Device) -> None:
-    with device.buffer(4, np.dtype("u4")) as one, device.buffer(4, np.dtype("u4")) as two:
-        with one.lock(Access.WRITE) as a, two.lock(Access.WRITE) as b:
+    with device.buffer(4, np.dtype("u4")) as first, device.buffer(4, np.dtype("u4")) as second:
+        with first.lock(Access.WRITE) as a, second.lock(Access.WRITE) as b:
             a[:], b[:] = 1, 2
-        assert_same(one.read(), 1)
-        assert_same(two.read(), 2)
+        assert_same(first.read(), 1)
+        assert_same(second.read(), 2)
 
 
 # -- copies and clears -------------------------------------------------------------------------------------
@@ -229,7 +229,7 @@ def test_a_clear_fills_with_its_pattern(device: Device, value: int) -> None:
         assert_same(buffer.read(), value)
 
 
-def test_a_clear_holds_its_place_among_writes(device: Device) -> None:
+def test_a_clear_stays_in_order_among_writes(device: Device) -> None:
     with device.buffer(numbers(4)) as buffer:
         buffer.clear(5)
         buffer.write(np.array([6], "u4"), 2)
@@ -246,7 +246,7 @@ def test_a_buffer_ends_with_its_with_block(device: Device) -> None:
     buffer.destroy()
 
 
-def test_many_buffers_keep_their_own_contents(device: Device) -> None:
+def test_many_buffers_hold_their_own_data(device: Device) -> None:
     buffers = [device.buffer(np.full(9, i, "u4")) for i in range(100)]
     for index, buffer in enumerate(buffers):
         assert_same(buffer.read(), index)
@@ -265,7 +265,7 @@ def test_uploads_and_creations_are_counted(device: Device) -> None:
     assert after.upload_bytes - before.upload_bytes == 120
 
 
-class Glow(Struct):
+class Bloom(Struct):
     """A field."""
 
     color: vec3
@@ -277,51 +277,80 @@ class Scene(Struct):
 
     power: float
     ids: uvec2
-    place: vec3
+    position: vec3
     time: float
-    turn: mat3
+    rotation: mat3
     weights: Array[float] = array(float, 3)
-    glow: Glow
+    bloom: Bloom
     count: int
 
 
-def test_fields_of_a_uniform_are_written_alone(device: Device) -> None:
-    first: dict[str, Any] = {
-        "power": 1.0, "ids": (2, 3), "place": (4, 5, 6), "time": 7.0, "turn": np.arange(9.0).reshape(3, 3),
-        "weights": [1, 2, 3], "glow": Glow(color=(8, 9, 10), reach=11), "count": -12,
-    }  # fmt: skip
-    second: dict[str, Any] = {
-        "power": 2.5, "ids": (7, 8), "place": (-4, -5, -6), "time": 3, "turn": np.eye(3),
-        "weights": [4, 5, 6], "glow": Glow(color=(1, 0, 1), reach=2), "count": 99,
-    }  # fmt: skip
-    with device.uniform(Scene(**first)) as scene:
-        for name in first:
-            scene.write(Scene(**first))
-            scene.write(**{name: second[name]})
-            wanted = Scene(**(first | {name: second[name]})).to_bytes()
-            assert scene.owner.read().tobytes() == wanted, name
-        scene.write(Scene(**first))
+FIRST: dict[str, Any] = {
+    "power": 1.0,
+    "ids": (2, 3),
+    "position": (4, 5, 6),
+    "time": 7.0,
+    "rotation": np.arange(9.0).reshape(3, 3),
+    "weights": [1, 2, 3],
+    "bloom": Bloom(color=(8, 9, 10), reach=11),
+    "count": -12,
+}
+SECOND: dict[str, Any] = {
+    "power": 2.5,
+    "ids": (7, 8),
+    "position": (-4, -5, -6),
+    "time": 3,
+    "rotation": np.eye(3),
+    "weights": [4, 5, 6],
+    "bloom": Bloom(color=(1, 0, 1), reach=2),
+    "count": 99,
+}
+
+
+@pytest.mark.parametrize("name", FIRST)
+def test_a_field_of_a_uniform_is_written_alone(device: Device, name: str) -> None:
+    with device.uniform(Scene(**FIRST)) as scene:
+        scene.write(**{name: SECOND[name]})
+        expected = Scene(**(FIRST | {name: SECOND[name]})).to_bytes()
+        assert scene.owner.read().tobytes() == expected
+
+
+def test_two_fields_of_a_uniform_are_written_together(device: Device) -> None:
+    with device.uniform(Scene(**FIRST)) as scene:
         scene.write(time=3, count=99)
-        wanted = Scene(**(first | {"time": 3, "count": 99})).to_bytes()
-        assert scene.owner.read().tobytes() == wanted
-        for wrong in ({"time": 4, "tiem": 5}, {"time": 4, "place": (1, 2)}):
-            with pytest.raises(ValidationError, match=r"^\[shading-struct-value\]"):
-                scene.write(**wrong)
+        assert scene.owner.read().tobytes() == Scene(**(FIRST | {"time": 3, "count": 99})).to_bytes()
+
+
+@pytest.mark.parametrize(
+    "fields", [{"time": 4, "tiem": 5}, {"time": 4, "position": (1, 2)}], ids=["unknown name", "too few numbers"]
+)
+def test_a_write_of_a_wrong_field_is_refused_and_writes_none(device: Device, fields: dict[str, Any]) -> None:
+    with device.uniform(Scene(**FIRST)) as scene:
+        with pytest.raises(ValidationError, match=r"^\[shading-struct-value\]"):
+            scene.write(**fields)
+        assert scene.owner.read().tobytes() == Scene(**FIRST).to_bytes()
+
+
+def test_a_write_of_a_struct_and_of_fields_is_refused_and_writes_nothing(device: Device) -> None:
+    with device.uniform(Scene(**FIRST)) as scene:
         with pytest.raises(ValidationError):
-            scene.write(Scene(**first), time=4)
-        assert scene.owner.read().tobytes() == wanted
+            scene.write(Scene(**SECOND), time=4)
+        assert scene.owner.read().tobytes() == Scene(**FIRST).to_bytes()
+
+
+def test_a_uniform_that_is_a_number_has_no_fields_to_write(device: Device) -> None:
     with device.uniform(0.5) as single, pytest.raises(ValidationError):
         single.write(value=1.0)
 
 
 def test_rows_of_a_struct_have_its_fields_as_attributes(device: Device) -> None:
-    glows = Glow.array(4)
-    glows.reach[:] = [1, 2, 3, 4]
-    glows.color[1:3] = (5, 6, 7)
-    glows[0].color = (8, 9, 10)
-    with device.storage(Glow, glows) as storage:
-        glows.reach[2] = 9
-        storage.write(glows[2:3], 2)
+    blooms = Bloom.array(4)
+    blooms.reach[:] = [1, 2, 3, 4]
+    blooms.color[1:3] = (5, 6, 7)
+    blooms[0].color = (8, 9, 10)
+    with device.storage(Bloom, blooms) as storage:
+        blooms.reach[2] = 9
+        storage.write(blooms[2:3], 2)
         back = storage.read()
     assert_same(back["color"], [(8, 9, 10), (5, 6, 7), (5, 6, 7), (0, 0, 0)])
     assert_same(back["reach"], [1, 2, 9, 4])

@@ -15,13 +15,13 @@ import rhi
 from rhi import BlendFunction, ColorWrite, DepthFunction, DepthWrite, Device, Format, State, StencilTest, Texture
 from rhi.conformance.compare import assert_mask, assert_same
 from rhi.conformance.formats import require_format, require_renderable, require_samples
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Colored, IntColored, UintColored
 from rhi.conformance.shapes import rectangle, texel_rectangle
+from rhi.conformance.single_draws import draw_once
 from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind
 from rhi.shading import Shader
 
-pytestmark = pytest.mark.needs("draws", "shading")
+pytestmark = pytest.mark.requires("draws", "shading")
 
 SIZE = (150, 70)
 RED = (1, 0, 0, 1)
@@ -70,19 +70,19 @@ def draw_over(
 def test_a_color_format_is_cleared_under_a_draw_as_in_a_pass_before(device: Device, format: Format) -> None:
     require_renderable(device, format)
     shader, clear = SHADERS.get(format.kind, Colored), (3.0, 0.3, 2.0, 0.75)
-    with device.texture(SIZE, format) as one, device.texture(SIZE, format) as two:
-        draw_over(device, one, shader, clear, True)
-        draw_over(device, two, shader, clear, False)
-        assert_same(one.read(), two.read())
-        assert (one.read()[-1, -1] == one.read()[0, 0]).all()
+    with device.texture(SIZE, format) as image, device.texture(SIZE, format) as expected:
+        draw_over(device, image, shader, clear, True)
+        draw_over(device, expected, shader, clear, False)
+        assert_same(image.read(), expected.read())
+        assert (image.read()[-1, -1] == image.read()[0, 0]).all()
 
 
 def test_blending_reads_what_was_cleared(device: Device) -> None:
-    with device.texture(SIZE, Format.RGBA16F) as one, device.texture(SIZE, Format.RGBA16F) as two:
-        for image, together in ((one, True), (two, False)):
+    with device.texture(SIZE, Format.RGBA16F) as first, device.texture(SIZE, Format.RGBA16F) as second:
+        for image, together in ((first, True), (second, False)):
             draw_over(device, image, Colored, (0.5, 0.25, 1, 1), together, BlendFunction.ADDITIVE)
-        assert_same(one.read(), two.read())
-        assert_same(one.read()[10, 70, 1], 1.25)
+        assert_same(first.read(), second.read())
+        assert_same(first.read()[10, 70, 1], 1.25)
 
 
 @pytest.mark.parametrize("format", DEPTH_FORMATS, ids=identity)
@@ -108,7 +108,7 @@ def test_a_depth_that_draws_do_not_write_is_cleared_under_them(device: Device, s
             assert_same(target.read(), np.full(SIZE[::-1], depth, np.float32))
 
 
-@pytest.mark.needs("stencil")
+@pytest.mark.requires("stencil")
 @pytest.mark.parametrize("used", [False, True], ids=["test off", "test on"])
 def test_stencil_is_cleared_under_a_draw_that_uses_it_or_not(device: Device, used: bool) -> None:
     require_format(device, Format.D24S8)

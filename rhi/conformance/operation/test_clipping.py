@@ -15,13 +15,13 @@ from rhi import BlendFunction, CullMode, DepthFunction, DepthWrite, Device, Form
 from rhi.conformance import triangles as exam
 from rhi.conformance.compare import assert_same
 from rhi.conformance.formats import require_blendable
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Bare, Corner, FlatColored
 from rhi.conformance.shapes import corners
+from rhi.conformance.single_draws import draw_once
 from rhi.conformance.triangles import CUT, WHOLE, Family, examine, make_triangles
 from rhi.shading import Shader, vec4
 
-pytestmark = pytest.mark.needs("draws", "shading")
+pytestmark = pytest.mark.requires("draws", "shading")
 
 DEPTH_BOUND: Final = 2e-5
 DISTANCE_BOUND: Final = 5e-6
@@ -70,7 +70,7 @@ def test_a_cut_triangle_covers_what_float64_says(device: Device, family: Family)
     assert drawn > 25_000
 
 
-@pytest.mark.needs("precise_triangles")
+@pytest.mark.requires("precise_triangles")
 @pytest.mark.parametrize("wide", [exam.CELL, 16384])
 def test_a_triangle_that_reaches_far_beyond_the_view_covers_what_float64_says(device: Device, wide: int) -> None:
     result = examine(device, exam.beyond_the_guard_band, 0, wide)
@@ -148,7 +148,7 @@ def test_a_corner_that_is_no_number_harms_no_other_triangle(
 # -- depth and weights -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.needs("precise_triangles")
+@pytest.mark.requires("precise_triangles")
 @pytest.mark.parametrize("family", [*CUT, *WHOLE], ids=named)
 def test_depth_is_that_of_float64_and_stays_in_the_range_of_the_corners(device: Device, family: Family) -> None:
     """Also of triangles of a pixel and of slivers."""
@@ -159,7 +159,7 @@ def test_depth_is_that_of_float64_and_stays_in_the_range_of_the_corners(device: 
     assert result.depth_beyond <= 2.0**-23  # rounding of the corners' depths
 
 
-@pytest.mark.needs("precise_triangles")
+@pytest.mark.requires("precise_triangles")
 @pytest.mark.parametrize("family", [*CUT, *WHOLE], ids=named)
 def test_weights_lie_between_0_and_1(device: Device, family: Family) -> None:
     """So varyings lie in the range of the corners', with perspective and without."""
@@ -168,7 +168,7 @@ def test_weights_lie_between_0_and_1(device: Device, family: Family) -> None:
     assert result.weight_beyond <= WEIGHT_BOUND
 
 
-@pytest.mark.needs("precise_triangles")
+@pytest.mark.requires("precise_triangles")
 @pytest.mark.parametrize("samples", [1, 4, 8])
 @pytest.mark.parametrize("family", [exam.of_a_pixel, exam.slivers], ids=named)
 def test_no_sample_lies_beyond_the_corners_depths(device: Device, samples: int, family: Family) -> None:
@@ -227,16 +227,16 @@ def test_a_triangle_has_the_same_depth_under_any_scissor(device: Device, family:
     assert seen > 30
 
 
-def tilt_sheet(degrees: float, distance: float, cells: int = 24) -> tuple[Floats, Floats]:
-    """Return the clip positions (n, 4) of the triangles of a sheet that a lens of 90° with reversed depth sees from a
-    height, turned by an angle from facing the eye; and the inverse distances (h, w) at the middles of its pixels."""
+def tilted_grid(degrees: float, distance: float, cells: int = 24) -> tuple[Floats, Floats]:
+    """Return the clip positions (n, 4) of the triangles of a plane that a 90° projection with reversed depth sees from
+    a height, turned by an angle from facing the eye; and the inverse distances (h, w) at the middles of its pixels."""
     tilt, along = np.radians(degrees), np.linspace(-0.7, 0.7, cells + 1)
     x, y = np.meshgrid(along, along)
     points = np.stack([x, y * np.cos(tilt), 1.0 + y * np.sin(tilt), np.ones_like(x)], axis=2) * distance
     first = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).reshape(-1)
     corner = np.stack([first, first + 1, first + cells + 2, first, first + cells + 2, first + cells + 1], axis=1)
-    places = points.reshape(-1, 4)[corner.reshape(-1)]
-    clip = np.stack([places[:, 0], places[:, 1], np.full(len(places), 0.5), places[:, 2]], axis=1)
+    homogeneous = points.reshape(-1, 4)[corner.reshape(-1)]
+    clip = np.stack([homogeneous[:, 0], homogeneous[:, 1], np.full(len(homogeneous), 0.5), homogeneous[:, 2]], axis=1)
     up = 1.0 - (np.arange(SIZE[1]) + 0.5) / SIZE[1] * 2.0  # a ray is (x, up, 1): it meets the sheet at this distance
     inverse = (np.cos(tilt) - up * np.sin(tilt)) / (distance * np.cos(tilt))
     return clip, np.repeat(inverse[:, None], SIZE[0], axis=1)
@@ -246,12 +246,12 @@ def tilt_sheet(degrees: float, distance: float, cells: int = 24) -> tuple[Floats
     ("distance", "is_reversed"), [(1.0, True), (1e3, True), (1e6, True), (1.0, False), (100.0, False)]
 )
 @pytest.mark.parametrize("degrees", [60.0, 80.0, 85.0])
-def test_small_triangles_of_a_tilted_sheet_have_the_distance_of_the_sheet(
+def test_small_triangles_of_a_tilted_plane_have_the_distance_of_the_plane(
     device: Device, degrees: float, distance: float, is_reversed: bool
 ) -> None:
     """Within a share of the distance that doesn't grow with it: what two surfaces must be apart to be told apart. Of
     standard depth, which is 1 less that, as far as its digits reach."""
-    clip, inverse = tilt_sheet(degrees, distance)
+    clip, inverse = tilted_grid(degrees, distance)
     if not is_reversed:
         clip[:, 2] = clip[:, 3] - 0.5
     with (
@@ -264,10 +264,10 @@ def test_small_triangles_of_a_tilted_sheet_have_the_distance_of_the_sheet(
             device.states(CullMode.NONE, DepthFunction.GREATER if is_reversed else DepthFunction.LESS),
         ):
             device.draw(device.program(FlatColored), mesh)
-        found = depth.read().astype(np.float64)
-    found = found if is_reversed else 1.0 - found
-    drawn = found > 0.0
+        depths = depth.read().astype(np.float64)
+    depths = depths if is_reversed else 1.0 - depths
+    drawn = depths > 0.0
     assert drawn.sum() > 100
     digits = 0.0 if is_reversed else 2.0**-22
-    off = np.abs(found[drawn] - 0.5 * inverse[drawn])
+    off = np.abs(depths[drawn] - 0.5 * inverse[drawn])
     assert (off < 0.5 * inverse[drawn] * DISTANCE_BOUND + digits).all()

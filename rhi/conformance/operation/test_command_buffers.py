@@ -20,9 +20,9 @@ from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, vec4
 from rhi.testing import expect
 
 pytestmark = pytest.mark.recorded_too
-draws = pytest.mark.needs("draws")
-pixels = pytest.mark.needs("draws", "shading")
-compute = pytest.mark.needs("shading", "compute")
+draws = pytest.mark.requires("draws")
+pixels = pytest.mark.requires("draws", "shading")
+compute = pytest.mark.requires("shading", "compute")
 
 SIZE = (8, 8)
 COLUMNS = np.concatenate([rectangle(-1 + i / 4, -1, -1 + (i + 1) / 4, 1) for i in range(8)])
@@ -171,7 +171,7 @@ def test_samples_can_be_resolved(device: rhi.Device) -> None:
 
 
 def test_buffers_can_be_recorded_on_several_threads(device: rhi.Device) -> None:
-    made: dict[int, rhi.CommandBuffer] = {}
+    buffers: dict[int, rhi.CommandBuffer] = {}
     with device.texture(SIZE, rhi.Format.R8, levels=None) as image:
 
         def work(number: int) -> None:
@@ -180,14 +180,14 @@ def test_buffers_can_be_recorded_on_several_threads(device: rhi.Device) -> None:
                     value = (number + 1) / 255 if step == 99 else 0.0
                     with commands.render_pass(image.at(number), clear=(value, 0, 0, 0)):
                         pass
-            made[number] = commands
+            buffers[number] = commands
 
         threads = [threading.Thread(target=work, args=(number,)) for number in range(4)]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
-        device.submit(*(made[number] for number in range(4)))
+        device.submit(*(buffers[number] for number in range(4)))
         assert [int(image.read(level)[0, 0]) for level in range(4)] == [1, 2, 3, 4]
 
 
@@ -340,7 +340,7 @@ def test_a_draw_after_a_submission_binds_its_own(device: rhi.Device, image: rhi.
 
 
 @pixels
-def test_contents_are_those_at_the_submission(device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh) -> None:
+def test_data_are_those_at_the_submission(device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh) -> None:
     with device.uniform(Tint(color=(0, 0, 0, 1))) as tint, device.storage(vec4, 1) as weights:
         with device.record() as commands:
             with commands.render_pass(image, clear=(0, 0, 0, 0)), commands.states(rhi.BlendFunction.ADDITIVE):
@@ -422,7 +422,7 @@ def test_many_draws_and_indirect_draws_can_be_recorded(device: rhi.Device, image
 
 @pixels
 def test_threads_record_draws_of_the_same_mesh_and_program(device: rhi.Device) -> None:
-    made: dict[int, rhi.CommandBuffer] = {}
+    buffers: dict[int, rhi.CommandBuffer] = {}
     with device.texture(SIZE, rhi.Format.R16F) as image, device.mesh(COLUMNS) as mesh:
         program, start = device.program(Tinted), threading.Barrier(4)
 
@@ -436,16 +436,16 @@ def test_threads_record_draws_of_the_same_mesh_and_program(device: rhi.Device) -
                 for i in (2 * number, 2 * number + 1):
                     tint = commands.transient.uniform(Tint(color=(i + 1, 0, 0, 1)))
                     commands.draw(program, mesh.view(6 * i, 6), tint=tint)
-            made[number] = commands
+            buffers[number] = commands
 
         threads = [threading.Thread(target=work, args=(number,)) for number in range(4)]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
-        device.submit(*made.values())
+        device.submit(*buffers.values())
         assert_same(image.read(), np.broadcast_to(np.arange(1.0, 9.0), (8, 8)))
-        device.submit(*made.values())
+        device.submit(*buffers.values())
         assert_same(image.read(), np.broadcast_to(2 * np.arange(1.0, 9.0), (8, 8)))
         with device.render_pass(image, clear=(0, 0, 0, 0)):
             # The device can use the vertex arrays that the command buffers created for the mesh.
@@ -454,7 +454,7 @@ def test_threads_record_draws_of_the_same_mesh_and_program(device: rhi.Device) -
 
 
 @pixels
-@pytest.mark.needs("alpha_test")
+@pytest.mark.requires("alpha_test")
 def test_the_alpha_test_holds_where_it_was_recorded(device: rhi.Device) -> None:
     faint = (1.0, 1.0, 1.0, 0.25)
     with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle(color=faint)) as mesh:
@@ -492,49 +492,85 @@ def test_draws_are_counted_at_each_submission(device: rhi.Device, image: rhi.Tex
     assert statistics.software_state_changes == 2
 
 
-@draws
-def test_a_submission_changes_only_the_states_that_its_draws_need(
-    device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh
-) -> None:
-    """A frame that ends with the states that it begins with changes none when it comes again."""
-    opaque = (rhi.CullMode.NONE, rhi.DepthWrite.OFF)
+OPAQUE = (rhi.CullMode.NONE, rhi.DepthWrite.OFF)
+
+
+@pytest.fixture
+def record_draws(device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh) -> Callable[..., rhi.CommandBuffer]:
+    """Records a pass with a draw for each tuple of states."""
     program = device.program(Colored)
 
-    def draw(*lists: tuple[Any, ...]) -> rhi.CommandBuffer:
+    def record(*states_of_draws: tuple[Any, ...]) -> rhi.CommandBuffer:
         with device.record() as commands, commands.render_pass(image, clear=(0, 0, 0, 0)):
-            for states in lists:
+            for states in states_of_draws:
                 with commands.states(*states):
                     commands.draw(program, mesh)
         return commands
 
-    def count(*buffers: rhi.CommandBuffer) -> list[int]:
-        counts = []
-        for buffer in buffers:
-            before = device.statistics.hardware_state_changes
-            device.submit(buffer)
-            counts.append(device.statistics.hardware_state_changes - before)
-        return counts
+    device.submit(record(()))  # from here on, the hardware states are the defaults
+    return record
 
-    plain, steady, nothing = draw(()), draw(opaque, opaque), draw()
-    mixed, front = draw((), opaque), draw((rhi.CullMode.FRONT, rhi.DepthWrite.OFF))
-    device.submit(plain)
-    assert count(steady, steady, steady) == [2, 0, 0]
-    assert count(nothing, steady) == [0, 0], "without draws, states don't matter"
-    assert count(plain, plain, steady) == [2, 0, 2]
-    assert count(front, front, steady) == [1, 0, 1]
-    assert count(mixed, mixed, plain) == [4, 4, 2], "its first draw needs others than its last"
-    device.submit(steady)
-    with device.render_pass(image), device.states(*opaque):
+
+def count_state_changes(device: rhi.Device, *buffers: rhi.CommandBuffer) -> list[int]:
+    """Submit command buffers and count the hardware state changes of each."""
+    counts = []
+    for buffer in buffers:
         before = device.statistics.hardware_state_changes
-        device.draw(program, mesh)
-    assert device.statistics.hardware_state_changes == before, "the device knows what the buffer left"
+        device.submit(buffer)
+        counts.append(device.statistics.hardware_state_changes - before)
+    return counts
+
+
+@draws
+def test_a_submission_that_ends_with_the_states_it_begins_with_changes_none_when_it_comes_again(
+    device: rhi.Device, record_draws: Callable[..., rhi.CommandBuffer]
+) -> None:
+    opaque = record_draws(OPAQUE, OPAQUE)
+    assert count_state_changes(device, opaque, opaque, opaque) == [2, 0, 0]
+
+
+@draws
+def test_a_submission_without_draws_changes_no_states(
+    device: rhi.Device, record_draws: Callable[..., rhi.CommandBuffer]
+) -> None:
+    opaque, empty = record_draws(OPAQUE, OPAQUE), record_draws()
+    assert count_state_changes(device, opaque, empty, opaque) == [2, 0, 0]
+
+
+@draws
+def test_a_submission_changes_only_the_states_that_differ_from_those_before_it(
+    device: rhi.Device, record_draws: Callable[..., rhi.CommandBuffer]
+) -> None:
+    opaque, front = record_draws(OPAQUE, OPAQUE), record_draws((rhi.CullMode.FRONT, rhi.DepthWrite.OFF))
+    plain = record_draws(())
+    assert count_state_changes(device, plain, plain, opaque) == [0, 0, 2]
+    assert count_state_changes(device, front, front, opaque) == [1, 0, 1]
+
+
+@draws
+def test_a_submission_whose_first_draw_needs_other_states_than_its_last_changes_them_twice(
+    device: rhi.Device, record_draws: Callable[..., rhi.CommandBuffer]
+) -> None:
+    opaque, mixed, plain = record_draws(OPAQUE), record_draws((), OPAQUE), record_draws(())
+    assert count_state_changes(device, opaque, mixed, mixed, plain) == [2, 4, 4, 2]
+
+
+@draws
+def test_a_draw_after_a_submission_changes_no_state_that_the_submission_left(
+    device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh, record_draws: Callable[..., rhi.CommandBuffer]
+) -> None:
+    device.submit(record_draws(OPAQUE, OPAQUE))
+    with device.render_pass(image), device.states(*OPAQUE):
+        before = device.statistics.hardware_state_changes
+        device.draw(device.program(Colored), mesh)
+    assert device.statistics.hardware_state_changes == before
 
 
 # -- queries -----------------------------------------------------------------------------------------------
 
 
 @pixels
-@pytest.mark.needs("occlusion_queries")
+@pytest.mark.requires("occlusion_queries")
 def test_a_recorded_query_answers_for_the_latest_submission(device: rhi.Device) -> None:
     query = device.occlusion_query()
     with (
@@ -554,7 +590,7 @@ def test_a_recorded_query_answers_for_the_latest_submission(device: rhi.Device) 
 
 
 @pixels
-@pytest.mark.needs("sample_counter")
+@pytest.mark.requires("sample_counter")
 def test_a_recorded_query_may_be_emulated(device: rhi.Device) -> None:
     query = device.occlusion_query(emulated=True)
     with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(COLUMNS) as mesh:
@@ -570,7 +606,7 @@ def test_a_recorded_query_may_be_emulated(device: rhi.Device) -> None:
 
 
 @pixels
-@pytest.mark.needs("occlusion_queries", "conditional_rendering")
+@pytest.mark.requires("occlusion_queries", "conditional_rendering")
 def test_a_recorded_condition_asks_its_query_anew(device: rhi.Device) -> None:
     query = device.occlusion_query()
     with (
@@ -632,7 +668,7 @@ def test_a_dispatch_after_a_submission_binds_its_own(device: rhi.Device) -> None
 
 
 @compute
-def test_a_clear_keeps_its_place_among_dispatches(device: rhi.Device) -> None:
+def test_a_clear_stays_in_order_among_dispatches(device: rhi.Device) -> None:
     with device.storage(int, 4) as rows, device.uniform(Shift(amount=5)) as shift:
         with device.record() as commands:
             commands.dispatch(device.program(Add), 4, shift=shift, numbers=rows)
@@ -657,16 +693,16 @@ def test_a_buffer_gives_back_its_memory_with_the_last_reference(recording: rhi.D
                 triangles.vertices(corners([(-1, -1), (1, -1), (0, 1)]))
         since = len(recording.stream)
         recording.submit(commands)
-        made = {
+        created = {
             command.values[0]
             for command in recording.stream[since:].filter([rhi.Op.CREATE_BUFFER, rhi.Op.CREATE_VERTEX_ARRAY])
         }
-        assert len(made) == 2
+        assert len(created) == 2
         del commands
         gc.collect()
         recording.finish()
         gone = {command.values[0] for command in recording.stream[since:].filter(rhi.Op.DESTROY)}
-        assert made <= gone
+        assert created <= gone
 
 
 def test_memory_that_is_streamed_can_be_used(device: rhi.Device) -> None:

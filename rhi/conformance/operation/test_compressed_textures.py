@@ -14,7 +14,7 @@ from rhi.conformance.reference import decode, linear_to_srgb
 from rhi.contract.blocks import decode_level
 from rhi.shading import Shader, StorageRW, Texture2D, Texture2DArray, global_id, vec4
 
-pytestmark = pytest.mark.needs("shading", "compute", "max_texture_slots")
+pytestmark = pytest.mark.requires("shading", "compute", "max_texture_slots")
 
 
 class LoadTexels(Shader):
@@ -48,13 +48,13 @@ def random_blocks(format: CompressedFormat, *shape: int) -> NDArray[np.uint8]:
     return blocks
 
 
-def assert_decoded(format: CompressedFormat, found: NDArray[Any], blocks: NDArray[np.uint8]) -> None:
+def assert_decoded(format: CompressedFormat, actual: NDArray[Any], blocks: NDArray[np.uint8]) -> None:
     """Compare (height, width, 4) values with those of (rows, columns, bytes) blocks."""
-    height, width = found.shape[:2]
+    height, width = actual.shape[:2]
     texels = decode_level(format, blocks[None], width, height)[0]
     expected = decode(format.decoded, texels).reshape(height, width, 4)
     if format.name.startswith("BC6H"):
-        assert_same(found, expected)
+        assert_same(actual, expected)
         return
     if format.name.startswith("BC7"):
         slack: Any = 1e-6
@@ -65,10 +65,12 @@ def assert_decoded(format: CompressedFormat, found: NDArray[Any], blocks: NDArra
         step = 1.0 / (127 if format.name.endswith("_SNORM") else 255)
         slack = np.maximum(2.01 * step, step + 0.03 * spread)
     if format.name.endswith("_SRGB"):  # a table may be off by half a step of 8 bits
-        found, expected = (np.concatenate([linear_to_srgb(v[..., :3]), v[..., 3:]], axis=-1) for v in (found, expected))
+        actual, expected = (
+            np.concatenate([linear_to_srgb(v[..., :3]), v[..., 3:]], axis=-1) for v in (actual, expected)
+        )
         slack = 0.5 / 255 + slack
     reason = "BC7 is exact; Direct3D asks for 1 stored number and 3 % of what the ends of BC1 to BC5 differ by"
-    assert_near(found, expected, slack, reason)
+    assert_near(actual, expected, slack, reason)
 
 
 @pytest.mark.parametrize("format", list(CompressedFormat), ids=lambda f: f.name)
@@ -92,10 +94,10 @@ def test_levels_of_any_size_consist_of_whole_blocks(device: Device, format: Comp
         for level, blocks in enumerate(levels):
             texture.write(blocks, level=level)
         device.dispatch(device.program(LoadTexels), (16, 16, 4), source=texture, results=results)
-        found = results.read().reshape(4, 16, 16, 4)
+        texels = results.read().reshape(4, 16, 16, 4)
         for level, blocks in enumerate(levels):
             width, height = max(1, 13 >> level), max(1, 6 >> level)
-            assert_decoded(format, found[level, :height, :width], blocks)
+            assert_decoded(format, texels[level, :height, :width], blocks)
 
 
 def test_blocks_replace_their_texels_only(device: Device) -> None:
@@ -118,6 +120,6 @@ def test_layers_of_blocks_are_written_at_once(device: Device, format: Compressed
         texture.write(blocks[1:], layer=1)
         texture.write(blocks[0])
         device.dispatch(device.program(LoadLayers), (16, 16, 3), source=texture, results=results)
-        found = results.read().reshape(3, 16, 16, 4)
+        texels = results.read().reshape(3, 16, 16, 4)
         for layer in range(3):
-            assert_decoded(format, found[layer], blocks[layer])
+            assert_decoded(format, texels[layer], blocks[layer])

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import rhi.shading as sl
 from rhi import Device, Format, TextureKind
@@ -14,38 +16,38 @@ from rhi.conformance.formats import random_texels, require_images, squeezed
 from rhi.conformance.reference import encode, rounding
 from rhi.contract.formats import COLOR_FORMATS, ChannelKind
 
-pytestmark = [pytest.mark.needs("shading", "compute"), pytest.mark.recorded_too]
+pytestmark = [pytest.mark.requires("shading", "compute"), pytest.mark.recorded_too]
 
 
 # -- dispatches --------------------------------------------------------------------------------------------
 
 
-class Places(sl.Shader):
+class InvocationIndices(sl.Shader):
     """Writes the indices of each invocation."""
 
     work_group = (4, 2, 1)
-    places: sl.StorageRW[sl.uvec4]
-    locals: sl.StorageRW[sl.uvec4]
+    global_indices: sl.StorageRW[sl.uvec4]
+    local_indices: sl.StorageRW[sl.uvec4]
 
     def compute(self) -> None:
         g = sl.global_id()
         width = sl.group_count().x * 4
         height = sl.group_count().y * 2
         i = g.x + width * (g.y + height * g.z)
-        self.places[i] = sl.uvec4(
+        self.global_indices[i] = sl.uvec4(
             sl.uint(sl.group_id().x), sl.uint(sl.group_id().y), sl.uint(sl.group_id().z), sl.uint(i)
         )
-        self.locals[i] = sl.uvec4(
+        self.local_indices[i] = sl.uvec4(
             sl.uint(sl.local_id().x), sl.uint(sl.local_id().y), sl.uint(sl.local_id().z), sl.uint(sl.local_index())
         )
 
 
 @pytest.mark.parametrize("groups", [(1, 1, 1), (3, 1, 1), (1, 5, 1), (1, 1, 4), (3, 2, 2)], ids=str)
-def test_every_invocation_runs_once_and_knows_its_place(device: Device, groups: tuple[int, int, int]) -> None:
+def test_every_invocation_runs_once_and_reads_its_indices(device: Device, groups: tuple[int, int, int]) -> None:
     shape = (groups[2], groups[1] * 2, groups[0] * 4)
     count = int(np.prod(shape))
     with device.storage(sl.uvec4, count) as where, device.storage(sl.uvec4, count) as local:
-        device.dispatch(device.program(Places), groups, places=where, locals=local)
+        device.dispatch(device.program(InvocationIndices), groups, global_indices=where, local_indices=local)
         group, inside = where.read().reshape(*shape, 4), local.read().reshape(*shape, 4)
     z, y, x = np.indices(shape)
     assert_same(group, np.stack([x // 4, y // 2, z, np.arange(count).reshape(shape)], axis=-1))
@@ -76,7 +78,7 @@ def test_an_indirect_dispatch_reads_its_groups(device: Device, words: tuple[int,
         assert_same(total.read(), 8 * np.prod(words))
 
 
-class Arguments(sl.Shader):
+class ArgumentChecker(sl.Shader):
     """Writes the arguments of a later dispatch."""
 
     words: sl.StorageRW[sl.uint]
@@ -89,7 +91,7 @@ class Arguments(sl.Shader):
 
 def test_an_indirect_dispatch_sees_what_a_dispatch_before_it_wrote(device: Device) -> None:
     with device.storage(sl.uint, 1) as total, device.storage(sl.uint, 3) as arguments:
-        device.dispatch(device.program(Arguments), 1, words=arguments)
+        device.dispatch(device.program(ArgumentChecker), 1, words=arguments)
         device.dispatch_indirect(device.program(Count), arguments, 0, total=total)
         assert_same(total.read(), 48)
 
@@ -192,7 +194,7 @@ def test_structs_lie_where_their_dtype_says(device: Device) -> None:
         assert_same(results.read(), expected)
 
 
-class Turned(sl.Struct):
+class Matrices(sl.Struct):
     """Matrices of each size, and nothing nested."""
 
     two: sl.mat2
@@ -200,28 +202,28 @@ class Turned(sl.Struct):
     four: sl.mat4
 
 
-class ReadTurned(sl.Shader):
+class ReadMatrices(sl.Shader):
     """Reads a struct as a whole, and matrices, a row and a number of another one."""
 
-    turned: sl.Storage[Turned]
+    matrices: sl.Storage[Matrices]
     results: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
-        thing, v = self.turned[0], sl.vec4(1.0, 2.0, 3.0, 4.0)
-        self.results[0] = sl.vec4(thing.two @ v.xy, self.turned[1].two[1])
-        self.results[1] = sl.vec4(thing.three @ v.xyz, self.turned[1].three[1][2])
-        self.results[2] = sl.vec4(self.turned[1].three @ v.xyz, self.turned[1].two[0][1])
-        self.results[3] = thing.four[2] + self.turned[1].four @ v
+        thing, v = self.matrices[0], sl.vec4(1.0, 2.0, 3.0, 4.0)
+        self.results[0] = sl.vec4(thing.two @ v.xy, self.matrices[1].two[1])
+        self.results[1] = sl.vec4(thing.three @ v.xyz, self.matrices[1].three[1][2])
+        self.results[2] = sl.vec4(self.matrices[1].three @ v.xyz, self.matrices[1].two[0][1])
+        self.results[3] = thing.four[2] + self.matrices[1].four @ v
 
 
 def test_matrices_that_are_only_read_have_their_rows_in_order(device: Device) -> None:
-    rows: Any = np.zeros(2, Turned.dtype)
+    rows: Any = np.zeros(2, Matrices.dtype)
     (a, b), (c, d), (e, f) = values = [np.arange(2.0 * n * n).reshape(2, n, n) for n in (2, 3, 4)]
     for name, value in zip(("two", "three", "four"), values, strict=True):
         rows[name][:, :, : value.shape[2]] = value
     expected = [(*a @ (1, 2), *b[1]), (*c @ (1, 2, 3), d[1, 2]), (*d @ (1, 2, 3), b[0, 1]), e[2] + f @ (1, 2, 3, 4)]
-    with device.storage(Turned, rows) as turned, device.storage(sl.vec4, 4) as results:
-        device.dispatch(device.program(ReadTurned), 1, turned=turned, results=results)
+    with device.storage(Matrices, rows) as matrices, device.storage(sl.vec4, 4) as results:
+        device.dispatch(device.program(ReadMatrices), 1, matrices=matrices, results=results)
         assert_same(results.read(), expected)
 
 
@@ -241,18 +243,25 @@ class WriteMixed(sl.Shader):
             self.rows[i].k[2][column] = float(10 + column)
 
 
-def test_structs_are_written_where_their_dtype_says(device: Device) -> None:
+@pytest.mark.parametrize(
+    ("select", "expected"),
+    [
+        pytest.param(lambda rows: rows["a"], [0, 1, 2], id="number"),
+        pytest.param(lambda rows: rows["b"], (1, 2, 3), id="vector of three"),
+        pytest.param(lambda rows: rows["c"], 0, id="field that is left out"),
+        pytest.param(lambda rows: rows["d"], (4, 5), id="vector of two"),
+        pytest.param(lambda rows: rows["f"][:, :3], (0, 6, 0), id="element of an array"),
+        pytest.param(lambda rows: rows["h"]["axis"], (7, 8, 9), id="field of a struct"),
+        pytest.param(lambda rows: rows["k"][:, 2], (10, 11, 12, 13), id="row of a matrix"),
+        pytest.param(lambda rows: rows["k"][:, [0, 1, 3]], 0, id="other rows of a matrix"),
+    ],
+)
+def test_structs_are_written_where_their_dtype_says(
+    device: Device, select: Callable[[NDArray[Any]], Any], expected: Any
+) -> None:
     with device.storage(Mixed, 3) as storage:
         device.dispatch(device.program(WriteMixed), 3, rows=storage)
-        rows = storage.read()
-    assert_same(rows["a"], [0, 1, 2])
-    assert_same(rows["b"], (1, 2, 3))
-    assert_same(rows["c"], 0)
-    assert_same(rows["d"], (4, 5))
-    assert_same(rows["f"][:, :3], (0, 6, 0))
-    assert_same(rows["h"]["axis"], (7, 8, 9))
-    assert_same(rows["k"][:, 2], (10, 11, 12, 13))
-    assert_same(rows["k"][:, [0, 1, 3]], 0)
+        assert_same(select(storage.read()), expected)
 
 
 class Lengths(sl.Shader):
@@ -449,13 +458,13 @@ IMAGES: dict[ChannelKind, Any] = {ChannelKind.UINT: sl.UintImage2D, ChannelKind.
 
 
 @pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.kind is not ChannelKind.SRGB], ids=lambda f: f.name)
-@pytest.mark.needs("max_image_slots")
+@pytest.mark.requires("max_image_slots")
 def test_an_image_is_loaded_and_stored_in_its_format(device: Device, format: Format) -> None:
     require_images(device, format)
     data = random_texels(format, 3, 5)
     if format is Format.R11G11B10F:  # a store may flush denormals: exponents of 0 become 1
-        for place, bits in ((0, 6), (11, 6), (22, 5)):
-            data |= ((data >> place + bits & 31) == 0).astype(np.uint32) << place + bits
+        for shift, bits in ((0, 6), (11, 6), (22, 5)):
+            data |= ((data >> shift + bits & 31) == 0).astype(np.uint32) << shift + bits
     plain = squeezed(format, data)
     with device.texture(plain, format) as source, device.texture((5, 3), format) as target:
         program = device.program(image_copy(format, IMAGES.get(format.kind, sl.Image2D)))
@@ -473,7 +482,7 @@ class StoreColor(sl.Shader):
         self.target.store(sl.global_id().xy, sl.vec4(0.2, 0.5, -3.0, 7.0))
 
 
-@pytest.mark.needs("max_image_slots")
+@pytest.mark.requires("max_image_slots")
 def test_a_stored_color_is_converted(device: Device) -> None:
     with device.texture((2, 2), Format.RGBA8) as target:
         device.dispatch(device.program(StoreColor), (2, 2), target=target.image())
@@ -481,7 +490,7 @@ def test_a_stored_color_is_converted(device: Device) -> None:
         assert_near(target.read(), expected, *rounding(Format.RGBA8, expected))
 
 
-@pytest.mark.needs("max_image_slots")
+@pytest.mark.requires("max_image_slots")
 def test_stores_beyond_the_edge_do_nothing(device: Device) -> None:
     with device.texture((3, 3), Format.RGBA8) as target, device.texture((3, 3), Format.RGBA8) as other:
         device.dispatch(device.program(StoreColor), (8, 8), target=target.image())
@@ -489,7 +498,7 @@ def test_stores_beyond_the_edge_do_nothing(device: Device) -> None:
         assert_same(other.read(), 0)
 
 
-@pytest.mark.needs("max_image_slots")
+@pytest.mark.requires("max_image_slots")
 def test_one_level_is_an_image(device: Device) -> None:
     with device.texture((8, 8), Format.RGBA8, levels=3) as target:
         device.dispatch(device.program(StoreColor), (8, 8), target=target.image(1))
@@ -498,7 +507,7 @@ def test_one_level_is_an_image(device: Device) -> None:
         assert_same(target.read(2), 0)
 
 
-@pytest.mark.needs("max_image_slots")
+@pytest.mark.requires("max_image_slots")
 @pytest.mark.parametrize("layer", range(3))
 def test_one_layer_is_an_image(device: Device, layer: int) -> None:
     with device.texture((2, 2), Format.RGBA8, kind=TextureKind.D2_ARRAY, layers=3) as target:
@@ -534,7 +543,7 @@ class StoreVolume(sl.Shader):
     [(TextureKind.D2_ARRAY, StoreLayers), (TextureKind.D3, StoreVolume)],
     ids=["array", "3d"],
 )
-@pytest.mark.needs("max_image_slots")
+@pytest.mark.requires("max_image_slots")
 def test_all_layers_are_an_image(device: Device, kind: TextureKind, shader: Any) -> None:
     with device.texture((3, 2), Format.R32F, kind=kind, layers=4) as target:
         device.dispatch(device.program(shader), (3, 2, 4), target=target.image())
@@ -568,7 +577,7 @@ def test_a_dispatch_sees_what_the_one_before_wrote(device: Device) -> None:
         assert_same(a.read(), expected)
 
 
-def test_copies_clears_and_writes_keep_their_place_among_dispatches(device: Device) -> None:
+def test_copies_clears_and_writes_stay_in_order_among_dispatches(device: Device) -> None:
     with device.storage(sl.uint, 1) as total, device.buffer(4, np.dtype("u4")) as log:
         program = device.program(Count)
         device.dispatch(program, 1, total=total)

@@ -17,14 +17,14 @@ from rhi.shading import draw_index, instance_index, vec4
 
 pytestmark = [
     pytest.mark.recorded_too,
-    pytest.mark.needs("draws", "shading", "occlusion_queries", "conditional_rendering", "draw_index"),
+    pytest.mark.requires("draws", "shading", "occlusion_queries", "conditional_rendering", "draw_index"),
 ]
 
 COLUMNS = 16
 SIZE = (COLUMNS, 4)
 HIDDEN = [1, 2, 5, 6, 7, 12]
 """Columns that show nothing at depth 0.25, since a nearer wall covers them."""
-SEEN = [column for column in range(COLUMNS) if column not in HIDDEN]
+VISIBLE = [column for column in range(COLUMNS) if column not in HIDDEN]
 
 
 class Numbered(Flat):
@@ -70,7 +70,9 @@ def parts(mesh: rhi.Mesh, columns: Any, wall: bool = False) -> NDArray[Any]:
     return mesh.draws(6 * (np.asarray(columns, int) + COLUMNS * wall), 6)
 
 
-def ask(encoder: rhi.Encoder, program: Any, mesh: rhi.Mesh, queries: rhi.QuerySet, hidden: list[int] = HIDDEN) -> None:
+def count_columns(
+    encoder: rhi.Encoder, program: Any, mesh: rhi.Mesh, queries: rhi.QuerySet, hidden: list[int] = HIDDEN
+) -> None:
     """In an open pass, draw the wall and count the samples of each column in its row."""
     with encoder.states(rhi.DepthTest.ON, rhi.DepthFunction.GREATER):
         if hidden:
@@ -88,10 +90,10 @@ def test_what_counted_nothing_is_not_drawn(
 ) -> None:
     program = device.program(Colored)
     with device.render_pass(image, depth, clear=(0, 0, 0, 1), clear_depth=0.0):
-        ask(device, program, columns, queries)
+        count_columns(device, program, columns, queries)
     with device.render_pass(image, clear=(0, 0, 0, 1)):
         device.draw_conditional(program, columns, parts(columns, range(COLUMNS)), queries)
-    assert lit(image) == SEEN
+    assert lit(image) == VISIBLE
 
 
 def test_the_device_decides_within_one_pass(
@@ -102,10 +104,10 @@ def test_the_device_decides_within_one_pass(
     for last in (program, device.program(Numbered)):
         with device.render_pass(image, depth, clear=(0, 0, 0, 1), clear_depth=0.0):
             with device.states(rhi.ColorWrite.OFF):
-                ask(device, program, columns, queries)
+                count_columns(device, program, columns, queries)
             with device.states(rhi.DepthTest.OFF):
                 device.draw_conditional(last, columns, parts(columns, range(COLUMNS)), queries)
-        assert lit(image) == SEEN
+        assert lit(image) == VISIBLE
 
 
 def test_draws_that_count_may_have_the_same_program_and_states(
@@ -117,7 +119,7 @@ def test_draws_that_count_may_have_the_same_program_and_states(
         with device.render_pass(image, clear=(0, 0, 0, 1)):
             device.draw_counted(program, columns, counted, queries)
             device.draw_conditional(program, columns, parts(columns, range(COLUMNS)), queries, rows)
-        assert lit(image) == sorted({*SEEN, *(i for i in range(COLUMNS) if rows[i] in SEEN)})
+        assert lit(image) == sorted({*VISIBLE, *(i for i in range(COLUMNS) if rows[i] in VISIBLE)})
 
 
 def test_rows_say_what_decides_about_which_draw(
@@ -125,7 +127,7 @@ def test_rows_say_what_decides_about_which_draw(
 ) -> None:
     program = device.program(Colored)
     with device.render_pass(image, depth, clear_depth=0.0):
-        ask(device, program, columns, queries)
+        count_columns(device, program, columns, queries)
     with device.render_pass(image, clear=(0, 0, 0, 1)):
         # Rows may repeat, also after others; 0 and 3 count samples, 1 and 5 don't.
         rows = np.array([1, 0, 0, 5, 5, 5, 3, 1, 0])
@@ -139,7 +141,7 @@ def test_a_set_may_decide_often_and_count_anew(
     program = device.program(Colored)
     for hidden in (HIDDEN, [0, 3], [], list(range(COLUMNS)), HIDDEN):
         with device.render_pass(image, depth, clear=(0, 0, 0, 1), clear_depth=0.0):
-            ask(device, program, columns, queries, hidden)
+            count_columns(device, program, columns, queries, hidden)
         for _ in range(2):
             with device.render_pass(image, clear=(0, 0, 0, 1)):
                 device.draw_conditional(program, columns, parts(columns, range(COLUMNS)), queries)
@@ -152,12 +154,14 @@ def test_several_sets_decide_side_by_side(device: rhi.Device, columns: rhi.Mesh,
     hidden = [[0, 1], [2, 3, 4], [5]]
     for queries, wall in zip(sets, hidden, strict=True):
         with device.render_pass(image, depth, clear_depth=0.0):
-            ask(device, program, columns, queries, wall)
+            count_columns(device, program, columns, queries, wall)
     with device.render_pass(image, clear=(0, 0, 0, 1)):
-        for place, queries in enumerate(sets):
-            wanted = range(2 * place, 2 * place + 2)
-            device.draw_conditional(program, columns, parts(columns, wanted), queries, list(wanted))
-    assert lit(image) == [2 * place + i for place in range(3) for i in (0, 1) if 2 * place + i not in hidden[place]]
+        for set_index, queries in enumerate(sets):
+            columns_of_set = range(2 * set_index, 2 * set_index + 2)
+            device.draw_conditional(program, columns, parts(columns, columns_of_set), queries, list(columns_of_set))
+    assert lit(image) == [
+        2 * set_index + i for set_index in range(3) for i in (0, 1) if 2 * set_index + i not in hidden[set_index]
+    ]
     for queries in sets:
         queries.destroy()
 
@@ -166,7 +170,7 @@ def test_draws_of_a_row_are_numbered_from_0(
     device: rhi.Device, columns: rhi.Mesh, image: Any, depth: Any, queries: rhi.QuerySet
 ) -> None:
     with device.render_pass(image, depth, clear_depth=0.0):
-        ask(device, device.program(Colored), columns, queries)
+        count_columns(device, device.program(Colored), columns, queries)
     draws = columns.draws(6 * np.arange(7), 6, base_instance=[9, 8, 7, 6, 5, 4, 3])
     with device.render_pass(image, clear=(0, 0, 0, 1)):
         device.draw_conditional(device.program(Numbered), columns, draws, queries, [0, 0, 0, 1, 3, 3, 0])
@@ -182,7 +186,7 @@ def test_conditions_end_with_the_call(
     """Draws behind them, queries in them and the states are as after other draws."""
     program, query = device.program(Colored), device.occlusion_query()
     with device.render_pass(image, depth, clear_depth=0.0):
-        ask(device, program, columns, queries)
+        count_columns(device, program, columns, queries)
     with device.render_pass(image, clear=(0, 0, 0, 1)):
         with query:
             device.draw_conditional(program, columns, parts(columns, [0, 1, 2, 3]), queries)
@@ -214,7 +218,7 @@ def test_indexed_draws_are_dropped_too(device: rhi.Device, image: Any, depth: An
             device.draw_counted(program, mesh, none, queries)
         with device.render_pass(image, clear=(0, 0, 0, 1)):
             device.draw_conditional(program, mesh, draws, queries)
-    assert lit(image) == SEEN
+    assert lit(image) == VISIBLE
 
 
 def test_a_command_buffer_decides_at_each_submission(
@@ -238,7 +242,7 @@ def test_a_command_buffer_decides_at_each_submission(
     # The answers of a submission also decide about draws of the device.
     with device.render_pass(image, clear=(0, 0, 0, 1)):
         device.draw_conditional(program, columns, parts(columns, range(COLUMNS)), queries)
-    assert lit(image) == SEEN
+    assert lit(image) == VISIBLE
 
 
 @pytest.mark.parametrize("wrong", ["never counted", "another row", "quads"])
@@ -249,7 +253,7 @@ def test_only_rows_that_counted_decide(device: rhi.Device, columns: rhi.Mesh, im
     mesh, rows = (quads, [1, 2]) if wrong == "quads" else (columns, [1, 0] if wrong == "another row" else [1, 2])
     rule = {
         "never counted": rules.QUERY_STATE,
-        "another row": rules.QUERY_ROWS,
+        "another row": rules.QUERY_INDICES,
         "quads": rules.DEVICE_CAPABILITY,
     }
     with device.render_pass(image, clear=(0, 0, 0, 1)):

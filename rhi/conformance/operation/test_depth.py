@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 import rhi
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_format
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import compare
 from rhi.conformance.shaders import Colored, Positions
 from rhi.conformance.shapes import VertexRows, corners, rectangle
+from rhi.conformance.single_draws import draw_once
 from rhi.contract.formats import DEPTH_FORMATS
 from rhi.shading import vec4
 
-pytestmark = pytest.mark.needs("draws", "shading")
+pytestmark = pytest.mark.requires("draws", "shading")
 
 SIZE = (4, 4)
 BITS = {rhi.Format.D16: 16, rhi.Format.D24: 24, rhi.Format.D24S8: 24, rhi.Format.D32F: 24, rhi.Format.D32FS8: 24}
@@ -262,7 +262,7 @@ def test_a_polygon_offset_does_not_move_what_faces_the_camera(device: rhi.Device
     assert_near(depth_after(device, rectangle(depth=0.5), states=(rhi.PolygonOffset(4.0),)), 0.5, 2.0**-22, "float32")
 
 
-@pytest.mark.needs("depth_bias_clamp")
+@pytest.mark.requires("depth_bias_clamp")
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_polygon_offset_is_kept_within_its_clamp(device: rhi.Device, sign: float) -> None:
     ramp = rectangle()

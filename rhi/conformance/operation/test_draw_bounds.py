@@ -8,6 +8,7 @@ the platform's choice (as in WebGPU's robust buffer access).
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from rhi.conformance.shapes import centers
 from rhi.conformance.validation.refusal import refuses
 from rhi.errors.rules import MESH_RANGE
 
-pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
+pytestmark = [pytest.mark.requires("draws", "shading"), pytest.mark.recorded_too]
 
 COUNT = 8
 SIZE = (COUNT, 1)
@@ -33,11 +34,11 @@ FAR = [COUNT, 1000, 1 << 20, (1 << 31) - 1, 1 << 31, (1 << 32) - 2]
 
 
 class Vertex(sl.Struct):
-    place: sl.vec2
+    position: sl.vec2
     shade: float
 
 
-class Shown(sl.Struct):
+class ShadeVarying(sl.Struct):
     clip: sl.vec4
     shade: sl.Flat[float]
 
@@ -45,37 +46,37 @@ class Shown(sl.Struct):
 class Numbered(sl.Shader):
     """Points that show their own number, in whichever stream it lies."""
 
-    def vertex(self, v: Vertex) -> Shown:
-        return Shown(clip=sl.vec4(v.place, 0.5, 1.0), shade=v.shade)
+    def vertex(self, v: Vertex) -> ShadeVarying:
+        return ShadeVarying(clip=sl.vec4(v.position, 0.5, 1.0), shade=v.shade)
 
-    def fragment(self, v: Shown) -> float:
+    def fragment(self, v: ShadeVarying) -> float:
         return v.shade
 
 
-class Place(sl.Struct):
-    place: sl.vec2
+class Position(sl.Struct):
+    position: sl.vec2
 
 
 class Counted(sl.Shader):
     """Points at their vertex, that show how many instances were drawn; no data of instances is read."""
 
-    def vertex(self, v: Place) -> Shown:
-        return Shown(clip=sl.vec4(v.place, 0.5, 1.0), shade=float(sl.instance_index() + 1))
+    def vertex(self, v: Position) -> ShadeVarying:
+        return ShadeVarying(clip=sl.vec4(v.position, 0.5, 1.0), shade=float(sl.instance_index() + 1))
 
-    def fragment(self, v: Shown) -> float:
+    def fragment(self, v: ShadeVarying) -> float:
         return v.shade
 
 
-def rows(shade: Any) -> NDArray[Any]:
-    made = np.zeros(COUNT, Vertex.dtype)
-    made["place"], made["shade"] = centers([(i, 0) for i in range(COUNT)], SIZE), shade
-    return made
+def make_vertices(shade: Any) -> NDArray[Any]:
+    vertices = np.zeros(COUNT, Vertex.dtype)
+    vertices["position"], vertices["shade"] = centers([(i, 0) for i in range(COUNT)], SIZE), shade
+    return vertices
 
 
 @pytest.fixture
 def guarded(device: Device) -> Iterator[list[Buffer]]:
     """Buffers of foreign numbers, created before and after what a test creates."""
-    buffers = [device.buffer(np.repeat(rows(FOREIGN), 512)) for _ in range(4)]
+    buffers = [device.buffer(np.repeat(make_vertices(FOREIGN), 512)) for _ in range(4)]
     yield buffers
     for buffer in buffers:
         buffer.destroy()
@@ -83,15 +84,15 @@ def guarded(device: Device) -> Iterator[list[Buffer]]:
 
 @pytest.fixture
 def indexed(device: Device, guarded: list[Buffer]) -> Iterator[Mesh]:
-    with device.mesh(rows(OWN), np.arange(COUNT, dtype=np.uint32), primitive=Primitive.POINTS) as mesh:
-        guarded.append(device.buffer(np.repeat(rows(FOREIGN), 512)))
+    with device.mesh(make_vertices(OWN), np.arange(COUNT, dtype=np.uint32), primitive=Primitive.POINTS) as mesh:
+        guarded.append(device.buffer(np.repeat(make_vertices(FOREIGN), 512)))
         yield mesh
 
 
 @pytest.fixture
 def plain(device: Device, guarded: list[Buffer]) -> Iterator[Mesh]:
-    with device.mesh(rows(OWN), primitive=Primitive.POINTS) as mesh:
-        guarded.append(device.buffer(np.repeat(rows(FOREIGN), 512)))
+    with device.mesh(make_vertices(OWN), primitive=Primitive.POINTS) as mesh:
+        guarded.append(device.buffer(np.repeat(make_vertices(FOREIGN), 512)))
         yield mesh
 
 
@@ -100,8 +101,8 @@ def instanced(device: Device, guarded: list[Buffer]) -> Iterator[Mesh]:
     """One point; its place and number are those of 8 instances."""
     vertices = {"unused": np.zeros((1, 2), np.float32)}
     indices = np.zeros(1, np.uint32)
-    with device.mesh(vertices, indices, instances=rows(OWN), primitive=Primitive.POINTS) as mesh:
-        guarded.append(device.buffer(np.repeat(rows(FOREIGN), 512)))
+    with device.mesh(vertices, indices, instances=make_vertices(OWN), primitive=Primitive.POINTS) as mesh:
+        guarded.append(device.buffer(np.repeat(make_vertices(FOREIGN), 512)))
         yield mesh
 
 
@@ -115,8 +116,8 @@ def show(device: Device, draw: Any) -> NDArray[Any]:
 
 def assert_own(device: Device, mesh: Mesh, draw: Any) -> None:
     """Assert that a draw shows nothing but numbers of the mesh, and that the next one is right."""
-    shown = show(device, draw)
-    assert np.isin(shown, [0.0, *OWN]).all(), shown
+    image = show(device, draw)
+    assert np.isin(image, [0.0, *OWN]).all(), image
     assert_same(show(device, lambda: device.draw(device.program(Numbered), mesh.view(0, 1))), OWN * (OWN == 1))
 
 
@@ -169,10 +170,12 @@ def test_all_instances_are_drawn_and_none_beyond_the_last(device: Device, instan
 
 
 def test_a_program_that_reads_no_instances_draws_more_of_them(device: Device) -> None:
-    with device.mesh(rows(OWN), instances={"other": np.zeros(2, np.float32)}, primitive=Primitive.POINTS) as mesh:
-        shown = show(device, lambda: device.draw(device.program(Counted), mesh.view(0, 1, base_instance=3), 5))
-        assert shown[0] in (5.0, 8.0)  # whether an instance's index counts from the base
-        assert not shown[1:].any()
+    with device.mesh(
+        make_vertices(OWN), instances={"other": np.zeros(2, np.float32)}, primitive=Primitive.POINTS
+    ) as mesh:
+        image = show(device, lambda: device.draw(device.program(Counted), mesh.view(0, 1, base_instance=3), 5))
+        assert image[0] in (5.0, 8.0)  # whether an instance's index counts from the base
+        assert not image[1:].any()
 
 
 # -- only the device knows -----------------------------------------------------------------------------------------
@@ -217,20 +220,20 @@ def test_indirect_arguments_read_the_mesh(
     draws = mesh.draws(0, 1)
     draws[name] = value
     with device.buffer(draws) as arguments:
-        program, given = device.program(Numbered), IndirectDraws(arguments, 1)
-        assert_own(device, mesh, lambda: device.draw_indirect(program, mesh, given))
+        program, indirect = device.program(Numbered), IndirectDraws(arguments, 1)
+        assert_own(device, mesh, lambda: device.draw_indirect(program, mesh, indirect))
 
 
-@pytest.mark.needs("indirect_count")
+@pytest.mark.requires("indirect_count")
 @pytest.mark.parametrize("count", [3, 1000, (1 << 32) - 1])
 def test_an_indirect_count_is_at_most_the_draws_of_the_command(device: Device, plain: Mesh, count: int) -> None:
     draws = plain.draws([0, 1, 2, 3], 1)
     with device.buffer(draws) as arguments, device.buffer(np.array([count], np.uint32)) as counts:
-        given = IndirectDraws(arguments, 2, count=counts)
-        shown = show(device, lambda: device.draw_indirect(device.program(Numbered), plain, given))
-    if count >= 1 << 31 and not shown.any():
+        indirect = IndirectDraws(arguments, 2, count=counts)
+        image = show(device, lambda: device.draw_indirect(device.program(Numbered), plain, indirect))
+    if count >= 1 << 31 and not image.any():
         return  # NVIDIA's OpenGL driver reads a negative number, and draws nothing
-    assert_same(shown, OWN * (OWN <= 2))
+    assert_same(image, OWN * (OWN <= 2))
 
 
 class Checked(Numbered):
@@ -239,31 +242,40 @@ class Checked(Numbered):
     checked = True
 
 
-def test_a_checked_shader_says_that_an_index_is_beyond(device: Device, indexed: Mesh) -> None:
+def test_a_checked_shader_reports_an_index_beyond_the_buffer(device: Device, indexed: Mesh) -> None:
+    assert indexed.indices is not None
+    indexed.indices.write(np.array([0, 1, 1000], np.uint32))
+    error: ShaderError | None = None
+    try:
+        show(device, lambda: device.draw(device.program(Checked), indexed.view(0, 3)))
+    except ShaderError as raised:
+        error = raised
+    if error is None:
+        assert device.backend_name != "cl"  # OpenCL's and NumPy's shaders check their indices
+        pytest.skip(f"{device.backend_name} doesn't check the indices of shaders")
+    assert error.rule.id == "shading-index"
+    assert (error.given, error.allowed) == ("index 1000", f"0 to {COUNT - 1}")
+    assert error.site is not None
+    assert error.site.file == __file__
+
+
+def test_a_device_draws_after_a_checked_shader_has_met_an_index_beyond_the_buffer(
+    device: Device, indexed: Mesh
+) -> None:
     program = device.program(Checked)
     assert indexed.indices is not None
     indexed.indices.write(np.array([0, 1, 1000], np.uint32))
-    found = None
-    try:
+    with suppress(ShaderError):
         show(device, lambda: device.draw(program, indexed.view(0, 3)))
-    except ShaderError as error:
-        found = error
-    if found is None:
-        assert device.backend_name != "cl"  # what checks a shader is OpenCL's and NumPy's
-    else:
-        assert found.rule.id == "shading-index"
-        assert (found.given, found.allowed) == ("index 1000", f"0 to {COUNT - 1}")
-        assert found.site is not None
-        assert found.site.file == __file__
     assert_same(show(device, lambda: device.draw(program, indexed.view(0, 2))), OWN * (OWN <= 2))
 
 
 class Bounded(sl.Shader):
-    """A picture whose stages read and write outside; differences of pixels let helper invocations run."""
+    """An image whose stages read and write outside; differences of pixels let helper invocations run."""
 
     words: sl.Storage[float]
     far: sl.Storage[int]
-    seen: sl.StorageRW[float]
+    results: sl.StorageRW[float]
 
     def vertex(self) -> Bare:
         n = sl.vertex_index()
@@ -275,22 +287,24 @@ class Bounded(sl.Shader):
         table = sl.array(float, 4)
         table[x + self.far[0]] = 50.0
         table[x] = 2.0
-        self.seen[x + self.far[1]] = 1.0
-        self.seen[x] = 3.0
+        self.results[x + self.far[1]] = 1.0
+        self.results[x] = 3.0
         return sl.vec4(
             self.words[x - 2], table[x + self.far[0]] + table[x], sl.ddx(self.words[self.far[0] - x]), table[3]
         )
 
 
-@pytest.mark.needs("max_storage_slots")
+@pytest.mark.requires("max_storage_slots")
 def test_the_stages_of_a_draw_are_bounded_too(device: Device) -> None:
     words = np.array([5, 6, 7, 8], "f4")
-    seen, far = device.storage(float, np.zeros(4, "f4")), device.storage(int, np.array([100000, 500000000], "i4"))
+    results, far = device.storage(float, np.zeros(4, "f4")), device.storage(int, np.array([100000, 500000000], "i4"))
     with device.texture((8, 2), Format.RGBA32F) as target:
         with device.render_pass(target, clear=(0, 0, 0, 0)):
-            device.draw(device.program(Bounded), device.mesh(3), words=device.storage(float, words), far=far, seen=seen)
+            device.draw(
+                device.program(Bounded), device.mesh(3), words=device.storage(float, words), far=far, results=results
+            )
         back = target.read()
     for x in range(8):
         last = 2.0 if x == 3 else 0.0
         assert_same(back[:, x], (words[np.clip(x - 2, 0, 3)], last + (2.0 if x < 4 else 0.0), 0.0, last))
-    assert_same(seen.read(), 3.0)
+    assert_same(results.read(), 3.0)

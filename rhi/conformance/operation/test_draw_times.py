@@ -8,7 +8,7 @@ from rhi import Device, Format
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 
-pytestmark = pytest.mark.needs("draws", "shading")
+pytestmark = pytest.mark.requires("draws", "shading")
 
 
 def test_a_wait_lasts_as_long_as_the_work_before_it(device: Device) -> None:
@@ -28,7 +28,7 @@ def test_a_wait_lasts_as_long_as_the_work_before_it(device: Device) -> None:
                 break
 
 
-@pytest.mark.needs("timestamps")
+@pytest.mark.requires("timestamps")
 def test_more_work_takes_more_time(device: Device) -> None:
     """Whole passes are timed: within a pass, a device that works tile by tile has no separate time for each draw.
 

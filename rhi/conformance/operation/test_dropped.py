@@ -16,7 +16,7 @@ from rhi.conformance.shapes import rectangle
 from rhi.shading import vec4
 
 pytestmark = pytest.mark.usefixtures("quick_collections")
-MADE: dict[str, Callable[[Device], Any]] = {
+CREATORS: dict[str, Callable[[Device], Any]] = {
     "texture": lambda device: device.texture((4, 4), Format.RGBA8),
     "buffer": lambda device: device.buffer(np.zeros(4)),
     "storage": lambda device: device.storage(float, 4),
@@ -38,7 +38,7 @@ def make(device: Device, kind: str) -> Any:
         pytest.skip("the device declares no occlusion_queries")
     if "image" in kind and not device.capabilities.shading:
         pytest.skip("the device declares no shading")
-    return MADE[kind](device)
+    return CREATORS[kind](device)
 
 
 def created(device: Device, since: int) -> list[int]:
@@ -59,20 +59,20 @@ def since(recording: Device) -> int:
     return len(recording.stream)
 
 
-@pytest.mark.parametrize("kind", MADE)
+@pytest.mark.parametrize("kind", CREATORS)
 def test_what_nobody_holds_is_destroyed(recording: Device, since: int, kind: str) -> None:
     make(recording, kind)
     recording.finish()
     assert destroyed(recording, since) == created(recording, since) != []
 
 
-@pytest.mark.parametrize("kind", MADE)
+@pytest.mark.parametrize("kind", CREATORS)
 def test_what_somebody_holds_stays(recording: Device, since: int, kind: str) -> None:
-    held = make(recording, kind)
+    resource = make(recording, kind)
     gc.collect()
     recording.finish()
     assert not destroyed(recording, since)
-    del held
+    del resource
 
 
 @pytest.mark.parametrize("kind", ["texture", "buffer", "mesh", "query"])
@@ -83,8 +83,8 @@ def test_what_was_destroyed_before_is_destroyed_once(recording: Device, since: i
 
 
 def test_another_thread_may_drop_a_resource(recording: Device, since: int) -> None:
-    held = [recording.texture((4, 4), Format.RGBA8)]
-    thread = threading.Thread(target=held.clear)
+    resources = [recording.texture((4, 4), Format.RGBA8)]
+    thread = threading.Thread(target=resources.clear)
     thread.start()
     thread.join()
     assert not destroyed(recording, since)
@@ -108,7 +108,7 @@ def test_creations_destroy_what_was_dropped_in_a_program_without_frames(recordin
     assert len(destroyed(recording, since)) >= 400
 
 
-@pytest.mark.needs("draws", "shading")
+@pytest.mark.requires("draws", "shading")
 def test_a_draw_has_what_was_dropped_right_after_it(device: Device) -> None:
     with device.texture((4, 4), Format.RGBA8) as image:
         with device.render_pass(image, clear=(0, 0, 0, 0)):
@@ -122,7 +122,7 @@ def test_a_draw_has_what_was_dropped_right_after_it(device: Device) -> None:
         assert (image.read() == (0, 255, 0, 255)).all()
 
 
-@pytest.mark.needs("draws", "shading")
+@pytest.mark.requires("draws", "shading")
 def test_a_pass_holds_its_targets(device: Device) -> None:
     with device.texture((4, 4), Format.RGBA8) as copy:
         with device.render_pass([device.texture((4, 4), Format.RGBA8, label="dropped"), copy], clear=(0, 0, 0, 0)):
@@ -132,7 +132,7 @@ def test_a_pass_holds_its_targets(device: Device) -> None:
         device.finish()
 
 
-@pytest.mark.needs("draws", "shading")
+@pytest.mark.requires("draws", "shading")
 def test_a_command_buffer_holds_what_it_uses(device: Device) -> None:
     with device.texture((4, 4), Format.RGBA8) as image:
         with device.record() as commands:
@@ -148,7 +148,7 @@ def test_a_command_buffer_holds_what_it_uses(device: Device) -> None:
             assert (image.read() == (0, 0, 255, 255)).all()
 
 
-@pytest.mark.needs("draws", "shading")
+@pytest.mark.requires("draws", "shading")
 def test_a_mesh_that_is_dropped_takes_its_vertex_arrays_with_it(recording: Device) -> None:
     recording.program(Colored)
     recording.finish()

@@ -12,11 +12,11 @@ import rhi
 import rhi.shading as sl
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_blendable, require_samples
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Checkered, Colored, Corner, DepthFromColor, Shade, Shaded, Smooth
 from rhi.conformance.shapes import centers, corners, rectangle
+from rhi.conformance.single_draws import draw_once
 
-pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
+pytestmark = [pytest.mark.requires("draws", "shading"), pytest.mark.recorded_too]
 
 SIZE = (8, 8)
 
@@ -118,12 +118,12 @@ def test_without_early_depth_hidden_fragments_have_their_effects(device: rhi.Dev
     assert counted(device, CountFragments) == 64
 
 
-@pytest.mark.needs("early_depth")
+@pytest.mark.requires("early_depth")
 def test_with_early_depth_hidden_fragments_have_none(device: rhi.Device) -> None:
     assert counted(device, CountEarly) == 16
 
 
-@pytest.mark.needs("early_depth")
+@pytest.mark.requires("early_depth")
 def test_with_early_depth_a_discarded_fragment_has_already_written_depth(
     device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh
 ) -> None:
@@ -171,7 +171,7 @@ class Scale(sl.Shader):
         self.vertices[2 * i + 1] = sl.vec4(1.0)
 
 
-@pytest.mark.needs("compute")
+@pytest.mark.requires("compute")
 def test_a_draw_reads_vertices_that_a_dispatch_wrote(device: rhi.Device) -> None:
     with device.buffer(4, Corner.dtype) as vertices, device.texture(SIZE, rhi.Format.R8) as image:
         mesh = device.mesh(vertices, primitive=rhi.Primitive.QUADS)
@@ -194,7 +194,7 @@ class Enumerate(sl.Shader):
         self.indices[i] = sl.uint(i)
 
 
-@pytest.mark.needs("compute")
+@pytest.mark.requires("compute")
 def test_a_draw_reads_indices_that_a_dispatch_wrote(device: rhi.Device) -> None:
     with device.buffer(6, np.dtype("u4")) as indices, device.texture(SIZE, rhi.Format.R8) as image:
         with device.mesh(rectangle(), indices) as mesh:
@@ -218,7 +218,7 @@ class Choose(sl.Shader):
         self.words[10] = sl.uint(1)
 
 
-@pytest.mark.needs("compute", "indirect_count")
+@pytest.mark.requires("compute", "indirect_count")
 def test_an_indirect_draw_reads_arguments_and_count_that_a_dispatch_wrote(device: rhi.Device) -> None:
     rows = corners(centers([(i, 0) for i in range(8)], (8, 1)))
     with (
@@ -246,15 +246,15 @@ class Sampled(Shaded):
 def test_a_pass_reads_what_the_pass_before_drew(device: rhi.Device) -> None:
     step = corners([(-1, -1), (3, -1), (-1, 3)], (1 / 32, 0, 0, 0))
     with (
-        device.texture(SIZE, rhi.Format.RGBA32F) as one,
-        device.texture(SIZE, rhi.Format.RGBA32F) as two,
+        device.texture(SIZE, rhi.Format.RGBA32F) as first,
+        device.texture(SIZE, rhi.Format.RGBA32F) as second,
         device.mesh(step) as mesh,
     ):
         for _ in range(10):
-            for source, target in ((one, two), (two, one)):
+            for source, target in ((first, second), (second, first)):
                 with device.render_pass(target):
                     device.draw(device.program(Sampled), mesh, source=source)
-        assert_same(one.read()[..., 0], 20 / 32)
+        assert_same(first.read()[..., 0], 20 / 32)
 
 
 class Fill(Shaded):
@@ -281,7 +281,7 @@ class Sum(sl.Shader):
         self.total[0] = total
 
 
-@pytest.mark.needs("compute")
+@pytest.mark.requires("compute")
 def test_a_dispatch_reads_what_fragments_wrote(device: rhi.Device, image: rhi.Texture, mesh: rhi.Mesh) -> None:
     with device.storage(sl.uint, 64) as values, device.storage(sl.uint, 1) as total:
         with device.render_pass(image), device.states(rhi.ColorWrite.OFF):
@@ -295,13 +295,13 @@ class WaterfallAtEdges(Shaded):
 
     def fragment(self, v: Shade) -> sl.vec4:
         column = int(sl.fragment_coordinate().x)
-        found = 0.0
+        value = 0.0
         while True:
             shared = sl.broadcast_first(column)
             if column == shared:
-                found = float(shared)
+                value = float(shared)
                 break
-        return sl.vec4(found, sl.ddx(found), 0.0, 1.0)
+        return sl.vec4(value, sl.ddx(value), 0.0, 1.0)
 
 
 def test_a_loop_over_what_fragments_broadcast_ends_at_the_edges_of_triangles(device: rhi.Device) -> None:
@@ -351,10 +351,10 @@ class Digit(sl.Struct):
 def read_digit(digit: Digit, worth: float, zero: float) -> float:
     """Return what a digit is worth, after enough work that a compiler keeps a branch around it."""
     if digit.is_one + zero > 0.5:
-        found = zero
+        exponent = zero
         for _ in range(16):
-            found = sl.exp2(found) - 1.0
-        return worth + found
+            exponent = sl.exp2(exponent) - 1.0
+        return worth + exponent
     return zero
 
 

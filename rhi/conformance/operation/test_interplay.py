@@ -4,6 +4,7 @@ writes between two draws on the first draw."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import rhi.shading as sl
 from rhi import (
     BlendFunction,
     ColorWrite,
+    Comparison,
     CullMode,
     DepthFunction,
     DepthWrite,
@@ -23,22 +25,34 @@ from rhi import (
     Primitive,
     Region,
     Scissor,
+    State,
+    StencilFront,
     StencilTest,
     Viewport,
 )
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import require_samples
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Colored, Corner, Count, Loads, Shade, Tint, Tinted, Weighted
 from rhi.conformance.shapes import centers, corners, rectangle
+from rhi.conformance.single_draws import draw_once
 
-pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
+pytestmark = [pytest.mark.requires("draws", "shading"), pytest.mark.recorded_too]
 
 SIZE = (8, 8)
-HOSTILE = (
-    Scissor(0, 0, 1, 1), ColorWrite.OFF, DepthWrite.OFF, CullMode.FRONT, DepthFunction.NEVER, BlendFunction.ADDITIVE,
-)  # fmt: skip
-"""States that would break a copy that is implemented as a draw."""
+HOSTILE = {
+    "scissor": Scissor(0, 0, 1, 1),
+    "color write": ColorWrite.OFF,
+    "depth write": DepthWrite.OFF,
+    "culling": CullMode.FRONT,
+    "depth test": DepthFunction.NEVER,
+    "blending": BlendFunction.ADDITIVE,
+    "stencil test": StencilTest.ON,
+}
+"""States that would break a copy, a clear or a dispatch that is implemented as a draw."""
+NOTHING_PASSES = StencilFront(Comparison.NEVER)
+"""What the stencil test compares when it is the hostile state."""
+each_state = pytest.mark.parametrize("state", HOSTILE.values(), ids=HOSTILE)
+"""Runs a test once for each hostile state, so that the name of a failure says which state leaks."""
 
 
 class Fill(sl.Shader):
@@ -50,62 +64,118 @@ class Fill(sl.Shader):
         self.target.store(sl.global_id().xy, sl.vec4(1.0))
 
 
-def hostile_draw(device: Device) -> None:
-    """Draw with the hostile states, which stay set in the driver after the draw."""
-    with (
-        device.texture(SIZE, Format.RGBA8) as image,
-        device.texture(SIZE, Format.D24S8) as depth,
-        device.mesh(rectangle()) as mesh,
-        device.render_pass(image, depth),
-        device.states(*HOSTILE, *((StencilTest.ON,) if device.capabilities.stencil else ())),
-    ):
-        device.draw(device.program(Colored), mesh)
+@contextmanager
+def hostile(device: Device, state: State) -> Iterator[None]:
+    """Open a scope with a hostile state that a draw has already set in the driver."""
+    states = [state]
+    if state is StencilTest.ON:
+        if not device.capabilities.stencil:
+            pytest.skip(f"{device.backend_name} declares no stencil")
+        states.append(NOTHING_PASSES)
+    with device.states(*states):
+        with (
+            device.texture(SIZE, Format.RGBA8) as image,
+            device.texture(SIZE, Format.D24S8) as depth,
+            device.mesh(rectangle()) as mesh,
+            device.render_pass(image, depth),
+        ):
+            device.draw(device.program(Colored), mesh)
+        yield
+
+
+def filled_texture(device: Device, **options: Any) -> rhi.Texture:
+    """Create a texture with 60 in each byte of level 0, so that blending would change what is written."""
+    texture = device.texture(SIZE, Format.RGBA8, **options)
+    texture.write(np.full((8, 8, 4), 60, "u1"))
+    return texture
+
+
+RANDOM_TEXELS = np.random.default_rng(0).integers(0, 256, (8, 8, 4), dtype="u1")
 
 
 # -- states and operations that aren't draws ---------------------------------------------------------------
 
 
-@pytest.mark.parametrize("at_end", [True, False], ids=["in the pass", "by itself"])
-def test_states_do_not_touch_resolves(device: Device, at_end: bool, mesh: Mesh) -> None:
+@each_state
+def test_states_do_not_touch_resolves_at_the_end_of_a_pass(device: Device, state: State) -> None:
     require_samples(device, 4)
-    with device.texture(SIZE, Format.RGBA8, samples=4) as source, device.texture(SIZE, Format.RGBA8) as target:
-        with device.render_pass(source, clear=(0.2, 0.4, 0.6, 0.8), resolve=target if at_end else None):
-            with device.states(*HOSTILE):
-                device.draw(device.program(Colored), mesh)
-        if not at_end:
-            source.resolve_to(target)
+    outside = rectangle(2, 2, 3, 3)
+    with (
+        device.texture(SIZE, Format.RGBA8, samples=4) as source,
+        filled_texture(device) as target,
+        device.mesh(outside) as mesh,
+        hostile(device, state),
+    ):
+        with device.render_pass(source, clear=(0.2, 0.4, 0.6, 0.8), resolve=target):
+            device.draw(device.program(Colored), mesh)  # covers nothing, and sets the state in this pass
         assert_same(target.read(), (51, 102, 153, 204))
 
 
-def test_states_do_not_touch_copies_mipmaps_writes_and_reads(device: Device) -> None:
-    data = np.random.default_rng(0).integers(0, 256, (8, 8, 4), dtype="u1")
-    hostile_draw(device)
-    with device.states(*HOSTILE), device.texture(SIZE, Format.RGBA8, levels=2) as texture:
-        with device.texture(SIZE, Format.RGBA8) as copy:
-            texture.write(data)
+@each_state
+def test_states_do_not_touch_resolves_by_themselves(device: Device, state: State) -> None:
+    require_samples(device, 4)
+    with device.texture(SIZE, Format.RGBA8, samples=4) as source, filled_texture(device) as target:
+        with device.render_pass(source, clear=(0.2, 0.4, 0.6, 0.8)):
+            pass
+        with hostile(device, state):
+            source.resolve_to(target)
+            assert_same(target.read(), (51, 102, 153, 204))
+
+
+@each_state
+def test_states_do_not_touch_writes_and_reads(device: Device, state: State) -> None:
+    with filled_texture(device) as texture, hostile(device, state):
+        texture.write(RANDOM_TEXELS)
+        assert_same(texture.read(), RANDOM_TEXELS)
+
+
+@each_state
+def test_states_do_not_touch_copies(device: Device, state: State) -> None:
+    with device.texture(RANDOM_TEXELS, Format.RGBA8) as texture, filled_texture(device) as copy:
+        with hostile(device, state):
             texture.copy_to(copy, region=Region(0, 0, 8, 8))
+        assert_same(copy.read(), RANDOM_TEXELS)
+
+
+@each_state
+def test_states_do_not_touch_mipmaps(device: Device, state: State) -> None:
+    with filled_texture(device, levels=2) as texture:
+        texture.generate_mipmaps()
+        texture.write(RANDOM_TEXELS)
+        with hostile(device, state):
             texture.generate_mipmaps()
-            assert_same(texture.read(), data)
-            assert_same(copy.read(), data)
-            box = data.reshape(4, 2, 4, 2, 4).mean(axis=(1, 3))
-            assert_near(texture.read(1), box, 1, "one unit of rounding")
+        means = RANDOM_TEXELS.reshape(4, 2, 4, 2, 4).mean(axis=(1, 3))
+        assert_near(texture.read(1), means, 1, "one unit of rounding")
 
 
-def test_states_do_not_touch_clears(device: Device) -> None:
-    hostile_draw(device)
-    with device.texture(SIZE, Format.RGBA8) as image, device.texture(SIZE, Format.D24S8) as depth:
-        with device.states(*HOSTILE):
-            with device.render_pass(image, depth, clear=(1, 1, 1, 1), clear_depth=0.25, clear_stencil=7):
-                pass
-        assert_same(image.read(), 255)
+@each_state
+def test_states_do_not_touch_clears_of_color(device: Device, state: State) -> None:
+    with filled_texture(device) as image:
+        with hostile(device, state), device.render_pass(image, clear=(0.6, 0.6, 0.6, 0.6)):
+            pass
+        assert_same(image.read(), 153)
+
+
+@each_state
+def test_states_do_not_touch_clears_of_depth(device: Device, state: State) -> None:
+    with device.texture(SIZE, Format.D24S8) as depth:
+        with hostile(device, state), device.render_pass(depth=depth, clear_depth=0.25):
+            pass
         assert_near(depth.read(), 0.25, 2.0**-24, "24 bits of depth")
+
+
+@each_state
+def test_states_do_not_touch_clears_of_stencil_values(device: Device, state: State) -> None:
+    with device.texture(SIZE, Format.D24S8) as depth:
+        with hostile(device, state), device.render_pass(depth=depth, clear_stencil=7):
+            pass
         assert_same(depth.read_stencil(), 7)
 
 
-@pytest.mark.needs("compute")
-def test_states_do_not_touch_dispatches(device: Device) -> None:
-    hostile_draw(device)
-    with device.texture(SIZE, Format.RGBA8) as target:
+@each_state
+@pytest.mark.requires("compute")
+def test_states_do_not_touch_dispatches(device: Device, state: State) -> None:
+    with filled_texture(device) as target, hostile(device, state):
         device.dispatch(device.program(Fill), SIZE, target=target.image())
         assert_same(target.read(), 255)
 
@@ -136,48 +206,69 @@ def test_srgb_samples_are_averaged_in_linear_light(device: Device) -> None:
 # -- conditional rendering ---------------------------------------------------------------------------------
 
 
-@pytest.mark.needs("occlusion_queries", "conditional_rendering")
-def test_a_condition_drops_draws_only(device: Device) -> None:
-    """Clears, resolves, copies, mipmaps and writes inside a condition are executed."""
-    data = np.full((8, 8, 4), 100, "u1")
+@pytest.fixture
+def dropped(device: Device) -> Iterator[AbstractContextManager[Any]]:
+    """A condition that isn't met: a query that no draw has counted for."""
     query = device.occlusion_query()
-    samples = max(count for count in device.capabilities.sample_counts if count <= 4)
-    with (
-        device.texture(SIZE, Format.RGBA8) as image,
-        device.texture(SIZE, Format.RGBA8, samples=samples) as source,
-        device.texture(SIZE, Format.RGBA8) as resolved,
-        device.texture(SIZE, Format.RGBA8, levels=2) as texture,
-        device.texture(SIZE, Format.RGBA8) as copy,
-        device.mesh(rectangle()) as mesh,
-    ):
-        with device.render_pass(image), query:
-            pass
-        with device.conditional(query):
-            with device.render_pass(image, clear=(0.2, 0.2, 0.2, 0.2)):
-                device.draw(device.program(Colored), mesh)
-            with device.render_pass(source, clear=(0.4, 0.4, 0.4, 0.4), resolve=resolved if samples > 1 else None):
-                pass
-            texture.write(data)
-            texture.generate_mipmaps()
-            texture.copy_to(copy, region=Region(0, 0, 8, 8))
-        assert_same(image.read(), 51)
-        if samples > 1:
-            assert_same(resolved.read(), 102)
-        assert_same(texture.read(1), 100)
-        assert_same(copy.read(), 100)
+    with device.texture(SIZE, Format.RGBA8) as image, device.render_pass(image), query:
+        pass
+    yield device.conditional(query)
     query.destroy()
 
 
-@pytest.mark.needs("occlusion_queries", "conditional_rendering", "compute")
-def test_a_condition_does_not_drop_dispatches(device: Device) -> None:
-    query = device.occlusion_query()
-    with device.texture(SIZE, Format.RGBA8) as image, device.storage(sl.uint, 1) as total:
-        with device.render_pass(image), query:
+conditional = pytest.mark.requires("occlusion_queries", "conditional_rendering")
+
+
+@conditional
+def test_a_condition_drops_draws_but_not_the_clear_of_their_pass(
+    device: Device, mesh: Mesh, dropped: AbstractContextManager[Any]
+) -> None:
+    with device.texture(SIZE, Format.RGBA8) as image:
+        with dropped, device.render_pass(image, clear=(0.2, 0.2, 0.2, 0.2)):
+            device.draw(device.program(Colored), mesh)
+        assert_same(image.read(), 51)
+
+
+@conditional
+def test_a_condition_does_not_drop_resolves(device: Device, dropped: AbstractContextManager[Any]) -> None:
+    require_samples(device, 4)
+    with device.texture(SIZE, Format.RGBA8, samples=4) as source, device.texture(SIZE, Format.RGBA8) as resolved:
+        with dropped, device.render_pass(source, clear=(0.4, 0.4, 0.4, 0.4), resolve=resolved):
             pass
-        with device.conditional(query):
+        assert_same(resolved.read(), 102)
+
+
+@conditional
+def test_a_condition_does_not_drop_writes(device: Device, dropped: AbstractContextManager[Any]) -> None:
+    with device.texture(SIZE, Format.RGBA8) as texture:
+        with dropped:
+            texture.write(RANDOM_TEXELS)
+        assert_same(texture.read(), RANDOM_TEXELS)
+
+
+@conditional
+def test_a_condition_does_not_drop_mipmaps(device: Device, dropped: AbstractContextManager[Any]) -> None:
+    with filled_texture(device, levels=2) as texture:
+        with dropped:
+            texture.generate_mipmaps()
+        assert_same(texture.read(1), 60)
+
+
+@conditional
+def test_a_condition_does_not_drop_copies(device: Device, dropped: AbstractContextManager[Any]) -> None:
+    with device.texture(RANDOM_TEXELS, Format.RGBA8) as texture, device.texture(SIZE, Format.RGBA8) as copy:
+        with dropped:
+            texture.copy_to(copy, region=Region(0, 0, 8, 8))
+        assert_same(copy.read(), RANDOM_TEXELS)
+
+
+@conditional
+@pytest.mark.requires("compute")
+def test_a_condition_does_not_drop_dispatches(device: Device, dropped: AbstractContextManager[Any]) -> None:
+    with device.storage(sl.uint, 1) as total:
+        with dropped:
             device.dispatch(device.program(Count), 3, total=total)
         assert_same(total.read(), 3)
-    query.destroy()
 
 
 # -- each draw sees what was written before it -------------------------------------------------------------
@@ -430,14 +521,14 @@ READS = [
     pytest.param(lambda _, texture: texture.read(), id="read"),
     pytest.param(lambda _, texture: texture.read_async().result(), id="asynchronous read"),
     pytest.param(read_by_copy, id="copy"),
-    pytest.param(read_by_buffer, id="copy to a buffer", marks=pytest.mark.needs("texture_buffer_copies")),
+    pytest.param(read_by_buffer, id="copy to a buffer", marks=pytest.mark.requires("texture_buffer_copies")),
     pytest.param(read_by_vertices, id="vertex stage"),
-    pytest.param(read_by_dispatch, id="work group", marks=pytest.mark.needs("compute")),
-    pytest.param(read_by_indirect_dispatch, id="indirect work group", marks=pytest.mark.needs("compute")),
+    pytest.param(read_by_dispatch, id="work group", marks=pytest.mark.requires("compute")),
+    pytest.param(read_by_indirect_dispatch, id="indirect work group", marks=pytest.mark.requires("compute")),
 ]
 
 
-@pytest.mark.needs("max_texture_slots")
+@pytest.mark.requires("max_texture_slots")
 @pytest.mark.parametrize("format", [Format.R32F, Format.D32F], ids=["color", "depth"])
 @pytest.mark.parametrize("read", READS)
 def test_what_was_drawn_last_is_read_while_an_older_pass_samples_the_texture(
@@ -450,7 +541,7 @@ def test_what_was_drawn_last_is_read_while_an_older_pass_samples_the_texture(
             assert_same(read(device, texture), red)
 
 
-@pytest.mark.needs("max_texture_slots")
+@pytest.mark.requires("max_texture_slots")
 def test_generated_levels_are_read_while_an_older_pass_samples_them(
     device: Device, slow: Callable[[rhi.Texture], None]
 ) -> None:
@@ -464,7 +555,7 @@ def test_generated_levels_are_read_while_an_older_pass_samples_them(
             assert_same(texture.read(level=1), red)
 
 
-@pytest.mark.needs("max_texture_slots")
+@pytest.mark.requires("max_texture_slots")
 def test_a_resolved_texture_is_read_while_an_older_pass_samples_it(
     device: Device, slow: Callable[[rhi.Texture], None]
 ) -> None:
@@ -575,13 +666,13 @@ BUFFER_WRITES = [
     pytest.param(write_all_elements, 4, id="write of all"),
     pytest.param(copy_elements, 4, id="copy"),
     pytest.param(clear_elements, 4, id="clear"),
-    pytest.param(store_elements, 4, id="work group", marks=pytest.mark.needs("compute")),
-    pytest.param(store_elements_by_vertices, 4, id="vertex stage", marks=pytest.mark.needs("vertex_writes")),
+    pytest.param(store_elements, 4, id="work group", marks=pytest.mark.requires("compute")),
+    pytest.param(store_elements_by_vertices, 4, id="vertex stage", marks=pytest.mark.requires("vertex_writes")),
     pytest.param(write_all_elements, 100_000, id="write of all of many"),
 ]
 
 
-@pytest.mark.needs("max_storage_slots")
+@pytest.mark.requires("max_storage_slots")
 @pytest.mark.parametrize(("write", "count"), BUFFER_WRITES)
 def test_a_buffer_is_written_after_an_older_pass_has_read_it(
     device: Device, write: Callable[[Device, rhi.StorageBuffer[sl.vec4]], None], count: int
@@ -618,11 +709,11 @@ def store_texels(device: Device, texture: rhi.Texture) -> None:
 TEXTURE_WRITES = [
     pytest.param(write_texels, id="write"),
     pytest.param(copy_texels, id="copy"),
-    pytest.param(store_texels, id="work group", marks=pytest.mark.needs("max_image_slots")),
+    pytest.param(store_texels, id="work group", marks=pytest.mark.requires("max_image_slots")),
 ]
 
 
-@pytest.mark.needs("max_texture_slots")
+@pytest.mark.requires("max_texture_slots")
 @pytest.mark.parametrize("write", TEXTURE_WRITES)
 def test_a_texture_is_written_after_an_older_pass_has_sampled_it(
     device: Device, write: Callable[[Device, rhi.Texture], None]

@@ -18,7 +18,7 @@ import rhi.shading as sl
 from rhi import Device
 from rhi.conformance.compare import assert_near, assert_same
 
-pytestmark = pytest.mark.needs("shading", "compute")
+pytestmark = pytest.mark.requires("shading", "compute")
 
 Array = NDArray[Any]
 
@@ -64,8 +64,8 @@ def test_trigonometric_functions_are_near_float64_s(device: Device) -> None:
     c = np.clip(d, -1, 1)
     expected = [np.sin(d), np.cos(d), np.tan(d), np.arctan(d), np.arcsin(c), np.arccos(c), np.radians(d), np.degrees(d),
                 np.cosh(d), np.tanh(d), np.arctan2(d, 0.5)]  # fmt: skip
-    wanted = np.stack(expected, axis=1)
-    assert_near(run(device, Angles, float, x, 11), wanted, 1e-3 + 1e-4 * np.abs(wanted), "approximations")
+    columns = np.stack(expected, axis=1)
+    assert_near(run(device, Angles, float, x, 11), columns, 1e-3 + 1e-4 * np.abs(columns), "approximations")
 
 
 class Powers(sl.Shader):
@@ -93,10 +93,10 @@ def test_powers_and_roots_are_near_float64_s(device: Device) -> None:
     x = np.array([0.01, 0.3, 0.5, 0.999, 1.0, 1.001, 2.0, 3.7, 10.0, 20.0], "f4")
     d = x.astype(np.float64)
     expected = [np.exp(d), np.exp2(d), np.log(d), np.log2(d), np.sqrt(d), d**-0.5, d**2.5, d**3, 1 / d]
-    wanted = np.stack(expected, axis=1)
-    slack = 2e-6 + 3e-5 * np.abs(wanted)
-    slack[:, 4:6] = 2e-7 + 1e-6 * np.abs(wanted[:, 4:6])
-    assert_near(run(device, Powers, float, x, 9), wanted, slack, "approximations; roots nearly exact")
+    columns = np.stack(expected, axis=1)
+    slack = 2e-6 + 3e-5 * np.abs(columns)
+    slack[:, 4:6] = 2e-7 + 1e-6 * np.abs(columns[:, 4:6])
+    assert_near(run(device, Powers, float, x, 9), columns, slack, "approximations; roots nearly exact")
 
 
 class Steps(sl.Shader):
@@ -132,10 +132,10 @@ def test_functions_with_steps_are_exact(device: Device) -> None:
     expected = [np.floor(d), np.ceil(d), np.trunc(d), np.round(d), d - np.floor(d), np.abs(d), np.sign(d),
                 np.minimum(d, 0.75), np.maximum(d, 0.75), np.clip(d, -1, 1), d >= 0.5, t * t * (3 - 2 * t),
                 2 + 4 * d, 2 * d + 1]  # fmt: skip
-    wanted = np.stack(expected, axis=1)
+    columns = np.stack(expected, axis=1)
     back = run(device, Steps, float, x, 14)
-    assert_same(back[:, :11], wanted[:, :11])
-    assert_near(back[:, 11:], wanted[:, 11:], 1e-6 * np.maximum(1, np.abs(wanted[:, 11:])), "float32")
+    assert_same(back[:, :11], columns[:, :11])
+    assert_near(back[:, 11:], columns[:, 11:], 1e-6 * np.maximum(1, np.abs(columns[:, 11:])), "float32")
 
 
 class Specials(sl.Shader):
@@ -221,29 +221,54 @@ class Matrices(sl.Shader):
         i = sl.inverse(m)
         t = sl.transpose(m)
         scaled = m * 2.0
-        one = m @ i
+        product = m @ i
         for row in range(3):
-            self.target[row] = sl.vec4(i[row], one[row][row])
+            self.target[row] = sl.vec4(i[row], product[row][row])
             self.target[3 + row] = sl.vec4(t[row], sl.determinant(m))
             self.target[6 + row] = sl.vec4(scaled[row], m[row][2])
         m[1][2] = 99.0
         self.target[9] = sl.vec4(m[1], 0.0)
 
 
-def test_matrices_are_rows_as_numpy_s(device: Device) -> None:
-    m = np.array([(2.0, 1, 0), (0.5, 3, -1), (1, 0, 4)])
+MATRIX = np.array([(2.0, 1, 0), (0.5, 3, -1), (1, 0, 4)])
+
+
+@pytest.fixture
+def matrix_results(device: Device) -> NDArray[Any]:
+    """The rows that `Matrices` writes of `MATRIX`."""
     rows = np.zeros((3, 4), "f4")
-    rows[:, :3] = m
+    rows[:, :3] = MATRIX
     with device.storage(sl.vec4, rows) as source, device.storage(sl.vec4, 10) as target:
         device.dispatch(device.program(Matrices), 1, source=source, target=target)
-        back = target.read()
-    assert_near(back[:3, :3], np.linalg.inv(m), 1e-6, "float32")
-    assert_near(back[:3, 3], 1, 1e-6, "float32")
-    assert_same(back[3:6, :3], m.T)
-    assert_near(back[3:6, 3], np.linalg.det(m), 1e-5, "float32")
-    assert_same(back[6:9, :3], 2 * m)
-    assert_same(back[6:9, 3], m[:, 2])
-    assert_same(back[9, :3], (0.5, 3, 99))
+        return target.read()
+
+
+def test_an_inverse_has_the_rows_that_numpy_computes(matrix_results: NDArray[Any]) -> None:
+    assert_near(matrix_results[:3, :3], np.linalg.inv(MATRIX), 1e-6, "float32")
+
+
+def test_a_matrix_times_its_inverse_is_the_identity(matrix_results: NDArray[Any]) -> None:
+    assert_near(matrix_results[:3, 3], 1, 1e-6, "float32")
+
+
+def test_a_transposed_matrix_has_columns_as_rows(matrix_results: NDArray[Any]) -> None:
+    assert_same(matrix_results[3:6, :3], MATRIX.T)
+
+
+def test_a_determinant_is_numpy_s(matrix_results: NDArray[Any]) -> None:
+    assert_near(matrix_results[3:6, 3], np.linalg.det(MATRIX), 1e-5, "float32")
+
+
+def test_a_matrix_times_a_number_scales_each_element(matrix_results: NDArray[Any]) -> None:
+    assert_same(matrix_results[6:9, :3], 2 * MATRIX)
+
+
+def test_two_indices_of_a_matrix_are_row_and_column(matrix_results: NDArray[Any]) -> None:
+    assert_same(matrix_results[6:9, 3], MATRIX[:, 2])
+
+
+def test_an_element_of_a_matrix_is_written_in_its_row(matrix_results: NDArray[Any]) -> None:
+    assert_same(matrix_results[9, :3], (0.5, 3, 99))
 
 
 class Swizzles(sl.Shader):
@@ -535,8 +560,8 @@ class Waterfall(sl.Shader):
 def test_a_loop_over_what_invocations_broadcast_gives_each_its_own(device: Device) -> None:
     random = np.random.default_rng(3)
     own = np.r_[random.integers(-3, 9, 64), np.repeat([4, 7], [21, 12]), np.arange(31)].astype("i4")
-    found = run(device, Waterfall, int, own, 1)[:, 0]
-    assert_same(found, [sum(k * n for k in range(n)) if n >= 0 else 0 for n in own.tolist()])
+    sums = run(device, Waterfall, int, own, 1)[:, 0]
+    assert_same(sums, [sum(k * n for k in range(n)) if n >= 0 else 0 for n in own.tolist()])
 
 
 class Short(sl.Shader):
@@ -554,8 +579,8 @@ class Short(sl.Shader):
         n = self.source[i]
         both = n > 5 and self.count(i, n > 6)
         either = n < 3 or self.count(i, n == 6)
-        chosen = n if 2 < n <= 6 else int(self.count(i, n > 0))
-        self.target[i].xyz = sl.ivec3(int(both), int(either), chosen)
+        selected = n if 2 < n <= 6 else int(self.count(i, n > 0))
+        self.target[i].xyz = sl.ivec3(int(both), int(either), selected)
 
 
 def test_conditions_stop_early(device: Device) -> None:
@@ -655,10 +680,10 @@ class Together(sl.Shader):
         for _n in range(7):
             a, c = c, a + c
         v.x, v.z, share = v.z, v.x, share / 4
-        places = sl.array(float, 3)
-        k, places[0], places[1] = 1, a, c
-        k, places[k] = 2, places[0] + float(k)
-        self.target[6 * i], self.target[6 * i + 1] = places[2], places[1]
+        elements = sl.array(float, 3)
+        k, elements[0], elements[1] = 1, a, c
+        k, elements[k] = 2, elements[0] + float(k)
+        self.target[6 * i], self.target[6 * i + 1] = elements[2], elements[1]
         self.target[6 * i + 2], self.target[6 * i + 3] = v.x, v.z
         self.target[6 * i + 4], self.target[6 * i + 5] = share + float(k), c
 
@@ -669,10 +694,10 @@ def test_targets_are_assigned_once_all_values_are_known(device: Device) -> None:
         for _n in range(7):
             a, c = c, a + c
         x, z, share = z, x, share / 4
-        places = [0.0, 0.0, 0.0]
-        k, places[0], places[1] = 1, a, c
-        k, places[k] = 2, places[0] + float(k)
-        return [places[2], places[1], x, z, share + float(k), c]
+        elements = [0.0, 0.0, 0.0]
+        k, elements[0], elements[1] = 1, a, c
+        k, elements[k] = 2, elements[0] + float(k)
+        return [elements[2], elements[1], x, z, share + float(k), c]
 
     source = np.array([1.0, 5.0, -3.0], "f4")
     assert_same(run(device, Together, float, source, 6), np.array([expect(x) for x in source.tolist()], "f4"))

@@ -12,26 +12,26 @@ import rhi
 from rhi import Comparison, CullMode, DepthFunction, Device, Format, FrontFace, LineWidth, PolygonMode, Primitive
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import require_format, require_line_width, require_samples
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import SUBTEXELS, rasterise, rasterise_line
 from rhi.conformance.shaders import Colored, FlatColored
 from rhi.conformance.shapes import corners, window_to_clip
+from rhi.conformance.single_draws import draw_once
 
-pytestmark = pytest.mark.needs("draws", "shading")
+pytestmark = pytest.mark.requires("draws", "shading")
 
 SIZE = (32, 24)
 GENTLE = [(4.3125, 7.4375), (26.5625, 13.1875)]
 STEEP = [(9.4375, 3.1875), (15.3125, 20.5625)]
 TRIANGLE = [(3.3125, 4.4375), (5.6875, 20.1875), (27.5625, 8.3125)]  # counter-clockwise, seen with +Y up
 
-NEEDS_PRECISION = pytest.mark.needs("precise_lines")
+REQUIRES_PRECISION = pytest.mark.requires("precise_lines")
 
 AREAS = [Primitive.TRIANGLES, Primitive.TRIANGLE_STRIP, Primitive.TRIANGLE_FAN, Primitive.QUADS]
 
 Mask = NDArray[np.bool_]
 
 
-def drawn(
+def draw_image(
     device: Device, points: Any, *states: Any, primitive: Primitive = Primitive.LINES, color: Any = (1, 1, 1, 1),
     shader: Any = Colored, depth: Any = 0.5,
 ) -> NDArray[Any]:  # fmt: skip
@@ -40,7 +40,7 @@ def drawn(
     return draw_once(device, SIZE, Format.RGBA32F, rows, *states, shader=shader, primitive=primitive)
 
 
-def drawn_with_depth(
+def draw_image_and_depth(
     device: Device, rows: NDArray[Any], *states: Any, primitive: Primitive = Primitive.TRIANGLES, clear: float = 0.0
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return the image and the depth of one draw."""
@@ -53,7 +53,7 @@ def drawn_with_depth(
 
 def wired(device: Device, points: Any, *states: Any, **more: Any) -> NDArray[Any]:
     """Return the image of triangles drawn as lines."""
-    return drawn(device, points, PolygonMode.LINE, *states, primitive=Primitive.TRIANGLES, **more)
+    return draw_image(device, points, PolygonMode.LINE, *states, primitive=Primitive.TRIANGLES, **more)
 
 
 def line(points: Any, width: int = 1) -> tuple[Mask, Mask]:
@@ -73,10 +73,10 @@ def outline(points: Any, width: int = 1) -> tuple[Mask, Mask]:
     return certain, possible
 
 
-def assert_covers(image: NDArray[Any], wanted: tuple[Mask, Mask]) -> None:
+def assert_covers(image: NDArray[Any], expected: tuple[Mask, Mask]) -> None:
     """Assert that an image covers all certain texels and none but the possible ones."""
     __tracebackhide__ = True
-    certain, possible = wanted
+    certain, possible = expected
     covered = image[..., 3] > 0
     assert certain.any()
     assert not (certain & ~covered).any(), f"not drawn (y, x): {np.argwhere(certain & ~covered)[:4].tolist()}"
@@ -89,21 +89,21 @@ def assert_covers(image: NDArray[Any], wanted: tuple[Mask, Mask]) -> None:
 @pytest.mark.recorded_too
 @pytest.mark.parametrize("width", [1, 2, 3, 4, 7])
 @pytest.mark.parametrize("points", [GENTLE, GENTLE[::-1], STEEP, STEEP[::-1]], ids=["right", "left", "down", "up"])
-@NEEDS_PRECISION
+@REQUIRES_PRECISION
 def test_a_line_is_as_many_texels_wide_as_its_width(device: Device, points: Any, width: int) -> None:
     require_line_width(device, width)
-    assert_covers(drawn(device, points, LineWidth(width)), line(points, width))
+    assert_covers(draw_image(device, points, LineWidth(width)), line(points, width))
 
 
 @pytest.mark.parametrize(("width", "texels"), [(1.0, 1), (1.375, 1), (1.625, 2), (2.375, 2), (2.625, 3), (3.0, 3)])
 def test_a_width_is_rounded_to_whole_texels(device: Device, width: float, texels: int) -> None:
     require_line_width(device, width)
-    image = drawn(device, [(2.5, 10.25), (29.5, 10.25)], LineWidth(width))
+    image = draw_image(device, [(2.5, 10.25), (29.5, 10.25)], LineWidth(width))
     assert_same((image[:, 5:25, 3] > 0).sum(axis=0), texels)
 
 
 def test_a_line_of_width_1_is_the_default(device: Device) -> None:
-    assert_same(drawn(device, GENTLE, LineWidth(1.0)), drawn(device, GENTLE))
+    assert_same(draw_image(device, GENTLE, LineWidth(1.0)), draw_image(device, GENTLE))
 
 
 def test_a_line_may_be_as_wide_as_the_device_says(device: Device) -> None:
@@ -118,7 +118,7 @@ def test_a_strip_of_wide_lines_is_a_line_for_each_segment(device: Device) -> Non
     require_line_width(device, 3)
     path = [GENTLE[0], STEEP[1], GENTLE[1]]
     parts = [line(path[i : i + 2], 3) for i in range(2)]
-    image = drawn(device, path, LineWidth(3), primitive=Primitive.LINE_STRIP)
+    image = draw_image(device, path, LineWidth(3), primitive=Primitive.LINE_STRIP)
     assert_covers(image, (parts[0][0] | parts[1][0], parts[0][1] | parts[1][1]))
 
 
@@ -127,7 +127,7 @@ def test_values_and_depth_run_along_a_wide_line(device: Device) -> None:
     require_line_width(device, 5)
     points, width = [(4.0, 7.25), (28.0, 13.25)], 5
     rows = corners(window_to_clip(points, SIZE), [(0, 0, 0, 1), (1, 0.5, 0, 1)], [0.25, 0.75])
-    back, stored = drawn_with_depth(device, rows, LineWidth(width), primitive=Primitive.LINES)
+    back, stored = draw_image_and_depth(device, rows, LineWidth(width), primitive=Primitive.LINES)
     y, x = np.nonzero(line(points, width)[0])
     share = (x + 0.5 - 4.0) / 24
     assert_near(back[y, x, 0], share, 2e-3, "8 fraction bits of the window position over 24 texels")
@@ -137,8 +137,8 @@ def test_values_and_depth_run_along_a_wide_line(device: Device) -> None:
 
 def test_a_wide_line_is_cut_by_the_scissor(device: Device) -> None:
     require_line_width(device, 4)
-    whole = drawn(device, GENTLE, LineWidth(4))
-    cut = drawn(device, GENTLE, LineWidth(4), rhi.Scissor(8, 9, 10, 3))
+    whole = draw_image(device, GENTLE, LineWidth(4))
+    cut = draw_image(device, GENTLE, LineWidth(4), rhi.Scissor(8, 9, 10, 3))
     assert_same(cut[9:12, 8:18], whole[9:12, 8:18])
     assert (cut[..., 3] > 0).sum() == (cut[9:12, 8:18, 3] > 0).sum() > 0
 
@@ -146,9 +146,9 @@ def test_a_wide_line_is_cut_by_the_scissor(device: Device) -> None:
 def test_points_and_triangles_have_no_line_width(device: Device) -> None:
     require_line_width(device, 4)
     for primitive in (Primitive.POINTS, Primitive.TRIANGLES):
-        plain = drawn(device, TRIANGLE, primitive=primitive)
+        plain = draw_image(device, TRIANGLE, primitive=primitive)
         assert plain.any()
-        assert_same(drawn(device, TRIANGLE, LineWidth(4), primitive=primitive), plain)
+        assert_same(draw_image(device, TRIANGLE, LineWidth(4), primitive=primitive), plain)
 
 
 def test_the_width_ends_with_its_scope(device: Device) -> None:
@@ -159,7 +159,7 @@ def test_the_width_ends_with_its_scope(device: Device) -> None:
             with device.states(LineWidth(4), rhi.Scissor(0, 0, 0, 0)):
                 device.draw(device.program(Colored), mesh)
             device.draw(device.program(Colored), mesh)
-        assert_same(image.read(), drawn(device, GENTLE))
+        assert_same(image.read(), draw_image(device, GENTLE))
 
 
 def test_a_wide_line_covers_samples(device: Device) -> None:
@@ -177,33 +177,33 @@ def test_a_wide_line_covers_samples(device: Device) -> None:
 
 
 @pytest.mark.recorded_too
-@pytest.mark.needs("wireframe")
+@pytest.mark.requires("wireframe")
 @pytest.mark.parametrize("order", [(0, 1, 2), (1, 2, 0), (2, 0, 1), (0, 2, 1), (2, 1, 0), (1, 0, 2)], ids=str)
-@NEEDS_PRECISION
+@REQUIRES_PRECISION
 def test_a_triangle_is_drawn_as_its_edges(device: Device, order: tuple[int, int, int]) -> None:
     points = [TRIANGLE[i] for i in order]
     assert_covers(wired(device, points, CullMode.NONE), outline(points))
 
 
-@pytest.mark.needs("wireframe")
+@pytest.mark.requires("wireframe")
 def test_a_filled_triangle_is_filled(device: Device) -> None:
     inside = rasterise(np.multiply(TRIANGLE, SUBTEXELS), *SIZE)
-    image = drawn(device, TRIANGLE, PolygonMode.FILL, primitive=Primitive.TRIANGLES)
+    image = draw_image(device, TRIANGLE, PolygonMode.FILL, primitive=Primitive.TRIANGLES)
     assert_covers(image, (inside, inside))
     assert (inside & ~outline(TRIANGLE)[1]).any(), "the outline is less"
 
 
-@pytest.mark.needs("wireframe")
+@pytest.mark.requires("wireframe")
 @pytest.mark.parametrize("width", [2, 3, 6])
 def test_edges_have_the_line_width(device: Device, width: int) -> None:
     require_line_width(device, width)
     assert_covers(wired(device, TRIANGLE, LineWidth(width)), outline(TRIANGLE, width))
 
 
-@pytest.mark.needs("wireframe")
+@pytest.mark.requires("wireframe")
 @pytest.mark.parametrize("front", list(FrontFace), ids=lambda front: front.name)
 @pytest.mark.parametrize("cull", list(CullMode), ids=lambda cull: cull.name)
-@NEEDS_PRECISION
+@REQUIRES_PRECISION
 def test_edges_are_culled_by_the_facing_of_their_triangle(device: Device, cull: CullMode, front: FrontFace) -> None:
     for points in (TRIANGLE, TRIANGLE[::-1]):
         faces_front = (points is TRIANGLE) == (front is FrontFace.COUNTER_CLOCKWISE)
@@ -215,10 +215,10 @@ def test_edges_are_culled_by_the_facing_of_their_triangle(device: Device, cull: 
             assert_same(image, 0)
 
 
-@pytest.mark.needs("wireframe")
+@pytest.mark.requires("wireframe")
 @pytest.mark.parametrize("dtype", [None, "u2", "u4"])
 @pytest.mark.parametrize("primitive", AREAS, ids=lambda primitive: primitive.name)
-@NEEDS_PRECISION
+@REQUIRES_PRECISION
 def test_every_topology_of_triangles_has_edges(device: Device, primitive: Primitive, dtype: str | None) -> None:
     points = [(3.3125, 4.4375), (5.6875, 20.1875), (15.4375, 18.8125), (17.5625, 3.3125)]
     triangles = {
@@ -235,18 +235,18 @@ def test_every_topology_of_triangles_has_edges(device: Device, primitive: Primit
     assert_covers(back, outline(triangles))
 
 
-@pytest.mark.needs("wireframe")
+@pytest.mark.requires("wireframe")
 @pytest.mark.parametrize("dtype", [None, "u2", "u4"])
 def test_many_triangles_have_all_their_edges(device: Device, dtype: str | None) -> None:
     """More triangles than are processed at a time, among them some beyond the target."""
-    places = np.stack(np.meshgrid(np.arange(-8, 40, 4), np.arange(-4, 28, 4)), -1).reshape(-1, 1, 2)
-    points = (places + np.array([(0.3125, 0.4375), (0.6875, 3.1875), (3.5625, 2.3125)])).reshape(-1, 2)
+    origins = np.stack(np.meshgrid(np.arange(-8, 40, 4), np.arange(-4, 28, 4)), -1).reshape(-1, 1, 2)
+    points = (origins + np.array([(0.3125, 0.4375), (0.6875, 3.1875), (3.5625, 2.3125)])).reshape(-1, 2)
     rows = corners(window_to_clip(points, SIZE))
     indices = None if dtype is None else np.arange(len(points), dtype=dtype)
     assert_covers(draw_once(device, SIZE, Format.RGBA32F, rows, PolygonMode.LINE, indices=indices), outline(points))
 
 
-@pytest.mark.needs("wireframe")
+@pytest.mark.requires("wireframe")
 def test_an_edge_of_two_triangles_is_drawn_twice(device: Device) -> None:
     points = [(3.3125, 4.4375), (5.6875, 20.1875), (25.4375, 18.8125), (27.5625, 3.3125)]
     image = wired(device, [*points[:3], points[0], *points[2:]], rhi.BlendFunction.ADDITIVE)
@@ -256,20 +256,20 @@ def test_an_edge_of_two_triangles_is_drawn_twice(device: Device) -> None:
     assert_same(image[left[0] & ~beside & ~shared[1]], 1)
 
 
-@pytest.mark.needs("wireframe")
+@pytest.mark.requires("wireframe")
 def test_a_flat_value_of_edges_is_that_of_their_triangle(device: Device) -> None:
     color = [(0.25, 0.5, 0.75, 1), (1, 0, 0, 1), (0, 1, 0, 1)]
     image = wired(device, TRIANGLE, color=color, shader=FlatColored)
     assert_same(image[outline(TRIANGLE)[0]], color[0])
 
 
-@pytest.mark.needs("wireframe")
-@NEEDS_PRECISION
+@pytest.mark.requires("wireframe")
+@REQUIRES_PRECISION
 def test_values_and_depth_run_along_edges(device: Device) -> None:
     points = [(4.0, 4.25), (8.25, 20.0), (28.0, 8.25)]
     color, depths = np.array([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1)]), [0.2, 0.5, 0.8]
     rows = corners(window_to_clip(points, SIZE), color, depths)
-    back, stored = drawn_with_depth(device, rows, PolygonMode.LINE)
+    back, stored = draw_image_and_depth(device, rows, PolygonMode.LINE)
     for i in range(3):
         ends = np.array([points[i], points[(i + 1) % 3]])
         others = line(ends)[0]
@@ -277,23 +277,23 @@ def test_values_and_depth_run_along_edges(device: Device) -> None:
             others &= ~line((points[(i + j) % 3], points[(i + j + 1) % 3]))[1]
         y, x = np.nonzero(others)
         along = ends[1] - ends[0]
-        place = np.array([x, y])[int(abs(along[1]) > abs(along[0]))] + 0.5
-        share = (place - ends[0][int(abs(along[1]) > abs(along[0]))]) / along[int(abs(along[1]) > abs(along[0]))]
+        coordinate = np.array([x, y])[int(abs(along[1]) > abs(along[0]))] + 0.5
+        share = (coordinate - ends[0][int(abs(along[1]) > abs(along[0]))]) / along[int(abs(along[1]) > abs(along[0]))]
         expected = color[i] * (1 - share)[:, None] + color[(i + 1) % 3] * share[:, None]
         assert len(x) > 8
         assert_near(back[y, x], expected, 4e-3, "8 fraction bits of the window position over 16 texels")
-        wanted = depths[i] * (1 - share) + depths[(i + 1) % 3] * share
-        assert_near(stored[y, x], wanted, 2e-3, "8 fraction bits of the window position over 16 texels")
+        expected_depth = depths[i] * (1 - share) + depths[(i + 1) % 3] * share
+        assert_near(stored[y, x], expected_depth, 2e-3, "8 fraction bits of the window position over 16 texels")
 
 
-@pytest.mark.needs("wireframe")
+@pytest.mark.requires("wireframe")
 @pytest.mark.parametrize("function", [DepthFunction.GREATER, DepthFunction.LESS], ids=lambda function: function.name)
-@NEEDS_PRECISION
+@REQUIRES_PRECISION
 def test_each_texel_of_an_edge_is_tested_for_depth(device: Device, function: DepthFunction) -> None:
     points = [(4.0, 4.25), (4.25, 20.0), (28.0, 8.25)]
     depths = (np.array(points)[:, 0] - 4.0) / 24  # 0.5 at x = 16
     rows = corners(window_to_clip(points, SIZE), depth=depths)
-    covered, _ = drawn_with_depth(device, rows, rhi.DepthTest.ON, function, PolygonMode.LINE, clear=0.5)
+    covered, _ = draw_image_and_depth(device, rows, rhi.DepthTest.ON, function, PolygonMode.LINE, clear=0.5)
     certain, possible = outline(points)
     near = slice(16, None) if function is DepthFunction.GREATER else slice(None, 16)
     half = np.zeros_like(certain)
@@ -301,8 +301,8 @@ def test_each_texel_of_an_edge_is_tested_for_depth(device: Device, function: Dep
     assert_covers(covered, (certain & half, possible & half))
 
 
-@pytest.mark.needs("wireframe")
-@NEEDS_PRECISION
+@pytest.mark.requires("wireframe")
+@REQUIRES_PRECISION
 @pytest.mark.parametrize(("axis", "far"), [(0, 1.0), (1, 0.5)])
 def test_edges_are_offset_as_their_triangle_is(device: Device, axis: int, far: float) -> None:
     """By a bias in steps, and by the slope of the triangle rather than of the edge. Lines are not."""
@@ -329,8 +329,8 @@ def test_edges_are_offset_as_their_triangle_is(device: Device, axis: int, far: f
     assert_same(stored(Primitive.LINE_STRIP, PolygonMode.LINE, rhi.DepthBias(1000.0), rhi.PolygonOffset(2.0)), lines)
 
 
-@pytest.mark.needs("wireframe", "stencil")
-@NEEDS_PRECISION
+@pytest.mark.requires("wireframe", "stencil")
+@REQUIRES_PRECISION
 def test_edges_of_a_front_face_have_its_stencil_test(device: Device) -> None:
     require_format(device, Format.D24S8)
     rows = corners(window_to_clip(TRIANGLE, SIZE))
@@ -351,24 +351,24 @@ def test_edges_of_a_front_face_have_its_stencil_test(device: Device) -> None:
                 assert_same(image.read(), 0)
 
 
-@pytest.mark.needs("wireframe")
-@NEEDS_PRECISION
+@pytest.mark.requires("wireframe")
+@REQUIRES_PRECISION
 def test_a_triangle_without_an_area_is_a_back_face(device: Device) -> None:
     points = [GENTLE[0], GENTLE[1], GENTLE[0]]
     assert_covers(wired(device, points, CullMode.FRONT), line(GENTLE))
     assert_same(wired(device, points, CullMode.BACK), 0)
 
 
-@pytest.mark.needs("wireframe")
+@pytest.mark.requires("wireframe")
 def test_lines_and_points_are_the_same_in_wireframe(device: Device) -> None:
     for primitive in (Primitive.LINES, Primitive.LINE_STRIP, Primitive.POINTS):
-        plain = drawn(device, TRIANGLE, CullMode.FRONT, primitive=primitive)
+        plain = draw_image(device, TRIANGLE, CullMode.FRONT, primitive=primitive)
         assert plain.any()
-        assert_same(drawn(device, TRIANGLE, CullMode.FRONT, PolygonMode.LINE, primitive=primitive), plain)
+        assert_same(draw_image(device, TRIANGLE, CullMode.FRONT, PolygonMode.LINE, primitive=primitive), plain)
 
 
-@pytest.mark.needs("wireframe")
-@NEEDS_PRECISION
+@pytest.mark.requires("wireframe")
+@REQUIRES_PRECISION
 def test_filled_triangles_and_edges_are_drawn_in_order(device: Device) -> None:
     rows = corners(window_to_clip(TRIANGLE, SIZE))
     inside = rasterise(np.multiply(TRIANGLE, SUBTEXELS), *SIZE)
@@ -388,15 +388,15 @@ def test_filled_triangles_and_edges_are_drawn_in_order(device: Device) -> None:
     assert_same(back[~inside, 1], 0)
 
 
-@pytest.mark.needs("wireframe")
-@NEEDS_PRECISION
-def test_edges_of_a_triangle_that_reaches_beyond_the_view_are_drawn_where_they_are_seen(device: Device) -> None:
+@pytest.mark.requires("wireframe")
+@REQUIRES_PRECISION
+def test_edges_of_a_triangle_that_reaches_beyond_the_view_are_drawn_where_visible(device: Device) -> None:
     points = [(-40.3125, 4.4375), (5.6875, 70.1875), (27.5625, 8.3125)]
     assert_covers(wired(device, points), outline(points))
 
 
-@pytest.mark.needs("wireframe")
-@pytest.mark.needs("precise_clipping")
+@pytest.mark.requires("wireframe")
+@pytest.mark.requires("precise_clipping")
 @pytest.mark.parametrize("beyond", [-0.5, 1.5], ids=["near", "far"])
 def test_no_line_is_drawn_where_a_plane_cuts_a_triangle(device: Device, beyond: float) -> None:
     """The edges end there."""

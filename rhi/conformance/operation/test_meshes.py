@@ -13,11 +13,11 @@ import rhi
 import rhi.shading as sl
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_targets, require_vertex_alignment
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Colored, Corner, Flat, FlatShade, PaintedShader, PaintedTwice
 from rhi.conformance.shapes import centers, corners, rectangle
+from rhi.conformance.single_draws import draw_once
 
-pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
+pytestmark = [pytest.mark.requires("draws", "shading"), pytest.mark.recorded_too]
 
 ROW = (8, 1)
 CENTERS = centers([(i, 0) for i in range(8)], ROW)
@@ -36,7 +36,7 @@ def mesh(device: rhi.Device) -> Iterator[rhi.Mesh]:
         yield mesh
 
 
-def drawn_points(device: rhi.Device, mesh: Any, instances: int = 1, shader: type[sl.Shader] = Colored) -> NDArray[Any]:
+def count_points(device: rhi.Device, mesh: Any, instances: int = 1, shader: type[sl.Shader] = Colored) -> NDArray[Any]:
     """Return how often each of 8 texels in a row was drawn."""
     with device.texture(ROW, rhi.Format.R16F) as image:
         with device.render_pass(image), device.states(rhi.BlendFunction.ADDITIVE):
@@ -57,7 +57,7 @@ def vertices_of(mesh: rhi.Mesh) -> rhi.Buffer:
 def test_a_view_draws_its_vertices_only(device: rhi.Device, first: int, count: int, mesh: rhi.Mesh) -> None:
     expected = np.zeros(8)
     expected[first : first + count] = 1
-    assert_same(drawn_points(device, mesh.view(first, count)), expected)
+    assert_same(count_points(device, mesh.view(first, count)), expected)
 
 
 @pytest.mark.parametrize("dtype", ["u2", "u4"])
@@ -66,7 +66,7 @@ def test_a_view_of_indices_draws_its_indices_only(device: rhi.Device, first: int
     indices = np.array([7, 0, 3, 3, 5, 1], dtype)
     with device.mesh(corners(CENTERS), indices, primitive=rhi.Primitive.POINTS) as mesh:
         expected = np.bincount(indices[first : first + count], minlength=8)
-        assert_same(drawn_points(device, mesh.view(first, count)), expected)
+        assert_same(count_points(device, mesh.view(first, count)), expected)
 
 
 @pytest.mark.parametrize("dtype", ["u2", "u4"])
@@ -75,47 +75,47 @@ def test_a_base_vertex_is_added_to_each_index(device: rhi.Device, base: int, dty
     indices = np.array([2, 3], dtype)
     with device.mesh(corners(CENTERS), indices, primitive=rhi.Primitive.POINTS) as mesh:
         expected = np.bincount(indices.astype(int) + base, minlength=8)
-        assert_same(drawn_points(device, mesh.view(base_vertex=base)), expected)
+        assert_same(count_points(device, mesh.view(base_vertex=base)), expected)
 
 
 def test_a_base_vertex_reaches_what_16_bits_cannot(device: rhi.Device) -> None:
     rows = corners(np.full((70_000, 2), -3.0))
     rows["position"][69_999, :2] = CENTERS[4]
     with device.mesh(rows, np.array([65_000], "u2"), primitive=rhi.Primitive.POINTS) as mesh:
-        assert_same(drawn_points(device, mesh.view(base_vertex=4_999)), np.arange(8) == 4)
+        assert_same(count_points(device, mesh.view(base_vertex=4_999)), np.arange(8) == 4)
 
 
 def test_a_view_can_have_another_primitive(device: rhi.Device) -> None:
     rows = corners(centers([(0, 0), (7, 0)], ROW))
     with device.mesh(rows, primitive=rhi.Primitive.POINTS) as mesh:
-        assert drawn_points(device, mesh).sum() == 2
-        assert drawn_points(device, mesh.view(primitive=rhi.Primitive.LINES)).sum() >= 7
+        assert count_points(device, mesh).sum() == 2
+        assert count_points(device, mesh.view(primitive=rhi.Primitive.LINES)).sum() >= 7
 
 
 def test_no_instance_draws_nothing(device: rhi.Device, mesh: rhi.Mesh) -> None:
-    assert_same(drawn_points(device, mesh, 0), 0)
+    assert_same(count_points(device, mesh, 0), 0)
 
 
 def test_meshes_can_share_buffers(device: rhi.Device) -> None:
     with (
         device.buffer(corners(CENTERS)) as vertices,
-        device.buffer(np.array([1, 2], "u4")) as one,
+        device.buffer(np.array([1, 2], "u4")) as first_indices,
         device.buffer(np.array([6], "u2")) as two,
     ):
-        first = device.mesh(vertices, one, primitive=rhi.Primitive.POINTS)
+        first = device.mesh(vertices, first_indices, primitive=rhi.Primitive.POINTS)
         second = device.mesh(vertices, two, primitive=rhi.Primitive.POINTS)
-        assert_same(drawn_points(device, first), np.isin(np.arange(8), (1, 2)))
-        assert_same(drawn_points(device, second), np.arange(8) == 6)
+        assert_same(count_points(device, first), np.isin(np.arange(8), (1, 2)))
+        assert_same(count_points(device, second), np.arange(8) == 6)
         first.destroy()
-        assert_same(drawn_points(device, second), np.arange(8) == 6)
+        assert_same(count_points(device, second), np.arange(8) == 6)
         second.destroy()
 
 
 def test_a_mesh_draws_what_was_written_to_its_buffer_later(device: rhi.Device) -> None:
     with device.mesh(corners(CENTERS[:1]), primitive=rhi.Primitive.POINTS) as mesh:
-        assert_same(drawn_points(device, mesh), np.arange(8) == 0)
+        assert_same(count_points(device, mesh), np.arange(8) == 0)
         vertices_of(mesh).write(corners(CENTERS[5:6]))
-        assert_same(drawn_points(device, mesh), np.arange(8) == 5)
+        assert_same(count_points(device, mesh), np.arange(8) == 5)
 
 
 def test_a_draw_sees_the_vertices_of_its_time(device: rhi.Device) -> None:
@@ -140,14 +140,14 @@ def test_fields_that_the_program_does_not_read_are_skipped(device: rhi.Device, b
     plain = corners(CENTERS)
     rows["position"], rows["color"] = plain["position"], plain["color"]
     with device.mesh(rows, primitive=rhi.Primitive.POINTS) as mesh:
-        assert_same(drawn_points(device, mesh), 1)
+        assert_same(count_points(device, mesh), 1)
 
 
 def test_arrays_by_name_make_a_mesh(device: rhi.Device) -> None:
     plain = corners(CENTERS)
     arrays = {"position": plain["position"].astype(np.float64), "color": plain["color"]}
     with device.mesh(arrays, primitive=rhi.Primitive.POINTS) as mesh:
-        assert_same(drawn_points(device, mesh), 1)
+        assert_same(count_points(device, mesh), 1)
 
 
 # -- vertex formats ----------------------------------------------------------------------------------------
@@ -298,14 +298,14 @@ def instanced(device: rhi.Device) -> Any:
 @pytest.mark.parametrize("count", [0, 1, 5, 8])
 def test_each_instance_reads_its_element(device: rhi.Device, count: int) -> None:
     with instanced(device) as mesh:
-        drawn = drawn_points(device, mesh, count, ShowInstances)
+        drawn = count_points(device, mesh, count, ShowInstances)
         assert_same(drawn, np.where(np.arange(8) < count, np.arange(1, 9), 0))
 
 
 @pytest.mark.parametrize("base", [0, 1, 6])
 def test_a_base_instance_says_where_to_begin(device: rhi.Device, base: int) -> None:
     with instanced(device) as mesh:
-        drawn, numbers = drawn_points(device, mesh.view(base_instance=base), 2, ShowInstances), np.arange(8)
+        drawn, numbers = count_points(device, mesh.view(base_instance=base), 2, ShowInstances), np.arange(8)
         assert_same(drawn, np.where((numbers >= base) & (numbers < base + 2), numbers + 1, 0))
 
 
@@ -314,9 +314,9 @@ def test_instances_of_indexed_meshes_read_their_elements(device: rhi.Device) -> 
     instances = {"offset": CENTERS[:4] - CENTERS[0], "shade": np.arange(1.0, 5.0)}
     indices = np.array([0, 1], "u2")
     with device.mesh(vertices, indices, instances=instances, primitive=rhi.Primitive.POINTS) as mesh:
-        drawn = drawn_points(device, mesh.view(base_instance=1, count=1), 3, ShowInstances)
+        drawn = count_points(device, mesh.view(base_instance=1, count=1), 3, ShowInstances)
         assert_same(drawn, [0, 0, 0, 0, 2, 3, 4, 0])
-        drawn = drawn_points(device, mesh.view(1, 1, base_vertex=-1, base_instance=1), 2, ShowInstances)
+        drawn = count_points(device, mesh.view(1, 1, base_vertex=-1, base_instance=1), 2, ShowInstances)
         assert_same(drawn, [0, 0, 0, 0, 2, 3, 0, 0])
 
 
@@ -389,7 +389,7 @@ def test_many_draws_draw_what_each_says(device: rhi.Device) -> None:
     assert_same(row[4:], [(4 + i, 7, 2 * device.capabilities.draw_index, 1) for i in range(4)])
 
 
-@pytest.mark.needs("draw_index")
+@pytest.mark.requires("draw_index")
 @pytest.mark.parametrize("indices", [None, np.arange(8, dtype="u2")], ids=["plain", "indexed"])
 def test_the_same_draws_in_another_order_have_other_numbers(
     device: rhi.Device, indices: Any, image: rhi.Texture
@@ -606,7 +606,7 @@ def test_indirect_draws_may_lie_a_stride_apart(device: rhi.Device) -> None:
             assert_same(indirect(device, mesh, arguments), np.isin(np.arange(8), (0, 3, 6)))
 
 
-@pytest.mark.needs("indirect_count")
+@pytest.mark.requires("indirect_count")
 @pytest.mark.parametrize(("stored", "drawn"), [(0, 0), (1, 1), (3, 3), (4, 4), (9, 4)])
 def test_a_count_from_a_buffer_limits_indirect_draws(device: rhi.Device, stored: int, drawn: int) -> None:
     with (
@@ -618,7 +618,7 @@ def test_a_count_from_a_buffer_limits_indirect_draws(device: rhi.Device, stored:
         assert_same(indirect(device, mesh, arguments), np.arange(8) < drawn)
 
 
-@pytest.mark.needs("indirect_count")
+@pytest.mark.requires("indirect_count")
 def test_a_count_does_not_linger(device: rhi.Device, mesh: rhi.Mesh) -> None:
     """A draw without a count buffer executes all its draws, even after one with a count buffer."""
     with device.buffer(mesh.draws(np.arange(4), 1)) as buffer, device.buffer(np.array([1], "u4")) as count:

@@ -24,8 +24,8 @@ Values = dict[str, NDArray[Any]]
 GROUP = 16
 GROUPS = 20
 N = GROUP * GROUPS
-LEAST, MOST = -(2**31), 2**31 - 1
-NUMBERS = (0, 1, -1, 2, -3, 7, 31, 32, 33, 100, -32, -99999, 65536, MOST, MOST - 1, LEAST, LEAST + 1)
+MIN_INT, MAX_INT = -(2**31), 2**31 - 1
+NUMBERS = (0, 1, -1, 2, -3, 7, 31, 32, 33, 100, -32, -99999, 65536, MAX_INT, MAX_INT - 1, MIN_INT, MIN_INT + 1)
 FLOATS = (0.0, 0.9, -0.9, 1.5, -2.5, 2147483520.0, 2.0**31, -(2.0**31), -2147483904.0, 3e9, 4294967040.0, 2.0**32,
           1e30, -1e30, math.inf, -math.inf, math.nan, 1e-30, -1e-30, 16777216.0)  # fmt: skip
 
@@ -41,9 +41,9 @@ def divided(a: int, b: int) -> tuple[int, int]:
     return wrapped(quotient), rest
 
 
-def truncated(x: float, least: int, most: int) -> int:
+def truncated(x: float, low: int, high: int) -> int:
     """Return the nearest integer in the direction of 0."""
-    return 0 if x != x else int(max(least, min(most, x))) if math.isfinite(x) else (most if x > 0 else least)
+    return 0 if x != x else int(max(low, min(high, x))) if math.isfinite(x) else (high if x > 0 else low)
 
 
 def field(value: int, at: int, bits: int) -> tuple[int, int]:
@@ -93,7 +93,7 @@ class Operators(sl.Shader):
         self.uints[8 * i + 2] = x << y
         self.uints[8 * i + 3] = x >> y
         self.uints[8 * i + 4] = sl.bitfield_extract(x, b, 5)
-        self.uints[8 * i + 5] = sl.bitfield_insert(x, sl.uint(MOST), 5, b)
+        self.uints[8 * i + 5] = sl.bitfield_insert(x, sl.uint(MAX_INT), 5, b)
         q = sl.uvec4(x, y, x, y) // sl.uvec4(y, x, sl.uint(zero), sl.uint(3))
         self.uints[8 * i + 6] = q.x ^ q.y ^ q.z ^ q.w
         r = sl.uvec4(x, y, x, y) % y
@@ -108,8 +108,8 @@ def operands() -> Values:
 
 
 def expected_operators() -> Values:
-    given, ints, uints = operands(), [], []
-    for a, b in zip(given["a"].tolist(), given["b"].tolist(), strict=True):
+    inputs, ints, uints = operands(), [], []
+    for a, b in zip(inputs["a"].tolist(), inputs["b"].tolist(), strict=True):
         shift, x, y = b % 32, a % 2**32, b % 2**32
         start, mask = field(a, b, 5)
         part, top = (x >> start) & mask, (mask + 1) >> 1
@@ -125,10 +125,10 @@ def expected_operators() -> Values:
             wrapped((a << shift) ^ (b << (a % 32)) ^ (a << 1) ^ (b << 31)), (a // 4) ^ (b % 8),
         ]  # fmt: skip
         insert = field(x, 5, b)[1]
-        rests = [divided(one, y)[1] for one in (x, y, x, y)]
+        rests = [divided(dividend, y)[1] for dividend in (x, y, x, y)]
         uints += [
             x // (y or 1), x % (y or 1), (x << shift) % 2**32, x >> shift, part,
-            (x & ~(insert << 5)) | ((MOST & insert) << 5),
+            (x & ~(insert << 5)) | ((MAX_INT & insert) << 5),
             (x // (y or 1)) ^ (y // (x or 1)) ^ x ^ (y // 3), rests[0] ^ rests[1] ^ rests[2] ^ rests[3],
         ]  # fmt: skip
     return {"ints": np.array(ints, np.int64), "uints": np.array(uints, np.int64)}
@@ -158,14 +158,14 @@ def floats() -> Values:
 
 
 def expected_conversions() -> Values:
-    found: dict[str, list[int]] = {"ints": [], "uints": []}
-    given = floats()["x"].tolist()
-    for name, least, most in (("ints", LEAST, MOST), ("uints", 0, 2**32 - 1)):
-        found[name] += [truncated(x, least, most) for x in given]
-        for x in given:
-            one, other, half = (truncated(value, least, most) for value in (x, -x, 0.5 * x))
-            found[name].append(one ^ other ^ half ^ 1)
-    return {name: np.array(values, np.int64) for name, values in found.items()}
+    results: dict[str, list[int]] = {"ints": [], "uints": []}
+    numbers = floats()["x"].tolist()
+    for name, least, most in (("ints", MIN_INT, MAX_INT), ("uints", 0, 2**32 - 1)):
+        results[name] += [truncated(x, least, most) for x in numbers]
+        for x in numbers:
+            truncated_value, other, half = (truncated(value, least, most) for value in (x, -x, 0.5 * x))
+            results[name].append(truncated_value ^ other ^ half ^ 1)
+    return {name: np.array(values, np.int64) for name, values in results.items()}
 
 
 # -- memory ------------------------------------------------------------------------------------------------
@@ -182,13 +182,13 @@ class Fixed(sl.Struct):
     """Arrays and a matrix in uniform memory."""
 
     numbers: sl.Array[float] = sl.array(float, 5)
-    turn: sl.mat3
+    rotation: sl.mat3
 
 
 TABLE = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
 WORDS = 24
 INDICES = (0, 1, 2, -1, 3, 4, 5, 6, -2, 15, 16, 17, 23, 24, 25, 1000, 100000, -100000, 1 << 20, 1 << 28, 500000000,
-           MOST, LEAST, MOST - 16, LEAST + 16, -(1 << 28))  # fmt: skip
+           MAX_INT, MIN_INT, MAX_INT - 16, MIN_INT + 16, -(1 << 28))  # fmt: skip
 """Indices inside the memory of the shaders below, just outside, and as far as 32 bits reach."""
 
 
@@ -201,7 +201,7 @@ class Reads(sl.Shader):
     parts: sl.Storage[Part]
     fixed: sl.Uniform[Fixed]
     out: sl.StorageRW[float]
-    mine = sl.shared(float, 8)
+    group_values = sl.shared(float, 8)
 
     def compute(self) -> None:
         i = sl.global_id().x
@@ -209,7 +209,7 @@ class Reads(sl.Shader):
         first = self.at[i - i % GROUP]
         o = 12 * i
         if i % GROUP < 8:
-            self.mine[i % GROUP] = float(i % GROUP) + 1.0
+            self.group_values[i % GROUP] = float(i % GROUP) + 1.0
         sl.barrier()
         self.out[o] = self.words[k]
         self.out[o + 1] = self.words[sl.uint(k)]
@@ -217,8 +217,8 @@ class Reads(sl.Shader):
         self.out[o + 3] = self.parts[k].weights[k] + self.parts[k].end
         self.out[o + 4] = self.parts[1].weights[k] + self.parts[i + first].weights[1]
         self.out[o + 5] = self.fixed.numbers[k]
-        self.out[o + 6] = self.fixed.turn[k][k] + sl.mat3(1, 2, 3, 4, 5, 6, 7, 8, 9)[k][sl.uint(k)]
-        self.out[o + 7] = TABLE[k] + self.mine[k] + self.mine[i % GROUP + first]
+        self.out[o + 6] = self.fixed.rotation[k][k] + sl.mat3(1, 2, 3, 4, 5, 6, 7, 8, 9)[k][sl.uint(k)]
+        self.out[o + 7] = TABLE[k] + self.group_values[k] + self.group_values[i % GROUP + first]
         table = sl.array(float, 7)
         for j in range(7):
             table[j] = float(3 * j)
@@ -229,11 +229,11 @@ class Reads(sl.Shader):
         self.out[o + 11] = self.words[k] if 0 <= k < len(self.words) else -1.0
 
 
-def places() -> Values:
+def invocation_indices() -> Values:
     """Return the indices of the invocations, one of each for the work-groups' first."""
-    found = np.resize(np.array(INDICES, np.int32), N)
-    found[::GROUP] = np.resize(np.array(INDICES[::-1], np.int32), GROUPS)
-    return {"at": found}
+    indices = np.resize(np.array(INDICES, np.int32), N)
+    indices[::GROUP] = np.resize(np.array(INDICES[::-1], np.int32), GROUPS)
+    return {"at": indices}
 
 
 def memory() -> dict[str, Any]:
@@ -241,7 +241,7 @@ def memory() -> dict[str, Any]:
     parts = np.zeros(4, Part.dtype)
     parts["weights"] = np.arange(12).reshape(4, 3) * 2
     parts["end"] = (0.5, 1.5, 2.5, 3.5)
-    fixed = Fixed(numbers=[1, 3, 5, 7, 9], turn=np.arange(9).reshape(3, 3) + 1)
+    fixed = Fixed(numbers=[1, 3, 5, 7, 9], rotation=np.arange(9).reshape(3, 3) + 1)
     return {"words": words, "parts": parts, "fixed": fixed}
 
 
@@ -250,18 +250,22 @@ def nearest(index: int, count: int) -> int:
 
 
 def expected_reads() -> Values:
-    given, at = memory(), places()["at"].tolist()
-    words, weights, ends = given["words"].tolist(), given["parts"]["weights"].tolist(), given["parts"]["end"].tolist()
-    numbers, turn = [1, 3, 5, 7, 9], np.arange(9).reshape(3, 3) + 1
+    inputs, at = memory(), invocation_indices()["at"].tolist()
+    words, weights, ends = (
+        inputs["words"].tolist(),
+        inputs["parts"]["weights"].tolist(),
+        inputs["parts"]["end"].tolist(),
+    )
+    numbers, rotation = [1, 3, 5, 7, 9], np.arange(9).reshape(3, 3) + 1
     out = []
     for i, k in enumerate(at):
         first, whole = at[i - i % GROUP], k % 2**32
         along, row, inner = wrapped(i + first), nearest(k, 4), nearest(k, 3)
-        mine = nearest(k, 8) + nearest(wrapped(i % GROUP + first), 8) + 2
+        group_values = nearest(k, 8) + nearest(wrapped(i % GROUP + first), 8) + 2
         out += [
             words[nearest(k, WORDS)], words[nearest(whole, WORDS)], words[nearest(along, WORDS)],
             weights[row][inner] + ends[row], weights[1][inner] + weights[nearest(along, 4)][1], numbers[nearest(k, 5)],
-            turn[inner][inner] + turn[inner][nearest(whole, 3)], TABLE[nearest(k, 6)] + mine,
+            rotation[inner][inner] + rotation[inner][nearest(whole, 3)], TABLE[nearest(k, 6)] + group_values,
             3 * (nearest(k, 7) + nearest(whole, 7)), nearest(k, 4) + 1 + 10 * (nearest(whole, 4) + 1),
             TABLE[i % 6] + words[-1], words[k] if 0 <= k < WORDS else -1,
         ]  # fmt: skip
@@ -277,7 +281,7 @@ class Writes(sl.Shader):
     parts: sl.StorageRW[Part]
     counts: sl.StorageRW[int]
     out: sl.StorageRW[float]
-    mine = sl.shared(float, 8)
+    group_values = sl.shared(float, 8)
     sums = sl.shared(int, 8)
 
     def compute(self) -> None:
@@ -286,19 +290,19 @@ class Writes(sl.Shader):
         o = 6 * i
         j = i % GROUP
         if j < 8:
-            self.mine[j] = 0.0
+            self.group_values[j] = 0.0
             self.sums[j] = 0
         sl.barrier()
         self.words[i + self.at[0]] = float(i) + 1.0
         self.words[WORDS - 4 - i] += 1000.0
         self.parts[i + 2].weights[k] = float(i) + 1.0
         self.parts[i - 1].end = 8.0
-        self.mine[j + self.at[i - j]] = float(j) + 1.0
+        self.group_values[j + self.at[i - j]] = float(j) + 1.0
         self.out[o] = float(sl.atomic_add(self.counts[k], 1) * 0)
         self.out[o + 1] = float(sl.atomic_compare_exchange(self.counts[k + (1 << 29)], 0, 5))
         sl.atomic_add(self.sums[k], 1)
         sl.barrier()
-        self.out[o + 2] = self.mine[j % 8] + 100.0 * float(self.sums[j % 8])
+        self.out[o + 2] = self.group_values[j % 8] + 100.0 * float(self.sums[j % 8])
         table = sl.array(float, 3)
         other = sl.array(float, 3)
         table[k] = 7.0
@@ -320,11 +324,11 @@ def targets() -> dict[str, Any]:
 
 
 def expected_writes() -> Values:
-    at, result = places()["at"].tolist(), targets()
+    at, result = invocation_indices()["at"].tolist(), targets()
     for i, k in enumerate(at):
-        for place, add in ((i + at[0], i + 1), (WORDS - 4 - i, 1000)):
-            if 0 <= place < WORDS:
-                result["words"][place] += add
+        for index, add in ((i + at[0], i + 1), (WORDS - 4 - i, 1000)):
+            if 0 <= index < WORDS:
+                result["words"][index] += add
         if i + 2 < 4 and 0 <= k < 3:
             result["parts"]["weights"][i + 2, k] = i + 1
         if 0 <= i - 1 < 4:
@@ -333,9 +337,9 @@ def expected_writes() -> Values:
             result["counts"][k] += 1
     for i, k in enumerate(at):
         j, group = i % GROUP, at[i - i % GROUP : i - i % GROUP + GROUP]
-        mine = j % 8 - group[0] if 0 <= j % 8 - group[0] < GROUP else -1
+        group_values = j % 8 - group[0] if 0 <= j % 8 - group[0] < GROUP else -1
         table = [7 + 20 if k == n else 0 for n in range(3)]
-        out = (0, 0, mine + 1 + 100 * group.count(j % 8), table[0] + 100 * table[1] + 10000 * table[2],
+        out = (0, 0, group_values + 1 + 100 * group.count(j % 8), table[0] + 100 * table[1] + 10000 * table[2],
                {0: 1, 1: 10, 2: 100}.get(k, 0) + {0: 2e3, 1: 2e4, 2: 2e5}.get(k, 0), WORDS)  # fmt: skip
         result["out"][6 * i : 6 * i + 6] = out
     return result
@@ -352,19 +356,19 @@ CASES: dict[str, tuple[type[sl.Shader], Callable[[], dict[str, Any]], Callable[[
         lambda: {**floats(), "ints": np.zeros(2 * N, "i4"), "uints": np.zeros(2 * N, "u4")},
         expected_conversions,
     ),
-    "reads": (Reads, lambda: {**places(), **memory(), "out": np.zeros(12 * N, "f4")}, expected_reads),
-    "writes": (Writes, lambda: {**places(), **targets()}, expected_writes),
+    "reads": (Reads, lambda: {**invocation_indices(), **memory(), "out": np.zeros(12 * N, "f4")}, expected_reads),
+    "writes": (Writes, lambda: {**invocation_indices(), **targets()}, expected_writes),
 }
 """Of each case its shader, what is bound, and the buffers' contents afterwards."""
 
 
-@pytest.mark.needs("shading", "compute")
+@pytest.mark.requires("shading", "compute")
 @pytest.mark.parametrize("case", CASES)
 def test_operands_at_the_edges_and_indices_outside_have_one_result(device: Device, case: str) -> None:
-    shader, given, expected = CASES[case]
+    shader, make_inputs, expected = CASES[case]
     guards: list[Any] = []
     bound: dict[str, Any] = {}
-    for name, value in given().items():
+    for name, value in make_inputs().items():
         guards.append(device.storage(float, np.full(4096, -7, "f4")))  # between the buffers of the shader
         if isinstance(value, sl.Struct):
             bound[name] = device.uniform(value)

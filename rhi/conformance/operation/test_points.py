@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 from rhi import CullMode, DepthFunction, DepthTest, Device, Format, Primitive, Scissor
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_point_sizes
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Located, Sized
-from rhi.conformance.shapes import point_rows, point_square
+from rhi.conformance.shapes import point_square, point_vertices
+from rhi.conformance.single_draws import draw_once
 from rhi.shading import Shader, Struct, point_coordinate, vec2, vec4
 
-pytestmark = pytest.mark.needs("draws", "shading")
+pytestmark = pytest.mark.requires("draws", "shading")
 
 SIZE = (32, 24)
 
 
-class Place(Struct):
+class ClipVertex(Struct):
     """A vertex in clip space."""
 
     position: vec4
@@ -30,7 +30,7 @@ class Place(Struct):
 class Unsized(Shader):
     """Writes the place inside a point of the default size."""
 
-    def vertex(self, v: Place) -> vec4:
+    def vertex(self, v: ClipVertex) -> vec4:
         return v.position
 
     def fragment(self) -> vec4:
@@ -42,9 +42,9 @@ def with_sizes(device: Device) -> None:
     require_point_sizes(device)
 
 
-def dots(places: Any, sizes: Any, colors: Any = (1, 1, 1, 1), depth: float = 0.5, w: float = 1.0) -> NDArray[Any]:
+def dots(positions: Any, sizes: Any, colors: Any = (1, 1, 1, 1), depth: float = 0.5, w: float = 1.0) -> NDArray[Any]:
     """Return vertices at window positions, in texels."""
-    return point_rows(places, SIZE, sizes, colors, depth, w)
+    return point_vertices(positions, SIZE, sizes, colors, depth, w)
 
 
 def square(x: float, y: float, size: float) -> NDArray[np.bool_]:
@@ -52,7 +52,7 @@ def square(x: float, y: float, size: float) -> NDArray[np.bool_]:
     return point_square(x, y, size, SIZE)
 
 
-def drawn(device: Device, rows: NDArray[Any], shader: Any = Sized, *states: Any) -> NDArray[Any]:
+def draw_image(device: Device, rows: NDArray[Any], shader: Any = Sized, *states: Any) -> NDArray[Any]:
     """Return the image of these points."""
     return draw_once(
         device, SIZE, Format.RGBA32F, rows, *states or [CullMode.NONE], shader=shader, primitive=Primitive.POINTS
@@ -60,26 +60,26 @@ def drawn(device: Device, rows: NDArray[Any], shader: Any = Sized, *states: Any)
 
 
 @pytest.mark.parametrize("size", [1.0, 2.0, 3.0, 4.5, 7.0, 12.0])
-@pytest.mark.parametrize("place", [(10.5, 9.5), (10.0, 9.0), (10.25, 9.75), (10.8125, 9.0625)], ids=str)
-def test_a_point_covers_the_square_around_it(device: Device, size: float, place: tuple[float, float]) -> None:
+@pytest.mark.parametrize("position", [(10.5, 9.5), (10.0, 9.0), (10.25, 9.75), (10.8125, 9.0625)], ids=str)
+def test_a_point_covers_the_square_around_it(device: Device, size: float, position: tuple[float, float]) -> None:
     if size > device.capabilities.max_point_size:
         pytest.skip(f"{device.backend_name} declares max_point_size {device.capabilities.max_point_size:g}")
-    image = drawn(device, dots([place], size))
-    assert_mask(image[..., 0] > 0, square(*place, size))
+    image = draw_image(device, dots([position], size))
+    assert_mask(image[..., 0] > 0, square(*position, size))
 
 
 def test_each_point_has_its_own_size(device: Device) -> None:
-    places, sizes = [(4.5, 4.5), (14.5, 6.5), (24.5, 12.5)], [1.0, 3.0, 5.0]
+    positions, sizes = [(4.5, 4.5), (14.5, 6.5), (24.5, 12.5)], [1.0, 3.0, 5.0]
     colors = [(0.25, 0, 0, 1), (0.5, 0, 0, 1), (0.75, 0, 0, 1)]
     expected = np.zeros(SIZE[::-1])
-    for place, size, color in zip(places, sizes, colors, strict=True):
-        expected[square(*place, size)] = color[0]
-    assert_same(drawn(device, dots(places, sizes, colors))[..., 0], expected)
+    for position, size, color in zip(positions, sizes, colors, strict=True):
+        expected[square(*position, size)] = color[0]
+    assert_same(draw_image(device, dots(positions, sizes, colors))[..., 0], expected)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.25, -3.0, 0.999])
 def test_no_point_is_smaller_than_a_texel(device: Device, size: float) -> None:
-    assert_mask(drawn(device, dots([(7.5, 3.5)], size))[..., 0] > 0, square(7.5, 3.5, 1.0))
+    assert_mask(draw_image(device, dots([(7.5, 3.5)], size))[..., 0] > 0, square(7.5, 3.5, 1.0))
 
 
 def test_no_point_is_larger_than_the_device_says(device: Device) -> None:
@@ -97,17 +97,17 @@ def test_no_point_is_larger_than_the_device_says(device: Device) -> None:
         assert abs(int((image.read()[2] > 0).sum()) - most) <= 1
 
 
-@pytest.mark.needs("precise_clipping")
+@pytest.mark.requires("precise_clipping")
 @pytest.mark.parametrize(("x", "seen"), [(-0.5, False), (0.5, True), (31.5, True), (32.5, False)])
 def test_a_point_is_clipped_by_its_centre(device: Device, x: float, seen: bool) -> None:
     expected = square(x, 10.5, 5.0) if seen else np.zeros(SIZE[::-1], bool)
-    assert_mask(drawn(device, dots([(x, 10.5)], 5.0))[..., 0] > 0, expected)
+    assert_mask(draw_image(device, dots([(x, 10.5)], 5.0))[..., 0] > 0, expected)
 
 
 @pytest.mark.parametrize("w", [1.0, 3.0])
-def test_a_fragment_knows_its_place_in_the_point(device: Device, w: float) -> None:
+def test_a_fragment_reads_its_position_in_the_point(device: Device, w: float) -> None:
     x, y, size = 12.25, 10.5, 8.0
-    image = drawn(device, dots([(x, y)], size, (0.625, 0, 0, 1), w=w), Located)
+    image = draw_image(device, dots([(x, y)], size, (0.625, 0, 0, 1), w=w), Located)
     rows, columns = np.nonzero(square(x, y, size))
     expected = np.stack([(columns + 0.5 - x) / size + 0.5, (rows + 0.5 - y) / size + 0.5], -1)
     assert_near(image[rows, columns, :2], expected, 2e-3, "8 fraction bits of the window position in a square of 8")
@@ -144,7 +144,7 @@ def test_a_point_has_one_color_and_one_depth(device: Device) -> None:
 
 
 def test_a_point_is_cut_by_the_scissor(device: Device) -> None:
-    image = drawn(device, dots([(10.5, 9.5)], 9.0), Sized, Scissor(8, 7, 4, 30))
+    image = draw_image(device, dots([(10.5, 9.5)], 9.0), Sized, Scissor(8, 7, 4, 30))
     expected = square(10.5, 9.5, 9.0)
     expected[:, :8] = expected[:, 12:] = False
     expected[:7] = False
@@ -153,7 +153,7 @@ def test_a_point_is_cut_by_the_scissor(device: Device) -> None:
 
 def test_a_point_is_never_culled(device: Device) -> None:
     for mode in CullMode:
-        assert_mask(drawn(device, dots([(9.5, 9.5)], 3.0), Sized, mode)[..., 0] > 0, square(9.5, 9.5, 3.0))
+        assert_mask(draw_image(device, dots([(9.5, 9.5)], 3.0), Sized, mode)[..., 0] > 0, square(9.5, 9.5, 3.0))
 
 
 def test_triangles_ignore_the_size(device: Device) -> None:

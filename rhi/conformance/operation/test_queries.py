@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 import rhi
 from rhi.conformance.compare import assert_same
 from rhi.conformance.formats import require_point_sizes, require_samples
-from rhi.conformance.patience import comes_true
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Checkered, Colored, DepthFromColor, Sized
-from rhi.conformance.shapes import corners, point_rows, rectangle, texel_rectangle, window_to_clip
+from rhi.conformance.shapes import corners, point_vertices, rectangle, texel_rectangle, window_to_clip
+from rhi.conformance.waiting import wait_until
 from rhi.errors import rules
 
-pytestmark = pytest.mark.needs("draws", "shading")
+pytestmark = pytest.mark.requires("draws", "shading")
 
 SIZE = (16, 16)
 
@@ -28,9 +28,9 @@ SIZE = (16, 16)
 def query(device: rhi.Device, request: pytest.FixtureRequest) -> Iterator[rhi.OcclusionQuery]:
     """Yield a native and an emulated query, of those that the device supports."""
     emulated = request.param == "emulated"
-    wanted = "sample_counter" if emulated else "occlusion_queries"
-    if not getattr(device.capabilities, wanted):
-        pytest.skip(f"{device.backend_name} declares no {wanted}")
+    capability = "sample_counter" if emulated else "occlusion_queries"
+    if not getattr(device.capabilities, capability):
+        pytest.skip(f"{device.backend_name} declares no {capability}")
     query = device.occlusion_query(emulated=emulated)
     assert query.emulated is emulated
     yield query
@@ -83,11 +83,11 @@ def test_a_query_counts_fragments_drawn_over_each_other(device: rhi.Device, quer
     assert count(device, query, rows) == 3 * 256
 
 
-PLACE = st.tuples(st.integers(0, 256), st.integers(0, 256))
+POSITION = st.tuples(st.integers(0, 256), st.integers(0, 256))
 
 
 @settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
-@given(points=st.lists(PLACE, min_size=3, max_size=9))
+@given(points=st.lists(POSITION, min_size=3, max_size=9))
 def test_counts_are_those_of_an_exact_rasteriser(device: rhi.Device, query: rhi.OcclusionQuery, points: Any) -> None:
     triangles = np.array(points[: len(points) // 3 * 3]).reshape(-1, 3, 2)
     rows = corners(window_to_clip(triangles.reshape(-1, 2) / SUBTEXELS, SIZE), depth=0.75)
@@ -195,7 +195,7 @@ def test_many_queries_keep_their_own_counts(device: rhi.Device, query: rhi.Occlu
 def test_an_answer_comes_without_waiting_for_it(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     """Polling is enough for the query to finish: `end` submits its work."""
     draw_counted(device, query, rectangle())
-    assert comes_true(lambda: query.is_finished)
+    assert wait_until(lambda: query.is_finished)
     assert query.visible_samples == 256
 
 
@@ -244,9 +244,9 @@ def test_queries_are_counted(device: rhi.Device, query: rhi.OcclusionQuery) -> N
     assert device.statistics.queries - before == 2
 
 
-@pytest.mark.needs("occlusion_queries", "sample_counter")
+@pytest.mark.requires("occlusion_queries", "sample_counter")
 @settings(max_examples=10, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
-@given(points=st.lists(PLACE, min_size=3, max_size=12))
+@given(points=st.lists(POSITION, min_size=3, max_size=12))
 def test_native_and_emulated_queries_agree(device: rhi.Device, points: Any) -> None:
     rows = corners(window_to_clip(np.array(points[: len(points) // 3 * 3]) / SUBTEXELS, SIZE), depth=0.75)
     native, emulated = device.occlusion_query(), device.occlusion_query(emulated=True)
@@ -258,7 +258,7 @@ def test_native_and_emulated_queries_agree(device: rhi.Device, points: Any) -> N
 # -- conditional rendering ---------------------------------------------------------------------------------
 
 
-@pytest.mark.needs("occlusion_queries", "conditional_rendering")
+@pytest.mark.requires("occlusion_queries", "conditional_rendering")
 @pytest.mark.parametrize("inverted", [False, True])
 @pytest.mark.parametrize("depth", [0.25, 0.75], ids=["hidden", "visible"])
 def test_draws_depend_on_the_answer(device: rhi.Device, depth: float, inverted: bool) -> None:
@@ -280,7 +280,7 @@ def test_draws_depend_on_the_answer(device: rhi.Device, depth: float, inverted: 
     query.destroy()
 
 
-@pytest.mark.needs("occlusion_queries", "conditional_rendering")
+@pytest.mark.requires("occlusion_queries", "conditional_rendering")
 def test_draws_after_a_condition_do_not_depend_on_it(device: rhi.Device) -> None:
     query = device.occlusion_query()
     with device.texture(SIZE, rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
@@ -296,8 +296,8 @@ def test_draws_after_a_condition_do_not_depend_on_it(device: rhi.Device) -> None
     query.destroy()
 
 
-@pytest.mark.needs("occlusion_queries", "shading")
-@pytest.mark.needs("draws")
+@pytest.mark.requires("occlusion_queries", "shading")
+@pytest.mark.requires("draws")
 def test_an_unfinished_query_has_no_number_yet(device: rhi.Device) -> None:
     """Either the answer is available, or reading it raises an error: a 0 never means 'not yet'."""
     query = device.occlusion_query()
@@ -318,5 +318,5 @@ def test_an_unfinished_query_has_no_number_yet(device: rhi.Device) -> None:
 
 def test_the_samples_of_large_points_are_counted(device: rhi.Device, query: rhi.OcclusionQuery) -> None:
     require_point_sizes(device)
-    rows = point_rows([(4.5, 8.5), (12.5, 8.5)], SIZE, [5.0, 3.0])
+    rows = point_vertices([(4.5, 8.5), (12.5, 8.5)], SIZE, [5.0, 3.0])
     assert draw_counted(device, query, rows, Sized, primitive=rhi.Primitive.POINTS).wait() == 25 + 9

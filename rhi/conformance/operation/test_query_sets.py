@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 import rhi
 from rhi import DRAW, AlphaTest, ColorWrite, CullMode, DepthWrite, Device, Format, Mesh, Primitive, QuerySet
 from rhi.conformance.compare import assert_same
-from rhi.conformance.patience import comes_true
 from rhi.conformance.shaders import Colored, Corner, FlatShade, Shade, Smooth
 from rhi.conformance.shapes import rectangle, texel_rectangle
+from rhi.conformance.waiting import wait_until
 from rhi.errors import rules
 from rhi.shading import Shader, StorageRW, atomic_add, draw_index, instance_index, uint, vec4
 
-pytestmark = [pytest.mark.recorded_too, pytest.mark.needs("draws", "shading")]
+pytestmark = [pytest.mark.recorded_too, pytest.mark.requires("draws", "shading")]
 
 SIZE = (16, 16)
 COUNTS = [(1 + i % 16) * (1 + i // 16) for i in range(64)]
@@ -30,9 +30,9 @@ BARS = np.concatenate([texel_rectangle(0, 0, 1 + i % 16, 1 + i // 16, SIZE) for 
 def emulated(device: Device, request: pytest.FixtureRequest) -> bool:
     """Whether the queries are emulated: no and yes, as far as the device supports them."""
     emulated: bool = request.param == "emulated"
-    wanted = "sample_counter" if emulated else "occlusion_queries"
-    if not getattr(device.capabilities, wanted):
-        pytest.skip(f"{device.backend_name} declares no {wanted}")
+    capability = "sample_counter" if emulated else "occlusion_queries"
+    if not getattr(device.capabilities, capability):
+        pytest.skip(f"{device.backend_name} declares no {capability}")
     return emulated
 
 
@@ -190,12 +190,12 @@ def test_sets_in_several_passes_keep_their_own_counts(device: Device, emulated: 
     program = device.program(Colored)
     for turn in (0, 1):
         with device.render_pass(image):
-            for place in (0, 1):
-                draws = parts(bars, *np.roll(range(64), 2 * turn + place))
-                device.draw_counted(program, bars, draws, sets[2 * turn + place])
+            for set_index in (0, 1):
+                draws = parts(bars, *np.roll(range(64), 2 * turn + set_index))
+                device.draw_counted(program, bars, draws, sets[2 * turn + set_index])
                 device.draw(program, bars)
-    for place, queries in enumerate(sets):
-        assert queries.wait().tolist() == np.roll(COUNTS, place).tolist()
+    for set_index, queries in enumerate(sets):
+        assert queries.wait().tolist() == np.roll(COUNTS, set_index).tolist()
         queries.destroy()
 
 
@@ -219,7 +219,7 @@ def test_queries_beside_a_set_count_their_own(
         query.destroy()
 
 
-@pytest.mark.needs("occlusion_queries", "sample_counter")
+@pytest.mark.requires("occlusion_queries", "sample_counter")
 def test_native_and_emulated_sets_take_turns(device: Device, bars: Mesh, image: Any) -> None:
     native, emulated = device.query_set(64), device.query_set(64, emulated=True)
     program = device.program(Colored)
@@ -256,7 +256,7 @@ def test_what_is_passed_may_change_afterwards(device: Device, queries: QuerySet,
 def test_an_answer_comes_without_waiting_for_it(device: Device, queries: QuerySet, bars: Mesh, image: Any) -> None:
     with device.render_pass(image):
         device.draw_counted(device.program(Colored), bars, parts(bars, *range(64)), queries)
-    assert comes_true(lambda: queries.is_finished)
+    assert wait_until(lambda: queries.is_finished)
     assert queries.visible_samples.tolist() == COUNTS
 
 
@@ -265,20 +265,20 @@ def test_an_answer_comes_without_waiting_for_it(device: Device, queries: QuerySe
 
 class Column(Shader):
     """Draws each instance two texels to the right of the one before it, with the draw index as red, and counts all
-    fragments in `seen`."""
+    fragments in `total`."""
 
-    seen: StorageRW[uint]
+    total: StorageRW[uint]
 
     def vertex(self, v: Corner) -> FlatShade:
         shift = vec4(0.25 * float(instance_index()), 0.0, 0.0, 0.0)
         return FlatShade(clip=v.position + shift, color=vec4(float(draw_index()), 0.0, 0.0, 1.0))
 
     def fragment(self, v: FlatShade) -> vec4:
-        atomic_add(self.seen[0], uint(1))
+        atomic_add(self.total[0], uint(1))
         return v.color
 
 
-@pytest.mark.needs("draw_index")
+@pytest.mark.requires("draw_index")
 def test_indexed_draws_have_their_bases_and_instances(device: Device, queries: QuerySet, image: Any) -> None:
     """The draw index is 0 in each of them, as in a command with a single draw."""
     rows = np.concatenate([texel_rectangle(0, 0, 2, 3, SIZE), texel_rectangle(0, 0, 2, 8, SIZE)])
@@ -288,11 +288,11 @@ def test_indexed_draws_have_their_bases_and_instances(device: Device, queries: Q
     draws["instances"] = [1, 3, 1, 2]
     draws["base_vertex"] = [0, 0, 6, 6]
     draws["base_instance"] = [0, 2, 7, 7]  # the second instance of the last draw is outside of the target
-    with device.mesh(rows, indices) as mesh, device.storage(uint, 1) as seen:
+    with device.mesh(rows, indices) as mesh, device.storage(uint, 1) as total:
         with device.render_pass(image, clear=(0.4, 0.4, 0.4, 0.4)):
-            device.draw_counted(device.program(Column), mesh, draws, queries, seen=seen)
+            device.draw_counted(device.program(Column), mesh, draws, queries, total=total)
         assert queries.wait()[:5].tolist() == [6, 18, 16, 16, -1]
-        assert seen.read()[0] == 6 + 18 + 16 + 16
+        assert total.read()[0] == 6 + 18 + 16 + 16
         assert image.read()[0, :, 3].tolist() == [255, 255, 102, 102, *[255] * 6, *[102] * 4, 255, 255]
         assert not image.read()[0, :2, 0].any()
 
@@ -322,7 +322,7 @@ def test_changed_indices_are_those_that_are_counted(device: Device, queries: Que
         assert count(device, image, queries, mesh, draws)[:2] == COUNTS[4:6]
 
 
-@pytest.mark.needs("alpha_test")
+@pytest.mark.requires("alpha_test")
 def test_what_the_alpha_test_drops_is_not_counted(device: Device, queries: QuerySet, bars: Mesh, image: Any) -> None:
     rows = BARS.copy()
     rows["color"][: 6 * 2, 3] = 0.2
@@ -331,7 +331,7 @@ def test_what_the_alpha_test_drops_is_not_counted(device: Device, queries: Query
     assert count(device, image, queries, bars, parts(bars, *range(4)))[:4] == COUNTS[:4]
 
 
-@pytest.mark.needs("occlusion_queries", "conditional_rendering")
+@pytest.mark.requires("occlusion_queries", "conditional_rendering")
 def test_draws_that_a_condition_drops_count_nothing(device: Device, bars: Mesh, image: Any) -> None:
     nothing, queries = device.occlusion_query(), device.query_set(64)
     program = device.program(Colored)
@@ -411,7 +411,7 @@ def test_a_recorded_set_answers_for_the_latest_submission(
     assert queries.wait().tolist()[:8] == COUNTS[20:28]
 
 
-@pytest.mark.needs("shading")
+@pytest.mark.requires("shading")
 def test_an_unfinished_set_has_no_numbers_yet(device: Device) -> None:
     """Either the answers are available, or reading them raises an error."""
     queries = device.query_set(2)

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from rhi import BlendFunction, CullMode, Device, Format, FrontFace, Scissor, State, Viewport
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import SUBTEXELS, rasterise, rasterise_within
 from rhi.conformance.shaders import Bare, Colored, Corner, Positions
 from rhi.conformance.shapes import VertexRows, corners, rectangle, texel_rectangle, window_to_clip
+from rhi.conformance.single_draws import draw_once
 from rhi.shading import NoPerspective, Shader, Struct, front_facing, vec4
 
-pytestmark = pytest.mark.needs("draws", "shading")
+pytestmark = pytest.mark.requires("draws", "shading")
 
 SIZE = (16, 16)
 

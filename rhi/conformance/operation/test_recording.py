@@ -17,7 +17,7 @@ def line() -> int:
     return sys._getframe(1).f_lineno
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 def test_a_draw_is_one_command_with_its_arguments(recording: Device) -> None:
     since = len(recording.stream)
     with recording.texture((4, 4), Format.RGBA8) as image, recording.mesh(rectangle()) as mesh:
@@ -27,7 +27,7 @@ def test_a_draw_is_one_command_with_its_arguments(recording: Device) -> None:
     assert (draw["first"], draw["count"], draw["instances"]) == (3, 3, 7)
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 def test_a_command_knows_the_line_of_the_user(recording: Device) -> None:
     with recording.texture((4, 4), Format.RGBA8) as image, recording.mesh(rectangle()) as mesh:
         program = recording.program(Colored)
@@ -39,7 +39,7 @@ def test_a_command_knows_the_line_of_the_user(recording: Device) -> None:
     assert (draw.site.file, draw.site.line) == (__file__, expected)
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 def test_commands_keep_their_order(recording: Device) -> None:
     since = len(recording.stream)
     with recording.texture((4, 4), Format.RGBA8) as image, recording.mesh(rectangle()) as mesh:
@@ -82,7 +82,7 @@ def test_a_stream_prints(recording: Device) -> None:
     assert "test_recording.py" in text
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 def test_a_redundant_bind_is_not_sent_again(recording: Device) -> None:
     with recording.texture((4, 4), Format.RGBA8) as image, recording.mesh(rectangle()) as mesh:
         program = recording.program(Colored)
@@ -94,7 +94,7 @@ def test_a_redundant_bind_is_not_sent_again(recording: Device) -> None:
     assert after[0] is Op.DRAW
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 def test_each_call_that_draws_counts_as_one_draw(device: Device) -> None:
     with (
         device.texture((4, 4), Format.R8) as image,

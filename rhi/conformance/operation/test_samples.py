@@ -18,7 +18,7 @@ from rhi.conformance.formats import require_renderable, require_samples
 from rhi.conformance.shaders import Bare, Colored, Positions, UintColored
 from rhi.conformance.shapes import VertexRows, corners, rectangle
 
-pytestmark = pytest.mark.needs("draws", "shading")
+pytestmark = pytest.mark.requires("draws", "shading")
 
 SIZE = (8, 8)
 COUNTS = pytest.mark.parametrize("samples", [2, 4, 8])
@@ -76,13 +76,13 @@ def read_samples(
     with device.texture(SIZE, format) as target, device.mesh(rectangle()) as mesh:
         for number in range(source.samples):
             with device.render_pass(target):
-                given = Sample(number=number, origin=origin)
-                device.draw(device.program(reader), mesh, source=source, sample=given)
+                parameters = Sample(number=number, origin=origin)
+                device.draw(device.program(reader), mesh, source=source, sample=parameters)
             rows.append(target.read())
     return np.stack(rows)
 
 
-def find_places(device: Device, samples: int, format: Format = Format.D32F) -> NDArray[Any]:
+def measure_sample_positions(device: Device, samples: int, format: Format = Format.D32F) -> NDArray[Any]:
     """Return the places of the samples in texel units from a texel's top left, (samples, rows, columns, 2)."""
     axes = []
     with device.texture(SIZE, format, samples=samples) as depth:
@@ -101,20 +101,22 @@ def split() -> VertexRows:
 
 @COUNTS
 @pytest.mark.parametrize("format", [Format.D32F, Format.D24S8], ids=lambda format: format.name)
-def test_depth_is_read_at_the_place_of_each_sample(device: Device, samples: int, format: Format) -> None:
+def test_depth_is_read_at_the_position_of_each_sample(device: Device, samples: int, format: Format) -> None:
     require_samples(device, samples)
-    places = find_places(device, samples, format)
-    assert_near(places, np.broadcast_to(places[:, :1, :1], places.shape), 4e-4, "depth within 2e-5, of 8 texels")
-    found = places[:, 0, 0]
-    assert (found > 0).all()
-    assert (found < 1).all()
-    assert len(np.unique(np.round(found, 2), axis=0)) == samples, found
+    positions = measure_sample_positions(device, samples, format)
+    assert_near(
+        positions, np.broadcast_to(positions[:, :1, :1], positions.shape), 4e-4, "depth within 2e-5, of 8 texels"
+    )
+    corner_positions = positions[:, 0, 0]
+    assert (corner_positions > 0).all()
+    assert (corner_positions < 1).all()
+    assert len(np.unique(np.round(corner_positions, 2), axis=0)) == samples, corner_positions
 
 
 @COUNTS
-def test_each_sample_has_the_color_of_what_covers_its_place(device: Device, samples: int) -> None:
+def test_each_sample_has_the_color_of_what_covers_its_position(device: Device, samples: int) -> None:
     require_samples(device, samples)
-    places = find_places(device, samples)[:, 0, 0]
+    positions = measure_sample_positions(device, samples)[:, 0, 0]
     with device.texture(SIZE, Format.RGBA16F, samples=samples) as image:
         for step in range(16):  # an edge in each sixteenth of the texels in column 4
             edge = 4 + (step + 0.5) / 16
@@ -125,9 +127,11 @@ def test_each_sample_has_the_color_of_what_covers_its_place(device: Device, samp
             with device.render_pass(image, clear=(0, 0, 0, 0)), device.mesh(np.concatenate(sides)) as mesh:
                 device.draw(device.program(Colored), mesh)
             middle = read_samples(device, image)[:, :, 4]
-            left = places[:, 0] < edge - 4
+            left = positions[:, 0] < edge - 4
             expected = np.where(left[:, None], (0.25, 0, 0, 1), (0, 3, 0, 1))
-            sure = np.abs(places[:, 0] - (edge - 4)) > 1 / 128  # a step of half a subtexel of 1/256 and the tolerance
+            sure = (
+                np.abs(positions[:, 0] - (edge - 4)) > 1 / 128
+            )  # a step of half a subtexel of 1/256 and the tolerance
             assert_same(middle[sure], np.broadcast_to(expected[:, None], middle.shape)[sure])
 
 
@@ -170,7 +174,7 @@ def test_a_sample_outside_the_texture_is_zero(device: Device) -> None:
     assert_same(shifted[:, :, 5:], 0)
 
 
-@pytest.mark.needs("compute")
+@pytest.mark.requires("compute")
 @COUNTS
 def test_a_dispatch_reads_samples_and_the_size(device: Device, samples: int) -> None:
     """Each invocation reads another sample of the same texel."""

@@ -9,7 +9,7 @@ from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.contract.states import DEFAULTS, PlatformState
 
-pytestmark = pytest.mark.needs("draws")
+pytestmark = pytest.mark.requires("draws")
 
 
 def states_of_draws(device: rhi.Device, *draws: object) -> list[dict[type, object]]:

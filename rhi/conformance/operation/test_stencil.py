@@ -32,7 +32,7 @@ from rhi.conformance.shaders import Colored, Shade, Shaded
 from rhi.conformance.shapes import VertexRows, rectangle
 from rhi.shading import discard, fragment_coordinate, vec4
 
-pytestmark = pytest.mark.needs("draws", "shading", "stencil")
+pytestmark = pytest.mark.requires("draws", "shading", "stencil")
 
 SIZE = (2, 2)
 KEEP, REPLACE = StencilOperation.KEEP, StencilOperation.REPLACE
@@ -149,7 +149,7 @@ def test_back_faces_have_a_function_of_their_own(device: Device) -> None:
     assert_same(color, 0)
 
 
-@pytest.mark.needs("stencil_per_face")
+@pytest.mark.requires("stencil_per_face")
 def test_back_faces_have_a_reference_and_masks_of_their_own(device: Device) -> None:
     states = (
         StencilFront(Comparison.NEVER),
@@ -220,7 +220,7 @@ def test_a_discarded_fragment_changes_no_stencil_whatever_the_tests_say(
             device.states(StencilTest.ON, front, StencilReference(reference, reference)),
         ):
             device.draw(device.program(Checkered), mesh)
-        kept = np.arange(4) % 2 == 0
-        assert_same(target.read_stencil(), np.broadcast_to(np.where(kept, ~stored & 255, stored), (2, 4)))
+        covered = np.arange(4) % 2 == 0
+        assert_same(target.read_stencil(), np.broadcast_to(np.where(covered, ~stored & 255, stored), (2, 4)))
         passes = stored == reference and depth == 0.0
-        assert_same(image.read(), np.broadcast_to(np.where(kept & passes, 255, 0), (2, 4)))
+        assert_same(image.read(), np.broadcast_to(np.where(covered & passes, 255, 0), (2, 4)))

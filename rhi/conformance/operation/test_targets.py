@@ -10,16 +10,16 @@ import pytest
 import rhi
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_point_sizes, require_renderable, require_samples
-from rhi.conformance.patience import PATIENCE
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import channels_of, compare, encode, rounding
 from rhi.conformance.shaders import Bare, Colored, Corner, FlatShade, IntColored, Located, Shade, Sized, UintColored
-from rhi.conformance.shapes import centers, corners, point_rows, point_square, rectangle
+from rhi.conformance.shapes import centers, corners, point_square, point_vertices, rectangle
+from rhi.conformance.single_draws import draw_once
+from rhi.conformance.waiting import TIMEOUT
 from rhi.contract.formats import COLOR_FORMATS, ChannelKind
 from rhi.contract.limits import target_bytes
 from rhi.shading import Shader, Struct, uvec4, vec2, vec4
 
-pytestmark = pytest.mark.needs("draws", "shading")
+pytestmark = pytest.mark.requires("draws", "shading")
 
 SIZE = (4, 4)
 
@@ -98,47 +98,47 @@ class ToTwo(Shader):
 
 def two_after(device: rhi.Device, *states: Any) -> tuple[Any, Any]:
     with (
-        device.texture(SIZE, rhi.Format.RGBA8) as one,
-        device.texture(SIZE, rhi.Format.RGBA16F) as two,
+        device.texture(SIZE, rhi.Format.RGBA8) as first,
+        device.texture(SIZE, rhi.Format.RGBA16F) as second,
         device.mesh(rectangle(color=(1.0, 0.0, 0.0, 0.0))) as mesh,
     ):
-        with device.render_pass([one, two], clear=(0, 0, 0, 1)), device.states(*states):
+        with device.render_pass([first, second], clear=(0, 0, 0, 1)), device.states(*states):
             device.draw(device.program(ToTwo), mesh)
-        return one.read()[0, 0], two.read()[0, 0]
+        return first.read()[0, 0], second.read()[0, 0]
 
 
 def test_color_write_of_all_targets(device: rhi.Device) -> None:
-    one, two = two_after(device, rhi.ColorWrite.OFF)
-    assert_same(one, (0, 0, 0, 255))
-    assert_same(two, (0, 0, 0, 1))
+    first, second = two_after(device, rhi.ColorWrite.OFF)
+    assert_same(first, (0, 0, 0, 255))
+    assert_same(second, (0, 0, 0, 1))
 
 
 def test_color_write_of_one_target(device: rhi.Device) -> None:
-    one, two = two_after(device, rhi.ColorWrite.OFF.at(0))
-    assert_same(one, (0, 0, 0, 255))
-    assert_same(two, (0, 0, 0, 1))  # the second output, (1, 0, 0, 0) reversed, equals the clear color
-    one, two = two_after(device, rhi.ColorWrite(alpha=False).at(0), rhi.ColorWrite(alpha=False).at(1))
-    assert_same(one, (255, 0, 0, 255))
-    assert_same(two, (0, 0, 0, 1))
+    first, second = two_after(device, rhi.ColorWrite.OFF.at(0))
+    assert_same(first, (0, 0, 0, 255))
+    assert_same(second, (0, 0, 0, 1))  # the second output, (1, 0, 0, 0) reversed, equals the clear color
+    first, second = two_after(device, rhi.ColorWrite(alpha=False).at(0), rhi.ColorWrite(alpha=False).at(1))
+    assert_same(first, (255, 0, 0, 255))
+    assert_same(second, (0, 0, 0, 1))
 
 
-@pytest.mark.needs("blend_per_target")
+@pytest.mark.requires("blend_per_target")
 def test_each_target_blends_by_its_own_function(device: rhi.Device) -> None:
-    one, two = two_after(device, rhi.BlendFunction.ADDITIVE.at(1))
-    assert_same(one, (255, 0, 0, 0))
-    assert_same(two, (0, 0, 0, 2))
-    one, two = two_after(device, rhi.BlendFunction.ADDITIVE.at(0))
-    assert_same(one, (255, 0, 0, 255))
-    assert_same(two, (0, 0, 0, 1))
+    first, second = two_after(device, rhi.BlendFunction.ADDITIVE.at(1))
+    assert_same(first, (255, 0, 0, 0))
+    assert_same(second, (0, 0, 0, 2))
+    first, second = two_after(device, rhi.BlendFunction.ADDITIVE.at(0))
+    assert_same(first, (255, 0, 0, 255))
+    assert_same(second, (0, 0, 0, 1))
 
 
 def test_a_target_without_an_output_keeps_other_targets_right(device: rhi.Device, mesh: rhi.Mesh) -> None:
     """A program with one output, in a pass with two targets, writes the first target."""
-    with device.texture(SIZE, rhi.Format.RGBA8) as one, device.texture(SIZE, rhi.Format.RGBA8) as two:
-        with device.render_pass([one, two], clear=(0, 0, 0, 0)), device.states(rhi.ColorWrite.OFF.at(1)):
+    with device.texture(SIZE, rhi.Format.RGBA8) as first, device.texture(SIZE, rhi.Format.RGBA8) as second:
+        with device.render_pass([first, second], clear=(0, 0, 0, 0)), device.states(rhi.ColorWrite.OFF.at(1)):
             device.draw(device.program(Colored), mesh)
-        assert_same(one.read(), 255)
-        assert_same(two.read(), 0)
+        assert_same(first.read(), 255)
+        assert_same(second.read(), 0)
 
 
 def test_a_pass_with_depth_alone_draws_depth(device: rhi.Device) -> None:
@@ -287,7 +287,7 @@ def test_each_of_several_targets_is_resolved_to_its_own(device: rhi.Device) -> N
         texture.destroy()
 
 
-@pytest.mark.needs("alpha_to_coverage")
+@pytest.mark.requires("alpha_to_coverage")
 @pytest.mark.parametrize("samples", [4, 8])
 @pytest.mark.parametrize("alpha", [0.0, 0.5, 1.0])
 def test_alpha_becomes_coverage(device: rhi.Device, alpha: float, samples: int) -> None:
@@ -299,13 +299,13 @@ def test_alpha_becomes_coverage(device: rhi.Device, alpha: float, samples: int) 
     )
 
 
-@pytest.mark.needs("alpha_to_coverage")
+@pytest.mark.requires("alpha_to_coverage")
 def test_without_the_state_alpha_covers_nothing_less(device: rhi.Device) -> None:
     require_samples(device, 4)
     assert_same(draw_once(device, SIZE, rhi.Format.RGBA16F, rectangle(color=(1, 1, 1, 0.5)), samples=4)[..., 0], 1)
 
 
-@pytest.mark.needs("alpha_test")
+@pytest.mark.requires("alpha_test")
 @pytest.mark.parametrize("reference", [0.5, 0.25])
 @pytest.mark.parametrize("function", list(rhi.AlphaFunction), ids=lambda f: f.name)
 def test_an_alpha_function_compares_alpha_with_the_reference(
@@ -355,7 +355,7 @@ def test_a_point_with_a_size_covers_samples(device: rhi.Device, samples: int) ->
     require_samples(device, samples)
     require_point_sizes(device)
     size = (24, 20)
-    rows = point_rows([(12.0, 10.0)], size, 5.0)
+    rows = point_vertices([(12.0, 10.0)], size, 5.0)
     back = draw_once(device, size, rhi.Format.R8, rows, shader=Sized, primitive=rhi.Primitive.POINTS, samples=samples)
     whole, touched = point_square(12.0, 10.0, 4.0, size), point_square(12.0, 10.0, 6.0, size)
     assert_same(back[whole], 255)
@@ -363,11 +363,11 @@ def test_a_point_with_a_size_covers_samples(device: rhi.Device, samples: int) ->
     assert_same(back[~touched], 0)
 
 
-def test_a_fragment_of_several_samples_knows_its_place_in_the_point(device: rhi.Device) -> None:
+def test_a_fragment_of_several_samples_reads_its_position_in_the_point(device: rhi.Device) -> None:
     require_point_sizes(device)
     require_samples(device, 4)
     size = (32, 24)
-    rows = point_rows([(12.0, 10.0)], size, 8.0, (0.625, 0, 0, 1), w=3.0)
+    rows = point_vertices([(12.0, 10.0)], size, 8.0, (0.625, 0, 0, 1), w=3.0)
     back = draw_once(device, size, rhi.Format.RGBA16F, rows, shader=Located, primitive=rhi.Primitive.POINTS, samples=4)
     rows, columns = np.nonzero(point_square(12.0, 10.0, 8.0, size))  # whole texels
     expected = np.stack([columns - 7.5, rows - 5.5], -1) / 8
@@ -382,7 +382,7 @@ def test_a_fragment_of_several_samples_knows_its_place_in_the_point(device: rhi.
 def test_prepared_draws_draw_what_others_do(device: rhi.Device, names_targets: bool) -> None:
     """`device.prepare` builds ahead what a draw needs, on platforms that can, and changes nothing else."""
     states = rhi.BlendFunction.ADDITIVE, rhi.CullMode.NONE
-    pictures = []
+    images = []
     for prepares in (False, True):
         with (
             device.texture(SIZE, rhi.Format.RGBA8) as image,
@@ -393,13 +393,13 @@ def test_prepared_draws_draw_what_others_do(device: rhi.Device, names_targets: b
                 targets = (image,) if names_targets else ()
                 preparation = device.prepare(program, mesh, targets=targets, states=states)
                 assert not preparation.cancel()
-                assert preparation.result(PATIENCE * 60) is None
+                assert preparation.result(TIMEOUT * 60) is None
                 finished, total = preparation.progress
                 assert finished == total
             with device.render_pass(image, clear=(0.25, 0.5, 0, 0)), device.states(*states):
                 device.draw(program, mesh)
-            pictures.append(image.read())
-    assert_same(*pictures)
+            images.append(image.read())
+    assert_same(*images)
 
 
 def test_many_plans_are_prepared_at_once(device: rhi.Device) -> None:
@@ -411,7 +411,7 @@ def test_many_plans_are_prepared_at_once(device: rhi.Device) -> None:
             rhi.DrawPlan(program),
         ]
         preparation = device.prepare(plans)
-        preparation.result(PATIENCE * 60)
+        preparation.result(TIMEOUT * 60)
         assert preparation.done()
         assert device.prepare([]).done()
 

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from rhi import Device, Filter, Format, Mesh, Primitive, SamplerDescriptor, Wrap
 from rhi.conformance.compare import assert_same
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import Colored, FlatShade, Loads, TexturedVarying, TexturedVertex, Tint, Tinted
 from rhi.conformance.shapes import centers, corners, rectangle
+from rhi.conformance.single_draws import draw_once
 from rhi.shading import Shader, Texture2D, ivec2, vec4
 
-pytestmark = [pytest.mark.needs("draws", "shading", "max_texture_slots"), pytest.mark.recorded_too]
+pytestmark = [pytest.mark.requires("draws", "shading", "max_texture_slots"), pytest.mark.recorded_too]
 
 NEAREST = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None, Wrap.CLAMP, Wrap.CLAMP)
 UPRIGHT = [(0, 1), (1, 1), (1, 0), (0, 0)]
@@ -39,7 +39,7 @@ class Textured(Shader):
         return self.source.sample(v.uv)
 
 
-def placed(uvs: object) -> NDArray[Any]:
+def make_rectangle(uvs: object) -> NDArray[Any]:
     """Return a full rectangle with these uv at its lower left, lower right, upper right and upper left corners."""
     rows = np.zeros(6, TexturedVertex.dtype)
     rows["position"] = rectangle()["position"]
@@ -51,7 +51,7 @@ def test_v_0_is_the_top_row(device: Device) -> None:
     """A texture drawn with v = 0 at the top of the target comes out as it was written."""
     data = texels(5, 3)
     with device.texture(data, Format.RGBA8) as source:
-        sampled, rows = source.sampled(NEAREST), placed(UPRIGHT)
+        sampled, rows = source.sampled(NEAREST), make_rectangle(UPRIGHT)
         assert_same(draw_once(device, (5, 3), Format.RGBA8, rows, shader=Textured, source=sampled), data)
 
 
@@ -60,7 +60,7 @@ def test_a_drawn_texture_is_sampled_like_a_written_one(device: Device) -> None:
         device.texture((4, 4), Format.RGBA8) as drawn,
         device.texture((4, 4), Format.RGBA8) as target,
         device.mesh(rectangle(-1, 0, 0, 1)) as corner,
-        device.mesh(placed(UPRIGHT)) as whole,
+        device.mesh(make_rectangle(UPRIGHT)) as whole,
     ):
         with device.render_pass(drawn, clear=(0, 0, 0, 0)):
             device.draw(device.program(Colored), corner)

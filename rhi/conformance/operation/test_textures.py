@@ -157,21 +157,39 @@ def test_the_layers_of_an_array_stay_with_its_levels(device: Device) -> None:
 # -- texels without alpha ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+each_opaque = pytest.mark.parametrize(
     ("format", "opaque"),
     [(Format.RGBA8, 255), (Format.RGBA8_SRGB, 255), (Format.RGBA8_SNORM, 127), (Format.RGBA16, 65535),
      (Format.RGBA16F, 1), (Format.RGBA32F, 1)],
     ids=identity,
 )  # fmt: skip
-def test_texels_without_alpha_are_opaque(device: Device, format: Format, opaque: int) -> None:
+"""Runs a test with each format that has alpha, and with the alpha of an opaque texel."""
+
+
+@each_opaque
+def test_texels_created_without_alpha_are_opaque(device: Device, format: Format, opaque: int) -> None:
+    require_format(device, format)
+    data = random_texels(format, 1, 3, 5)[0, ..., :3]
+    with device.texture(np.ascontiguousarray(data), format) as texture:
+        assert_same(texture.read()[..., :3], data)
+        assert_same(texture.read()[..., 3], opaque)
+
+
+@each_opaque
+def test_texels_written_without_alpha_are_opaque(device: Device, format: Format, opaque: int) -> None:
     require_format(device, format)
     data = random_texels(format, 2, 3, 5)
-    with device.texture(np.ascontiguousarray(data[0, ..., :3]), format) as texture:
-        assert_same(texture.read()[..., :3], data[0, ..., :3])
-        assert_same(texture.read()[..., 3], opaque)
+    with device.texture(data[0], format) as texture:
         texture.write(data[1, :2, :2, :3], x=1, y=1)  # a view
-        assert_same(texture.read()[1:3, 1:3, :3], data[1, :2, :2, :3])
-        assert_same(texture.read()[..., 3], opaque)
+        texels = texture.read()[1:3, 1:3]
+        assert_same(texels[..., :3], data[1, :2, :2, :3])
+        assert_same(texels[..., 3], opaque)
+
+
+@each_opaque
+def test_layers_written_without_alpha_are_opaque(device: Device, format: Format, opaque: int) -> None:
+    require_format(device, format)
+    data = random_texels(format, 2, 3, 5)
     with device.texture((5, 3), format, kind=TextureKind.D2_ARRAY, layers=2) as layered:
         layered.write(data[..., :3])
         assert_same(layered.read_layers()[..., :3], data[..., :3])
@@ -287,7 +305,7 @@ def _row_bytes(device: Device, format: Format, width: int) -> int:
     return (width * format.transfer_bytes // step + 2) * step
 
 
-@pytest.mark.needs("texture_buffer_copies")
+@pytest.mark.requires("texture_buffer_copies")
 @pytest.mark.parametrize("format", COLOR_FORMATS, ids=identity)
 def test_a_copy_to_a_buffer_writes_the_texels_and_nothing_between_them(device: Device, format: Format) -> None:
     require_format(device, format)
@@ -303,7 +321,7 @@ def test_a_copy_to_a_buffer_writes_the_texels_and_nothing_between_them(device: D
     assert_same(back, expected)
 
 
-@pytest.mark.needs("texture_buffer_copies")
+@pytest.mark.requires("texture_buffer_copies")
 @pytest.mark.parametrize("format", COLOR_FORMATS, ids=identity)
 def test_a_copy_from_a_buffer_replaces_its_region_only(device: Device, format: Format) -> None:
     require_format(device, format)
@@ -321,7 +339,7 @@ def test_a_copy_from_a_buffer_replaces_its_region_only(device: Device, format: F
     assert_same(back, expected)
 
 
-@pytest.mark.needs("texture_buffer_copies")
+@pytest.mark.requires("texture_buffer_copies")
 @pytest.mark.parametrize("format", DEPTH_FORMATS, ids=identity)
 def test_depth_is_copied_to_a_buffer_as_float32(device: Device, format: Format) -> None:
     require_format(device, format)
@@ -332,7 +350,7 @@ def test_depth_is_copied_to_a_buffer_as_float32(device: Device, format: Format) 
         assert_same(buffer.read().reshape(3, 64), texture.read())
 
 
-@pytest.mark.needs("texture_buffer_copies")
+@pytest.mark.requires("texture_buffer_copies")
 @pytest.mark.parametrize(
     ("kind", "layers"), [(TextureKind.D2_ARRAY, 4), (TextureKind.D3, 8), (TextureKind.CUBE, 6)], ids=identity
 )
@@ -354,7 +372,7 @@ def test_layers_of_a_level_follow_each_other_in_a_buffer(device: Device, kind: T
         assert_same(target.read_layers(0), 0)
 
 
-@pytest.mark.needs("texture_buffer_copies")
+@pytest.mark.requires("texture_buffer_copies")
 def test_copies_through_a_buffer_keep_the_order_of_the_commands(device: Device) -> None:
     row = _row_bytes(device, Format.RGBA8, 2)
     with (
@@ -371,7 +389,7 @@ def test_copies_through_a_buffer_keep_the_order_of_the_commands(device: Device) 
             assert_same(target.read(), value)
 
 
-@pytest.mark.needs("texture_buffer_copies")
+@pytest.mark.requires("texture_buffer_copies")
 def test_a_copy_to_a_buffer_may_end_with_its_last_byte(device: Device) -> None:
     """The last row needs no gap behind it."""
     row = _row_bytes(device, Format.RGBA8, 4)
@@ -431,7 +449,7 @@ def test_a_clear_of_depth_stores_it(device: Device, format: Format, depth: float
         assert_near(texture.read(), depth, 2.0**-bits, f"{bits} bits of depth")
 
 
-@pytest.mark.needs("stencil")
+@pytest.mark.requires("stencil")
 @pytest.mark.parametrize("value", [0, 1, 128, 255])
 @pytest.mark.parametrize("format", [f for f in DEPTH_FORMATS if f.has_stencil], ids=identity)
 def test_a_clear_of_stencil_stores_it_and_leaves_depth(device: Device, format: Format, value: int) -> None:

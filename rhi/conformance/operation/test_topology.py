@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from rhi import BlendFunction, CullMode, Device, Format, Primitive, StorageBuffer, Texture
 from rhi.conformance.compare import assert_mask, assert_same
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, FlatColored
 from rhi.conformance.shapes import centers, corners, window_to_clip
+from rhi.conformance.single_draws import draw_once
 from rhi.shading import Shader, StorageRW, global_id, uint
 
-pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
+pytestmark = [pytest.mark.requires("draws", "shading"), pytest.mark.recorded_too]
 
 SIZE = (16, 16)
 
@@ -28,7 +28,7 @@ def image(device: Device) -> Iterator[Texture]:
         yield image
 
 
-def drawn(
+def draw_image(
     device: Device, primitive: Primitive, positions: Any, indices: Any = None, color: Any = (1, 1, 1, 1)
 ) -> NDArray[Any]:
     """Return the image of one draw without culling."""
@@ -50,15 +50,15 @@ def test_points_cover_one_texel_each(device: Device) -> None:
     texels = np.array([(0, 0), (15, 0), (0, 15), (15, 15), (7, 3), (8, 12)])
     expected = np.zeros((16, 16), bool)
     expected[texels[:, 1], texels[:, 0]] = True
-    assert_mask(drawn(device, Primitive.POINTS, centers(texels, SIZE)), expected)
+    assert_mask(draw_image(device, Primitive.POINTS, centers(texels, SIZE)), expected)
 
 
 def test_points_outside_the_target_draw_nothing(device: Device) -> None:
     texels = np.array([(-1, 3), (16, 3), (3, -1), (3, 16)])
-    assert_mask(drawn(device, Primitive.POINTS, centers(texels, SIZE)), np.zeros((16, 16), bool))
+    assert_mask(draw_image(device, Primitive.POINTS, centers(texels, SIZE)), np.zeros((16, 16), bool))
 
 
-@pytest.mark.needs("precise_lines")
+@pytest.mark.requires("precise_lines")
 @pytest.mark.parametrize(
     ("start", "end"),
     [((2, 5), (12, 5)), ((12, 5), (2, 5)), ((4, 1), (4, 14)), ((2, 2), (12, 12)), ((12, 2), (2, 12))],
@@ -66,7 +66,7 @@ def test_points_outside_the_target_draw_nothing(device: Device) -> None:
 def test_a_line_covers_the_texels_between_its_ends(
     device: Device, start: tuple[int, int], end: tuple[int, int]
 ) -> None:
-    image = drawn(device, Primitive.LINES, centers([start, end], SIZE))
+    image = draw_image(device, Primitive.LINES, centers([start, end], SIZE))
     count = max(abs(end[0] - start[0]), abs(end[1] - start[1]))
     steps = np.arange(count + 1)
     x = start[0] + steps * (end[0] - start[0]) // count
@@ -79,16 +79,16 @@ def test_a_line_covers_the_texels_between_its_ends(
 
 
 def test_lines_are_separate(device: Device) -> None:
-    image = drawn(device, Primitive.LINES, centers([(1, 1), (6, 1), (1, 9), (6, 9)], SIZE))
+    image = draw_image(device, Primitive.LINES, centers([(1, 1), (6, 1), (1, 9), (6, 9)], SIZE))
     assert_same(image[2:9], 0)
     assert image[1, 2:6].all()
     assert image[9, 2:6].all()
 
 
-@pytest.mark.needs("precise_lines")
+@pytest.mark.requires("precise_lines")
 def test_a_line_strip_joins_its_vertices(device: Device) -> None:
     path = [(1, 1), (10, 1), (10, 10), (1, 10)]
-    image = drawn(device, Primitive.LINE_STRIP, centers(path, SIZE))[..., 0] > 0
+    image = draw_image(device, Primitive.LINE_STRIP, centers(path, SIZE))[..., 0] > 0
     assert image[1, 1:11].all()
     assert image[1:11, 10].all()
     assert image[10, 2:11].all()
@@ -100,12 +100,12 @@ TRIANGLE_POINTS = [(1, 1), (13, 3), (5, 14), (2, 15), (15, 15), (9, 8)]
 
 
 def test_triangles_take_three_vertices_each(device: Device) -> None:
-    image = drawn(device, Primitive.TRIANGLES, window_to_clip(TRIANGLE_POINTS, SIZE))
+    image = draw_image(device, Primitive.TRIANGLES, window_to_clip(TRIANGLE_POINTS, SIZE))
     assert_mask(image, covered(TRIANGLE_POINTS[:3], TRIANGLE_POINTS[3:]))
 
 
 def test_vertices_left_over_draw_nothing(device: Device) -> None:
-    image = drawn(device, Primitive.TRIANGLES, window_to_clip(TRIANGLE_POINTS[:5], SIZE))
+    image = draw_image(device, Primitive.TRIANGLES, window_to_clip(TRIANGLE_POINTS[:5], SIZE))
     assert_mask(image, covered(TRIANGLE_POINTS[:3]))
 
 
@@ -113,7 +113,7 @@ STRIP = [(1, 1), (2, 8), (7, 2), (8, 9), (14, 1), (15, 12)]
 
 
 def test_a_triangle_strip_takes_each_vertex_with_the_two_before(device: Device) -> None:
-    image = drawn(device, Primitive.TRIANGLE_STRIP, window_to_clip(STRIP, SIZE))
+    image = draw_image(device, Primitive.TRIANGLE_STRIP, window_to_clip(STRIP, SIZE))
     assert_mask(image, covered(*(STRIP[i : i + 3] for i in range(4))))
 
 
@@ -134,7 +134,7 @@ FAN = [(8, 8), (15, 8), (12, 1), (5, 1), (1, 7), (4, 15)]
 
 
 def test_a_triangle_fan_turns_around_its_first_vertex(device: Device) -> None:
-    image = drawn(device, Primitive.TRIANGLE_FAN, window_to_clip(FAN, SIZE))
+    image = draw_image(device, Primitive.TRIANGLE_FAN, window_to_clip(FAN, SIZE))
     assert_mask(image, covered(*([FAN[0], FAN[i], FAN[i + 1]] for i in range(1, 5))))
 
 
@@ -142,14 +142,14 @@ QUADS = [(1, 7), (7, 6), (6, 1), (2, 2), (9, 15), (15, 15), (14, 8), (9, 9)]
 
 
 def test_quads_are_two_triangles_each(device: Device) -> None:
-    image = drawn(device, Primitive.QUADS, window_to_clip(QUADS, SIZE))
+    image = draw_image(device, Primitive.QUADS, window_to_clip(QUADS, SIZE))
     q = QUADS
     assert_mask(image, covered(q[:3], [q[0], q[2], q[3]], q[4:7], [q[4], q[6], q[7]]))
 
 
 def test_quads_that_are_not_convex_show_which_diagonal_is_used(device: Device) -> None:
     quad = [(1, 1), (3, 14), (6, 6), (14, 3)]
-    image = drawn(device, Primitive.QUADS, window_to_clip(quad, SIZE))
+    image = draw_image(device, Primitive.QUADS, window_to_clip(quad, SIZE))
     assert_mask(image, covered(quad[:3], [quad[0], quad[2], quad[3]]))
 
 
@@ -161,9 +161,9 @@ def test_indexed_vertices_draw_what_the_same_vertices_draw_in_a_row(
     order = np.array([3, 0, 4, 1, 5, 2, 7, 6])
     points = np.array([(1, 2), (14, 1), (9, 6), (3, 13), (12, 14), (6, 8), (2, 9), (15, 9)])
     positions = centers(points, SIZE)
-    indexed = drawn(device, primitive, positions, order.astype(dtype))
+    indexed = draw_image(device, primitive, positions, order.astype(dtype))
     assert indexed.any()
-    assert_same(indexed, drawn(device, primitive, positions[order]))
+    assert_same(indexed, draw_image(device, primitive, positions[order]))
 
 
 @pytest.mark.parametrize(("dtype", "restart"), [("u2", 0xFFFF), ("u4", 0xFFFFFFFF)], ids=["uint16", "uint32"])
@@ -171,13 +171,13 @@ def test_indexed_vertices_draw_what_the_same_vertices_draw_in_a_row(
 def test_the_last_index_restarts(device: Device, primitive: Primitive, dtype: str, restart: int) -> None:
     points = [(1, 1), (1, 6), (6, 1), (9, 9), (9, 15), (15, 9)]
     indices = np.array([0, 1, 2, restart, 3, 4, 5], dtype)
-    image = drawn(device, primitive, window_to_clip(points, SIZE), indices)
+    image = draw_image(device, primitive, window_to_clip(points, SIZE), indices)
     assert_mask(image, covered(points[:3], points[3:]))
 
 
 def test_a_line_strip_restarts(device: Device) -> None:
     indices = np.array([0, 1, 0xFFFF, 2, 3], "u2")
-    image = drawn(device, Primitive.LINE_STRIP, centers([(1, 1), (6, 1), (1, 9), (6, 9)], SIZE), indices)
+    image = draw_image(device, Primitive.LINE_STRIP, centers([(1, 1), (6, 1), (1, 9), (6, 9)], SIZE), indices)
     assert_same(image[2:9], 0)
     assert image[1, 2:6].all()
     assert image[9, 2:6].all()
@@ -186,7 +186,7 @@ def test_a_line_strip_restarts(device: Device) -> None:
 def test_65535_is_an_index_like_any_other_among_uint32(device: Device) -> None:
     positions = np.zeros((65536, 2)) - 2.0
     positions[[0, 1, 65535]] = window_to_clip([(0, 0), (0, 16), (16, 0)], SIZE)
-    image = drawn(device, Primitive.TRIANGLES, positions, np.array([0, 1, 65535], "u4"))
+    image = draw_image(device, Primitive.TRIANGLES, positions, np.array([0, 1, 65535], "u4"))
     assert_mask(image, covered([(0, 0), (0, 16), (16, 0)]))
 
 
@@ -201,7 +201,7 @@ FLAT = np.array([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1), (1, 1, 0, 1)], float)
 
 
 @pytest.mark.parametrize(
-    ("primitive", "places", "areas"),
+    ("primitive", "positions", "areas"),
     [
         (Primitive.TRIANGLES, [(0, 0), (0, 32), (32, 0)], {0: [(0, 0), (0, 32), (32, 0)]}),
         (Primitive.QUADS, [(0, 0), (0, 16), (16, 16), (16, 0)], {0: [(0, 0), (0, 32), (32, 0)]}),
@@ -212,9 +212,9 @@ FLAT = np.array([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1), (1, 1, 0, 1)], float)
     ids=["triangles", "quads", "strip"],
 )  # fmt: skip
 def test_a_flat_value_is_that_of_the_first_vertex(
-    device: Device, primitive: Primitive, places: list[tuple[int, int]], areas: dict[int, list[tuple[int, int]]]
+    device: Device, primitive: Primitive, positions: list[tuple[int, int]], areas: dict[int, list[tuple[int, int]]]
 ) -> None:
-    image = drawn(device, primitive, window_to_clip(places, SIZE), color=FLAT[: len(places)])
+    image = draw_image(device, primitive, window_to_clip(positions, SIZE), color=FLAT[: len(positions)])
     expected = sum(covered(area)[..., None] * FLAT[vertex] * 255 for vertex, area in areas.items())
     assert_same(image, expected)
 
@@ -224,9 +224,9 @@ def test_a_flat_value_is_that_of_the_first_vertex(
 BOXES = [[(4 * i, y), (4 * i, y + 3), (4 * i + 3, y + 3), (4 * i + 3, y)] for y in (0, 4, 8, 12) for i in range(4)]
 
 
-def boxes(chosen: Any) -> NDArray[np.bool_]:
+def boxes(quad_numbers: Any) -> NDArray[np.bool_]:
     """Return the texels covered by the quads with these numbers, out of 16 side by side."""
-    return covered(*(part for i in chosen for part in (BOXES[i][:3], [BOXES[i][0], *BOXES[i][2:]])))
+    return covered(*(part for i in quad_numbers for part in (BOXES[i][:3], [BOXES[i][0], *BOXES[i][2:]])))
 
 
 @pytest.mark.parametrize("indexed", [None, "u2", "u4"])
@@ -278,7 +278,9 @@ CHANGES: dict[str, Callable[[Device, StorageBuffer[Any], NDArray[Any]], object]]
 }
 
 
-@pytest.mark.parametrize("change", [*list(CHANGES)[:-1], pytest.param("computed", marks=pytest.mark.needs("compute"))])
+@pytest.mark.parametrize(
+    "change", [*list(CHANGES)[:-1], pytest.param("computed", marks=pytest.mark.requires("compute"))]
+)
 @pytest.mark.parametrize("first", [0, 4])
 def test_indexed_quads_follow_their_indices(device: Device, change: str, first: int, image: Texture) -> None:
     """What a draw of quads has found of its indices isn't used again after they have changed."""
@@ -323,8 +325,8 @@ def test_quads_are_drawn_once_per_instance(device: Device) -> None:
 def test_more_quads_than_16_bits_can_count(device: Device, image: Texture) -> None:
     """The last of 20,000 quads with 80,000 vertices are drawn at the right place."""
     positions = np.full((20_000, 4, 2), -3.0)
-    for place, box in ((0, 3), (16_384, 5), (19_999, 12)):
-        positions[place] = window_to_clip(BOXES[box], SIZE)
+    for quad, box in ((0, 3), (16_384, 5), (19_999, 12)):
+        positions[quad] = window_to_clip(BOXES[box], SIZE)
     with device.mesh(corners(positions.reshape(-1, 2)), primitive=Primitive.QUADS) as mesh:
         with device.render_pass(image), device.states(CullMode.NONE):
             device.draw(device.program(Colored), mesh)

@@ -13,11 +13,11 @@ import rhi.shading as sl
 from rhi import BlendFunction, CullMode, Device, Format, Primitive, ValidationError
 from rhi.conformance import shaders
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shapes import centers, corners, rectangle, window_to_clip
+from rhi.conformance.single_draws import draw_once
 
-pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
+pytestmark = [pytest.mark.requires("draws", "shading"), pytest.mark.recorded_too]
 
 
 def points(count: int, size: tuple[int, int]) -> NDArray[Any]:
@@ -50,20 +50,20 @@ def test_each_draw_of_a_frame_has_its_own_constants(device: Device, way: str) ->
 def test_a_value_is_read_when_it_is_drawn_with(device: Device) -> None:
     """One struct changes between draws, takes turns with a buffer, and is given to each kind of draw."""
     size, tint = (8, 1), shaders.Tint(color=(0, 0, 0, 0))
-    kept, program = device.uniform(shaders.Tint(color=(100, 0, 0, 0))), device.program(shaders.Tinted)
+    buffer, program = device.uniform(shaders.Tint(color=(100, 0, 0, 0))), device.program(shaders.Tinted)
     with device.texture(size, Format.R32F) as image, device.mesh(points(8, size), primitive=Primitive.POINTS) as mesh:
         with device.render_pass(image):
             for index in range(6):
                 tint.color = sl.vec4(index + 1, 0, 0, 0)
-                device.draw(program, mesh.view(index, 1), tint=kept if index in (2, 3) else tint)
+                device.draw(program, mesh.view(index, 1), tint=buffer if index in (2, 3) else tint)
             part = mesh.draws()
             part["first"], part["count"] = 6, 1
             device.draw_many(program, mesh, part, tint=shaders.Tint(color=(7, 0, 0, 0)))
-            with device.immediate(program, Primitive.POINTS, tint=shaders.Tint(color=(8, 0, 0, 0))) as one:
-                one.vertices(points(8, size)[7:])
+            with device.immediate(program, Primitive.POINTS, tint=shaders.Tint(color=(8, 0, 0, 0))) as immediate:
+                immediate.vertices(points(8, size)[7:])
         device.present()
         assert_same(image.read().reshape(-1), [1, 2, 100, 100, 5, 6, 7, 8])
-    kept.destroy()
+    buffer.destroy()
 
 
 def test_constants_made_first_and_drawn_later_are_intact(device: Device) -> None:
@@ -161,8 +161,8 @@ def test_transient_meshes_may_have_indices(device: Device, dtype: str) -> None:
     rows = points(8, (8, 1))
     with device.texture((8, 1), Format.R32F) as image:
         with device.render_pass(image, clear=(-1, 0, 0, 0)):
-            for chosen in ([1, 3], [0], [7, 6]):
-                mesh = device.transient.mesh(program, rows, np.array(chosen, dtype), Primitive.POINTS)
+            for indices in ([1, 3], [0], [7, 6]):
+                mesh = device.transient.mesh(program, rows, np.array(indices, dtype), Primitive.POINTS)
                 device.draw(program, mesh)
         assert_same(image.read()[0], [0, 1, -1, 3, -1, -1, 6, 7])
 
@@ -330,17 +330,17 @@ def test_transient_instances_are_counted_from_their_first(device: Device, way: s
     count, program = 12, device.program(Instanced)
     shifts = np.zeros(count, [("shift", "<f4", 2)])
     shifts["shift"][:, 0] = np.arange(count) * 2 / count
-    place = centers(np.zeros((1, 2)), (count, 1)).astype(np.float32)
+    first_point = centers(np.zeros((1, 2)), (count, 1)).astype(np.float32)
     with device.texture((count, 1), Format.R32F) as image:
         for _ in range(2):
             with device.render_pass(image, clear=(99, 0, 0, 0)):
                 if way == "immediate":
                     with device.immediate(program, Primitive.POINTS) as block:
                         block.instances(shifts[:7])
-                        block.vertex(position=place[0])
+                        block.vertex(position=first_point[0])
                 else:
                     whole = device.transient.mesh(
-                        program, {"position": place}, primitive=Primitive.POINTS, instances=shifts
+                        program, {"position": first_point}, primitive=Primitive.POINTS, instances=shifts
                     )
                     device.draw(program, whole, 3)
                     device.draw(program, whole.view(base_instance=3), 4)
@@ -393,8 +393,8 @@ class Weighed(shaders.Flat):
     weights: sl.Storage[sl.vec4]
 
     def vertex(self, v: Instance) -> shaders.FlatShade:
-        place = sl.vec4(v.position + v.shift, 0.5, 1.0)
-        return shaders.FlatShade(clip=place, color=self.weights[sl.instance_index()] * self.scale)
+        position = sl.vec4(v.position + v.shift, 0.5, 1.0)
+        return shaders.FlatShade(clip=position, color=self.weights[sl.instance_index()] * self.scale)
 
 
 def test_a_command_buffer_has_transient_geometry_of_its_own(device: Device) -> None:
@@ -402,20 +402,20 @@ def test_a_command_buffer_has_transient_geometry_of_its_own(device: Device) -> N
     count, program = 8, device.program(Weighed)
     shifts = np.zeros(count, [("shift", "<f4", 2)])
     shifts["shift"][:, 0] = np.arange(count) * 2 / count
-    place = centers(np.zeros((1, 2)), (count, 1)).astype(np.float32)
+    first_point = centers(np.zeros((1, 2)), (count, 1)).astype(np.float32)
     weights = np.repeat(np.arange(count, dtype="<f4")[:, None], 4, 1)
     with device.texture((count, 1), Format.R32F) as image:
         with device.record() as commands, commands.render_pass(image, clear=(99, 0, 0, 0)):
             memory = commands.transient
             bound: Any = {"scale": memory.uniform(2.0), "weights": memory.storage(sl.vec4, weights)}
             mesh = memory.mesh(
-                program, {"position": np.repeat(place, 3, 0)}, primitive=Primitive.POINTS, instances=shifts
+                program, {"position": np.repeat(first_point, 3, 0)}, primitive=Primitive.POINTS, instances=shifts
             )
             commands.draw(program, mesh.view(1, 1), 2, **bound)
             commands.draw(program, mesh.view(2, 1, base_instance=2), 3, **bound)
             with commands.immediate(program, Primitive.POINTS, **bound) as block:
                 block.instances(shifts[:1])
-                block.vertex(position=place[0] + (2 * 6 / count, 0))
+                block.vertex(position=first_point[0] + (2 * 6 / count, 0))
         for _ in range(2):
             device.submit(commands)
             device.present()
@@ -447,7 +447,7 @@ def test_each_draw_of_a_frame_reads_its_own_storage(device: Device) -> None:
         assert_same(image.read().reshape(-1), np.arange(256))
 
 
-@pytest.mark.needs("compute")
+@pytest.mark.requires("compute")
 def test_transient_storage_is_read_only(device: Device) -> None:
     program = device.program(Accumulate)
     with pytest.raises(ValidationError, match="binding-type"):
@@ -477,11 +477,11 @@ class Values(shaders.Flat):
     number: sl.Uniform[int]
     bits: sl.Uniform[sl.uint]
     offset: sl.Uniform[sl.vec3]
-    turn: sl.Uniform[sl.mat3]
+    rotation: sl.Uniform[sl.mat3]
     view: sl.Uniform[sl.mat4]
 
     def vertex(self, v: shaders.Corner) -> shaders.FlatShade:
-        turned = self.turn @ self.offset
+        turned = self.rotation @ self.offset
         seen = self.view @ sl.vec4(turned, self.scale)
         return shaders.FlatShade(clip=v.position, color=seen + sl.vec4(float(self.number), float(self.bits), 0.0, 0.0))
 
@@ -489,9 +489,10 @@ class Values(shaders.Flat):
 @pytest.mark.parametrize("way", ["uniform", "transient", "write", "value"])
 def test_numbers_vectors_and_matrices_are_bound_as_they_are(device: Device, way: str) -> None:
     rng = np.random.default_rng(3)
-    turn, view = rng.integers(-4, 5, (3, 3)).astype("f4"), rng.integers(-4, 5, (4, 4)).astype("f4")
+    rotation, view = rng.integers(-4, 5, (3, 3)).astype("f4"), rng.integers(-4, 5, (4, 4)).astype("f4")
     values: dict[str, Any] = {
-        "scale": 0.5, "number": -3, "bits": np.uint32(7), "offset": np.array([1.0, 2, 3]), "turn": turn, "view": view,
+        "scale": 0.5, "number": -3, "bits": np.uint32(7), "offset": np.array([1.0, 2, 3]), "rotation": rotation,
+        "view": view,
     }  # fmt: skip
     make: Any = device.transient.uniform if way == "transient" else device.uniform
     bound = values if way == "value" else {name: make(value) for name, value in values.items()}
@@ -499,7 +500,7 @@ def test_numbers_vectors_and_matrices_are_bound_as_they_are(device: Device, way:
         for name, value in values.items():
             bound[name].write(value * 0)
             bound[name].write(value)
-    expected = view @ np.array([*(turn @ [1, 2, 3]), 0.5]) + [-3, 7, 0, 0]
+    expected = view @ np.array([*(rotation @ [1, 2, 3]), 0.5]) + [-3, 7, 0, 0]
     assert_same(draw_once(device, (1, 1), Format.RGBA32F, rectangle(), shader=Values, **bound)[0, 0], expected)
 
 
@@ -509,7 +510,7 @@ def test_a_single_value_is_bound_as_its_own_class(device: Device) -> None:
         right: dict[str, Any] = {
             "scale": device.transient.uniform(0.5), "number": device.transient.uniform(1),
             "bits": device.transient.uniform(sl.uint(1)), "offset": device.transient.uniform(sl.vec3(0)),
-            "turn": device.transient.uniform(sl.mat3(1)), "view": device.transient.uniform(sl.mat4(1)),
+            "rotation": device.transient.uniform(sl.mat3(1)), "view": device.transient.uniform(sl.mat4(1)),
         }  # fmt: skip
         with device.render_pass(image):
             device.draw(program, mesh, **right)
@@ -545,20 +546,20 @@ def test_immediate_vertices_draw_what_a_mesh_of_them_draws(device: Device, primi
     rows = corners(centers([(1, 1), (3, 13), (14, 12), (12, 2), (5, 5), (6, 9), (10, 8), (9, 4)], SIZE))
     program = device.program(shaders.Colored)
     with (
-        device.texture(SIZE, Format.R8) as one,
-        device.texture(SIZE, Format.R8) as two,
+        device.texture(SIZE, Format.R8) as drawn_at_once,
+        device.texture(SIZE, Format.R8) as drawn_by_mesh,
         device.mesh(rows, primitive=primitive) as mesh,
         device.states(CullMode.NONE),
     ):
-        with device.render_pass(one), device.immediate(program, primitive) as immediate:
+        with device.render_pass(drawn_at_once), device.immediate(program, primitive) as immediate:
             immediate.vertices(rows[:3])
             for row in rows[3:5]:
                 immediate.vertex(position=row["position"], color=row["color"])
             immediate.vertices(rows[5:])
-        with device.render_pass(two):
+        with device.render_pass(drawn_by_mesh):
             device.draw(program, mesh)
-        assert two.read().any()
-        assert_same(one.read(), two.read())
+        assert drawn_by_mesh.read().any()
+        assert_same(drawn_at_once.read(), drawn_by_mesh.read())
 
 
 def test_an_immediate_block_without_vertices_draws_nothing(device: Device) -> None:

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi import CullMode, FrontFace, Primitive, Scissor, Viewport
-from rhi.conformance.programs.intervals import Float, Interval, Tested
-from rhi.conformance.programs.rules import Rules
-from rhi.conformance.programs.steps import Part, Shape
-from rhi.conformance.reference import find_edges
+from rhi.conformance.programs.intervals import Float, Interval, MaskBounds
+from rhi.conformance.programs.model import Part, Shape
+from rhi.conformance.programs.tolerances import Tolerances
+from rhi.conformance.reference import edge_functions
 from rhi.conformance.shapes import window_to_clip
 
 SUBTEXELS: Final = 256
@@ -57,21 +57,21 @@ def list_corners(primitive: Primitive, elements: list[int]) -> Iterator[tuple[in
 
 def clip_corners(shape: Shape, frame: tuple[int, int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return clip positions (n, 4) and colors (n, 4) as a mesh holds them."""
-    given = np.array(shape.corners, np.float64).reshape(-1, 8)
-    clip = np.empty((len(given), 4))
-    clip[:, :2] = window_to_clip(given[:, :2], frame)
-    clip[:, 2], clip[:, 3] = given[:, 2], 1.0
-    clip *= given[:, 3:4]
-    return clip.astype(np.float32), given[:, 4:].astype(np.float32)
+    shape_corners = np.array(shape.corners, np.float64).reshape(-1, 8)
+    clip = np.empty((len(shape_corners), 4))
+    clip[:, :2] = window_to_clip(shape_corners[:, :2], frame)
+    clip[:, 2], clip[:, 3] = shape_corners[:, 2], 1.0
+    clip *= shape_corners[:, 3:4]
+    return clip.astype(np.float32), shape_corners[:, 4:].astype(np.float32)
 
 
 @dataclass(slots=True)
-class Covered:
+class CoveredPrimitive:
     """A primitive in the window, over the (rows, columns) of its box."""
 
     rows: slice
     columns: slice
-    tested: Tested  # (rows, columns, samples)
+    coverage_mask: MaskBounds  # (rows, columns, samples)
     depth: Interval  # before the bias; (rows, columns, samples)
     slope: float
     is_front: bool
@@ -81,18 +81,18 @@ class Covered:
 
 def list_primitives(shape: Shape, part: Part) -> Iterator[tuple[tuple[int, ...], int]]:
     """Yield the corners of each primitive of a part, and its instance's number."""
-    chosen = range(part.first, part.first + part.count)
-    elements = list(chosen) if shape.indices is None else [shape.indices[i] for i in chosen]
+    vertices = range(part.first, part.first + part.count)
+    elements = list(vertices) if shape.indices is None else [shape.indices[i] for i in vertices]
     for instance in range(part.instances):
         for corners in list_corners(shape.primitive, elements):
             yield corners, part.base_instance + instance
 
 
-def find_coverage(
+def compute_coverage(
     states: Mapping[type, Any], size: tuple[int, int], samples: int, clip: NDArray[np.float32], colors: Float,
-    rules: Rules, *, smooth: bool = False, spills: bool = False,
-) -> Covered | None:  # fmt: skip
-    """Return what a primitive covers inside viewport and scissor, or None if nothing.
+    tolerances: Tolerances, *, smooth: bool = False, spills: bool = False,
+) -> CoveredPrimitive | None:  # fmt: skip
+    """Samples that a primitive covers inside viewport and scissor, or None if it covers none.
 
     Args:
         states: the value of each state type.
@@ -125,7 +125,7 @@ def find_coverage(
     spots = np.rint(fine).astype(np.int64)
     inside = bool(((np.abs(ndc[:, :2]) <= 1).all(axis=1) & (ndc[:, 2] >= 0) & (ndc[:, 2] <= 1)).all())
     certain = bool((np.abs(np.abs(fine - spots) - 0.5) > _TIE).all())
-    margin = (0.0 if inside else rules.clip_margin) + (0.0 if certain else 1.0)
+    margin = (0.0 if inside else tolerances.clip_margin) + (0.0 if certain else 1.0)
     # Two texels around the box, for the margin and for samples that lie off the centers.
     columns = slice(max(first_x, int(x.min()) - 2), max(first_x, min(last_x, int(x.max()) + 3)))
     rows = slice(max(first_y, int(y.min()) - 2), max(first_y, min(last_y, int(y.max()) + 3)))
@@ -145,7 +145,7 @@ def find_coverage(
         near &= (lawful & (center_y >= max(top, lawful_y)) & (center_y < top + high))[..., None]
         depth = Interval.of(np.full(hit.shape, z[0]))
         color = Interval.of(np.broadcast_to(colors[0], (*at_x.shape, 4)))
-        return Covered(rows, columns, Tested(near, hit), depth, -1.0, True, color, True)
+        return CoveredPrimitive(rows, columns, MaskBounds(near, hit), depth, -1.0, True, color, True)
     (ax, ay), (bx, by), (cx, cy) = ((int(u), int(v)) for u, v in spots)
     area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
     if area == 0:
@@ -156,7 +156,7 @@ def find_coverage(
     may = np.ones(sample_x.shape, bool)
     lawful = (at_x // SUBTEXELS >= lawful_x) & (at_y // SUBTEXELS >= lawful_y)
     must = may & lawful[..., None]
-    for edge, owns, length in find_edges([(ax, ay), (bx, by), (cx, cy)], sample_x, sample_y):
+    for edge, owns, length in edge_functions([(ax, ay), (bx, by), (cx, cy)], sample_x, sample_y):
         if margin:
             must &= edge > margin * length
             may &= edge >= -margin * length
@@ -170,16 +170,16 @@ def find_coverage(
         third = ((bx - ax) * (py - ay) - (by - ay) * (px - ax)) / area
         return 1.0 - second - third, second, third
 
-    one, two, three = weigh(sample_x.astype(np.float64), sample_y.astype(np.float64))
+    weight_0, weight_1, weight_2 = weigh(sample_x.astype(np.float64), sample_y.astype(np.float64))
     grad_x = ((z[1] - z[0]) * (cy - ay) - (z[2] - z[0]) * (by - ay)) / area * SUBTEXELS
     grad_y = ((z[2] - z[0]) * (bx - ax) - (z[1] - z[0]) * (cx - ax)) / area * SUBTEXELS
     if z[0] == z[1] == z[2]:
-        depth = Interval.of(np.full(must.shape, z[0])).widen(0.0 if inside or not rules.clip_margin else 4e-7)
+        depth = Interval.of(np.full(must.shape, z[0])).widen(0.0 if inside or not tolerances.clip_margin else 4e-7)
     else:
         error = 4e-6 + (abs(grad_x) + abs(grad_y)) / 64
-        depth = Interval.of(z[0] * one + z[1] * two + z[2] * three).widen(error)
+        depth = Interval.of(z[0] * weight_0 + z[1] * weight_1 + z[2] * weight_2).widen(error)
     if not ((ndc[:, 2] >= 0) & (ndc[:, 2] <= 1)).all():  # the near or far plane cuts it
-        plain = Interval.of(ndc[0, 2] * one + ndc[1, 2] * two + ndc[2, 2] * three)
+        plain = Interval.of(ndc[0, 2] * weight_0 + ndc[1, 2] * weight_1 + ndc[2, 2] * weight_2)
         slack = 1e-5 + (abs(grad_x) + abs(grad_y)) / max(1e-3, abs(view.far - view.near)) / 32
         must &= (plain.low >= slack) & (plain.low <= 1 - slack)
         may &= (plain.low >= -slack) & (plain.low <= 1 + slack)
@@ -199,4 +199,4 @@ def find_coverage(
     else:
         color = Interval.of(np.broadcast_to(colors[0], (*at_x.shape, 4)))
     slope = max(abs(grad_x), abs(grad_y))
-    return Covered(rows, columns, Tested(must, may), depth, slope, is_front, color, not inside)
+    return CoveredPrimitive(rows, columns, MaskBounds(must, may), depth, slope, is_front, color, not inside)

@@ -15,26 +15,26 @@ from random import Random
 from typing import Final
 
 import rhi
-from rhi.conformance.programs.steps import (
+from rhi.conformance.programs.model import (
     ClearCells,
     Color,
     Copy,
     Dispatch,
     Draw,
+    DrawMethod,
     Image,
-    Ink,
     Mipmaps,
     Part,
     Pass,
-    Place,
     Program,
     Read,
-    Recorded,
+    RecordedPasses,
     Reshape,
     Resolve,
+    ShaderKind,
     Shape,
     Step,
-    Way,
+    Subresource,
     Write,
 )
 from rhi.conformance.reference import largest
@@ -44,9 +44,9 @@ SIZES: Final = ((24, 20), (16, 16), (40, 33), (70, 45), (67, 9), (32, 16), (64, 
 FORMATS: Final = tuple(f for f in COLOR_FORMATS if not f.is_packed)
 """The formats of color targets: those whose channels are numbers of their own."""
 _GRID: Final = 16
-_FLOAT_INKS: Final = (
-    Ink.FLAT, Ink.FLAT, Ink.SMOOTH, Ink.HOLES, Ink.HOLES_EARLY, Ink.DEEP, Ink.COUNT, Ink.COUNT_EARLY, Ink.LOAD,
-    Ink.LOAD_LAYER,
+_FLOAT_SHADERS: Final = (
+    ShaderKind.FLAT, ShaderKind.FLAT, ShaderKind.SMOOTH, ShaderKind.DISCARD, ShaderKind.DISCARD_EARLY,
+    ShaderKind.WRITTEN_DEPTH, ShaderKind.COUNT, ShaderKind.COUNT_EARLY, ShaderKind.LOAD, ShaderKind.LOAD_LAYER,
 )  # fmt: skip
 
 
@@ -54,7 +54,7 @@ _FLOAT_INKS: Final = (
 class Pipeline:
     """The states that a draw may be compiled for, beside the formats of its pass."""
 
-    ink: Ink
+    shader: ShaderKind
     blends: tuple[bool, ...]
     depth: tuple[rhi.State, ...]
     alpha_test: bool = False
@@ -118,10 +118,12 @@ def _make_pipeline(
 ) -> Pipeline:
     kind = formats[0].kind if formats else ChannelKind.UNORM
     if kind in (ChannelKind.UINT, ChannelKind.INT):
-        ink = Ink.UINT if kind is ChannelKind.UINT else Ink.INT
+        shader = ShaderKind.UINT if kind is ChannelKind.UINT else ShaderKind.INT
         blends: tuple[bool, ...] = (False,) * len(formats)
     else:
-        ink = Ink.TWO if len(formats) == 2 and random.random() < 0.7 else random.choice(_FLOAT_INKS)
+        shader = (
+            ShaderKind.TWO_TARGETS if len(formats) == 2 and random.random() < 0.7 else random.choice(_FLOAT_SHADERS)
+        )
         blends = tuple(random.random() < 0.6 and f not in capabilities.unblendable_formats for f in formats)
     states: tuple[rhi.State, ...] = ()
     if depth is not None:
@@ -130,9 +132,9 @@ def _make_pipeline(
             random.choice([rhi.DepthWrite.ON, rhi.DepthWrite.ON, rhi.DepthWrite.OFF]),
             random.choice([rhi.DepthTest.ON] * 5 + [rhi.DepthTest.OFF]),
         )
-    floats = ink not in (Ink.UINT, Ink.INT)
+    floats = shader not in (ShaderKind.UINT, ShaderKind.INT)
     return Pipeline(
-        ink, blends, states,
+        shader, blends, states,
         alpha_test=floats and random.random() < 0.15,
         alpha_to_coverage=floats and samples > 1 and random.random() < 0.15,
         stencil=depth is not None and depth.has_stencil and random.random() < 0.7,
@@ -141,10 +143,10 @@ def _make_pipeline(
 
 def make_program(seed: int, theme: Theme) -> Program:
     """Return a random program of a theme."""
-    return _Maker(Random(f"program {seed}"), theme).make()
+    return _ProgramGenerator(Random(f"program {seed}"), theme).make()
 
 
-class _Maker:
+class _ProgramGenerator:
     def __init__(self, random: Random, theme: Theme) -> None:
         self._random, self._theme = random, theme
         self._images: list[Image] = []
@@ -163,7 +165,11 @@ class _Maker:
         for kind in self._theme.kinds:
             self._make_images(kind)
         formats = [f for kind in self._theme.kinds for f in kind.colors]
-        if any(pipeline.ink not in (Ink.UINT, Ink.INT) for kind in self._theme.kinds for pipeline in kind.pipelines):
+        if any(
+            pipeline.shader not in (ShaderKind.UINT, ShaderKind.INT)
+            for kind in self._theme.kinds
+            for pipeline in kind.pipelines
+        ):
             self._float_shapes = [self._make_shape(None) for _ in range(random.choice([2, 3]))]
         integers = [f for f in formats if f.is_integer]
         if integers:  # shared by all integer targets, so negative only if all are signed
@@ -187,10 +193,10 @@ class _Maker:
                 for i, image in enumerate(self._images)
                 if image.format is format and image.samples == kind.samples and not any(i in slot for slot in slots)
             ]
-            places = shared[:1] if shared and self._random.random() < 0.7 else []
-            while len(places) < 2 - (number > 0):
-                places.append(self._add_image(format, kind.samples))
-            slots.append(places)
+            numbers = shared[:1] if shared and self._random.random() < 0.7 else []
+            while len(numbers) < 2 - (number > 0):
+                numbers.append(self._add_image(format, kind.samples))
+            slots.append(numbers)
         depths = [] if kind.depth is None else [self._add_image(kind.depth, kind.samples) for _ in range(2)]
         self._targets.append((slots, depths))
 
@@ -306,12 +312,12 @@ class _Maker:
 
     def _make_step(self) -> Step | None:
         random = self._random
-        chosen = random.random()
-        if chosen < 0.55:
+        choice = random.random()
+        if choice < 0.55:
             return self._make_pass()
-        if chosen < 0.65:
+        if choice < 0.65:
             passes = tuple(self._make_pass(recorded=True) for _ in range(random.choice([1, 2])))
-            return Recorded(passes, random.choice([1, 1, 2]))
+            return RecordedPasses(passes, random.choice([1, 1, 2]))
         make = random.choice(
             [
                 self._make_copy, self._make_copy, self._make_write, self._make_mipmaps, self._make_resolve,
@@ -320,14 +326,14 @@ class _Maker:
         )  # fmt: skip
         return make()
 
-    def _place(self, image: int, size: tuple[int, int] | None = None) -> Place | None:
+    def _choose_subresource(self, image: int, size: tuple[int, int] | None = None) -> Subresource | None:
         """Return a random level and layer of an image, of the given size."""
         own = self._images[image]
         levels = [i for i in range(own.levels) if size is None or own.level_size(i) == size]
         if not levels:
             return None
         level = self._random.choice(levels)
-        return Place(image, level, self._random.randrange(own.level_layers(level)))
+        return Subresource(image, level, self._random.randrange(own.level_layers(level)))
 
     def _make_pass(self, clear: bool = False, recorded: bool = False) -> Pass:
         random = self._random
@@ -340,12 +346,12 @@ class _Maker:
         size = self._images[images[0]].level_size(level)
         colors = []
         for image in used:
-            place = self._place(image, size)
-            assert place is not None
-            colors.append(place)
-        depth = self._place(depth_image, size) if depth_image is not None else None
+            subresource = self._choose_subresource(image, size)
+            assert subresource is not None
+            colors.append(subresource)
+        depth = self._choose_subresource(depth_image, size) if depth_image is not None else None
         clears = tuple(self._clear_color(f) if clear or random.random() < 0.25 else None for f in kind.colors)
-        taken = {place.image for place in colors} | ({depth.image} if depth else set())
+        taken = {subresource.image for subresource in colors} | ({depth.image} if depth else set())
         draws = tuple(
             draw
             for _ in range(random.choice([1, 2, 4]))
@@ -371,36 +377,38 @@ class _Maker:
     def _make_draw(self, kind: PassKind, size: tuple[int, int], taken: set[int], recorded: bool) -> Draw | None:
         random = self._random
         pipeline = random.choice(kind.pipelines)
-        floats = pipeline.ink not in (Ink.UINT, Ink.INT)
+        floats = pipeline.shader not in (ShaderKind.UINT, ShaderKind.INT)
         number = random.choice(self._float_shapes if floats else self._integer_shapes)
         shape = self._shapes[number]
         source = None
-        if pipeline.ink in (Ink.LOAD, Ink.LOAD_LAYER):
-            wanted = rhi.TextureKind.D2 if pipeline.ink is Ink.LOAD else rhi.TextureKind.D2_ARRAY
+        if pipeline.shader in (ShaderKind.LOAD, ShaderKind.LOAD_LAYER):
+            texture_kind = rhi.TextureKind.D2 if pipeline.shader is ShaderKind.LOAD else rhi.TextureKind.D2_ARRAY
             possible = [
-                place
+                subresource
                 for i in self._sources
-                if i not in taken and self._images[i].kind is wanted
-                if (place := self._place(i, size)) is not None
+                if i not in taken and self._images[i].kind is texture_kind
+                if (subresource := self._choose_subresource(i, size)) is not None
             ]
             if not possible:
                 return None
             source = random.choice(possible)
-        way = random.choice([Way.DIRECT, Way.DIRECT, Way.MANY, Way.INDIRECT, Way.COUNTED])
+        method = random.choice(
+            [DrawMethod.DIRECT, DrawMethod.DIRECT, DrawMethod.MANY, DrawMethod.INDIRECT, DrawMethod.COUNTED]
+        )
         query = condition = None
         if self._queries:
             if random.random() < 0.25 and self._ended and self._theme.capabilities.conditional_rendering:
                 condition = (random.choice(sorted(self._ended)), random.random() < 0.5)
-            if random.random() < 0.3 and way is not Way.COUNTED and not recorded:
+            if random.random() < 0.3 and method is not DrawMethod.COUNTED and not recorded:
                 query = random.randrange(self._queries)
                 if condition is not None and condition[0] == query:
                     query = None
                 else:
                     self._ended.add(query)
-        if shape.primitive is rhi.Primitive.QUADS and way in (Way.MANY, Way.INDIRECT):
-            way = Way.DIRECT
-        if way is Way.COUNTED and recorded:
-            way = Way.DIRECT
+        if shape.primitive is rhi.Primitive.QUADS and method in (DrawMethod.MANY, DrawMethod.INDIRECT):
+            method = DrawMethod.DIRECT
+        if method is DrawMethod.COUNTED and recorded:
+            method = DrawMethod.DIRECT
         states, view = self._make_states(kind, pipeline, size)
         frame = size
         if view is not None and random.random() < 0.5 and view[0] and view[1]:
@@ -409,18 +417,27 @@ class _Maker:
         if random.random() < 0.4:
             step = (2 * random.randint(-3, 3) / frame[0], 2 * random.randint(-3, 3) / frame[1])
         return Draw(
-            pipeline.ink, number, self._make_parts(shape, way), frame, states, step, way, query, condition, source
+            pipeline.shader,
+            number,
+            self._make_parts(shape, method),
+            frame,
+            states,
+            step,
+            method,
+            query,
+            condition,
+            source,
         )
 
-    def _make_parts(self, shape: Shape, way: Way) -> tuple[Part, ...]:
+    def _make_parts(self, shape: Shape, method: DrawMethod) -> tuple[Part, ...]:
         random = self._random
         per = {rhi.Primitive.TRIANGLES: 3, rhi.Primitive.QUADS: 4}.get(shape.primitive, 1)
         parts = []
-        for _ in range(1 if way is Way.DIRECT and random.random() < 0.8 else random.choice([1, 2, 3])):
+        for _ in range(1 if method is DrawMethod.DIRECT and random.random() < 0.8 else random.choice([1, 2, 3])):
             first, end = 0, shape.elements
             if random.random() < 0.4:
-                places = range(0, shape.elements + 1, per)
-                first, end = sorted(random.choice(places) for _ in range(2))
+                bounds = range(0, shape.elements + 1, per)
+                first, end = sorted(random.choice(bounds) for _ in range(2))
             base = random.choice([0, 0, 1])
             parts.append(Part(first, end - first, random.choice([1, 1, 1, 2, 3, 0]), base))
         return tuple(parts)
@@ -438,7 +455,7 @@ class _Maker:
             if blends:
                 states.append(self._make_blending().at(target))
                 blended = True
-            if target >= (2 if pipeline.ink is Ink.TWO else 1):
+            if target >= (2 if pipeline.shader is ShaderKind.TWO_TARGETS else 1):
                 states.append(rhi.ColorWrite.OFF.at(target))
             elif random.random() < 0.2:
                 flags = [random.random() < 0.6 for _ in range(4)]
@@ -511,7 +528,7 @@ class _Maker:
         source = random.choice(single)
         format = self._images[source].format
         target = random.choice([i for i in single if self._images[i].format is format])
-        from_, to = self._place(source), self._place(target)
+        from_, to = self._choose_subresource(source), self._choose_subresource(target)
         assert from_ is not None
         assert to is not None
         from_size = self._images[source].level_size(from_.level)
@@ -524,19 +541,19 @@ class _Maker:
         to_x, to_y = random.randint(0, to_size[0] - width), random.randint(0, to_size[1] - height)
         if source == target and from_.level == to.level and from_.layer == to.layer:
             return None
-        return Copy(Place(source, from_.level), (x, y, width, height, from_.layer, 1), to, to_x, to_y)
+        return Copy(Subresource(source, from_.level), (x, y, width, height, from_.layer, 1), to, to_x, to_y)
 
     def _make_write(self) -> Step | None:
         random = self._random
         single = [i for i, image in enumerate(self._images) if image.samples == 1 and not image.format.is_depth]
         if not single:
             return None
-        place = self._place(random.choice(single))
-        assert place is not None
-        wide, high = self._images[place.image].level_size(place.level)
+        subresource = self._choose_subresource(random.choice(single))
+        assert subresource is not None
+        wide, high = self._images[subresource.image].level_size(subresource.level)
         width, height = random.randint(1, wide), random.randint(1, high)
         x, y = random.randint(0, wide - width), random.randint(0, high - height)
-        return Write(place, x, y, width, height, random.randrange(1 << 16))
+        return Write(subresource, x, y, width, height, random.randrange(1 << 16))
 
     def _make_mipmaps(self) -> Step | None:
         able = [
@@ -554,8 +571,8 @@ class _Maker:
 
     def _make_read(self) -> Step | None:
         single = [i for i, image in enumerate(self._images) if image.samples == 1]
-        place = self._place(self._random.choice(single)) if single else None
-        return Read(place) if place is not None else None
+        subresource = self._choose_subresource(self._random.choice(single)) if single else None
+        return Read(subresource) if subresource is not None else None
 
     def _make_reshape(self) -> Step | None:
         shapes = self._random.choice([self._float_shapes, self._integer_shapes])
@@ -573,4 +590,4 @@ class _Maker:
             for i in self._sources
             if self._images[i].kind is rhi.TextureKind.D2 and not self._images[i].format.is_depth
         ]
-        return Dispatch(Place(self._random.choice(flat))) if flat else None
+        return Dispatch(Subresource(self._random.choice(flat))) if flat else None

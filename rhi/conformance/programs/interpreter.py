@@ -6,7 +6,7 @@
   forgiven by a tolerance on the whole result.
 - A fragment that may or may not pass (its depth interval touches the stored one) leaves the union of both outcomes.
 - Coverage is computed in integers on the grid of 1/256 texel to which window positions are rounded.
-- `Rules` holds the choices that differ between devices, and the known faults of a driver: each names what it makes
+- `Tolerances` holds the choices that differ between devices, and the known faults of a driver: each names what it makes
   unknown, so that the rest of a program is still examined.
 
 Nothing here is fast: arrays are those of one primitive's bounding box, (rows, columns, samples).
@@ -23,16 +23,16 @@ from numpy.typing import NDArray
 
 import rhi
 from rhi.conformance import reference
-from rhi.conformance.programs import steps
-from rhi.conformance.programs.coverage import Covered, clip_corners, find_coverage, list_primitives
-from rhi.conformance.programs.intervals import Float, Interval, Tested, compare
+from rhi.conformance.programs import model
+from rhi.conformance.programs.coverage import CoveredPrimitive, clip_corners, compute_coverage, list_primitives
+from rhi.conformance.programs.intervals import Float, Interval, MaskBounds, compare
 from rhi.conformance.programs.merging import blend, decode, encode, quantise_depth, read_depth
-from rhi.conformance.programs.rules import EXACT, Effect, Rules
+from rhi.conformance.programs.tolerances import EXACT, Effect, Tolerances
 from rhi.contract.formats import ChannelKind
 from rhi.contract.states import DEFAULTS, MAX_TARGETS, PER_TARGET
 
-_INTEGER_INKS: Final = (steps.Ink.UINT, steps.Ink.INT)
-_EARLY: Final = (steps.Ink.HOLES_EARLY, steps.Ink.COUNT_EARLY)
+_INTEGER_SHADERS: Final = (model.ShaderKind.UINT, model.ShaderKind.INT)
+_EARLY: Final = (model.ShaderKind.DISCARD_EARLY, model.ShaderKind.COUNT_EARLY)
 
 
 @dataclass(slots=True)
@@ -54,9 +54,9 @@ class Result:
     high: Float
 
 
-def interpret(program: steps.Program, rules: Rules = EXACT) -> list[Result]:
-    """Return what each result of `runner.run` may be, in its order."""
-    machine = _Machine(program, rules)
+def interpret(program: model.Program, tolerances: Tolerances = EXACT) -> list[Result]:
+    """Bounds of each result of `runner.run`, in its order."""
+    machine = _Machine(program, tolerances)
     for step in program.steps:
         machine.execute(step)
     return machine.finish()
@@ -66,9 +66,9 @@ def interpret(program: steps.Program, rules: Rules = EXACT) -> list[Result]:
 class _Context:
     """A draw's states, and the pass it is in."""
 
-    program: steps.Program
-    whole: steps.Pass
-    draw: steps.Draw
+    program: model.Program
+    render_pass: model.Pass
+    draw: model.Draw
     states: Mapping[type, Any]
     size: tuple[int, int]
     samples: int
@@ -77,49 +77,49 @@ class _Context:
 
 
 class _Machine:
-    def __init__(self, program: steps.Program, rules: Rules) -> None:
-        self._program, self._rules = program, rules
+    def __init__(self, program: model.Program, tolerances: Tolerances) -> None:
+        self._program, self._rules = program, tolerances
         self._levels: dict[tuple[int, int], _Level] = {}
         for number, image in enumerate(program.images):
             for level in range(image.levels):
                 width, height = image.level_size(level)
-                place = (image.level_layers(level), height, width, image.samples)
-                colors = (*place, image.format.channels)
+                subresource = (image.level_layers(level), height, width, image.samples)
+                colors = (*subresource, image.format.channels)
                 self._levels[number, level] = _Level(
-                    np.zeros(colors), np.zeros(colors), np.zeros(place), np.zeros(place)
+                    np.zeros(colors), np.zeros(colors), np.zeros(subresource), np.zeros(subresource)
                 )
         self._shapes = list(program.shapes)
         self._counts = np.zeros((program.queries, 2))
         self._sets: list[Result] = []
-        self._cells = {name: np.zeros((2, steps.CELLS)) for name in ("counts", "reds")}
+        self._cells = {name: np.zeros((2, model.CELLS)) for name in ("counts", "reds")}
         self._results: list[Result] = []
 
     # -- steps -----------------------------------------------------------------------------------------------
 
-    def execute(self, step: steps.Step) -> None:
+    def execute(self, step: model.Step) -> None:
         match step:
-            case steps.Pass():
+            case model.Pass():
                 self._pass(step)
-            case steps.Recorded():
+            case model.RecordedPasses():
                 for _ in range(step.times):
                     for part in step.passes:
                         self._pass(part)
-            case steps.Copy():
+            case model.Copy():
                 self._copy(step)
-            case steps.Write():
+            case model.Write():
                 self._write(step)
-            case steps.Mipmaps():
+            case model.Mipmaps():
                 self._mipmaps(step.image)
-            case steps.Resolve():
+            case model.Resolve():
                 self._resolve(step.source, step.target)
-            case steps.Read():
-                self._results.append(self._view(f"read of {step.place}", step.place))
-            case steps.Reshape():
+            case model.Read():
+                self._results.append(self._view(f"read of {step.subresource}", step.subresource))
+            case model.Reshape():
                 self._reshape(step)
-            case steps.ClearCells():
+            case model.ClearCells():
                 for cells in self._cells.values():
                     cells[:] = step.value
-            case steps.Dispatch():
+            case model.Dispatch():
                 self._dispatch(step)
 
     def finish(self) -> list[Result]:
@@ -135,8 +135,8 @@ class _Machine:
                 continue
             for level in range(image.levels):
                 for layer in range(image.level_layers(level)):
-                    place = steps.Place(number, level, layer)
-                    results.append(self._view(f"image {number}, level {level}, layer {layer}", place))
+                    subresource = model.Subresource(number, level, layer)
+                    results.append(self._view(f"image {number}, level {level}, layer {layer}", subresource))
                     if image.format.has_stencil:
                         stored = self._levels[number, level]
                         results.append(
@@ -148,16 +148,16 @@ class _Machine:
                         )
         return results
 
-    def _view(self, name: str, place: steps.Place) -> Result:
-        stored = self._levels[place.image, place.level]
-        part = Interval(stored.low[place.layer, :, :, 0].copy(), stored.high[place.layer, :, :, 0].copy())
-        format = self._program.images[place.image].format
+    def _view(self, name: str, subresource: model.Subresource) -> Result:
+        stored = self._levels[subresource.image, subresource.level]
+        part = Interval(stored.low[subresource.layer, :, :, 0].copy(), stored.high[subresource.layer, :, :, 0].copy())
+        format = self._program.images[subresource.image].format
         if format.is_depth:
             part = read_depth(format, part)
             part = Interval(part.low.astype(np.float32), part.high.astype(np.float32)).widen(6e-8)
         return Result(name, part.low, part.high)
 
-    def _copy(self, step: steps.Copy) -> None:
+    def _copy(self, step: model.Copy) -> None:
         source = self._levels[step.source.image, step.source.level]
         target = self._levels[step.target.image, step.target.level]
         x, y, width, height, layer, layers = step.box
@@ -167,7 +167,7 @@ class _Machine:
         for name in ("low", "high", "stencil_low", "stencil_high"):
             getattr(target, name)[there] = getattr(source, name)[here].copy()
 
-    def _write(self, step: steps.Write) -> None:
+    def _write(self, step: model.Write) -> None:
         stored = self._levels[step.target.image, step.target.level]
         texels = random_texels(self._program.images[step.target.image].format, step)
         rows, columns = slice(step.y, step.y + step.height), slice(step.x, step.x + step.width)
@@ -204,33 +204,33 @@ class _Machine:
                 stored = stored.widen(self._rules.mip_steps).clip(least, most)
             below.low[:], below.high[:] = stored.low, stored.high
 
-    def _reshape(self, step: steps.Reshape) -> None:
+    def _reshape(self, step: model.Reshape) -> None:
         shape, source = self._shapes[step.shape], self._shapes[step.source]
-        kept = min(len(shape.corners), len(source.corners))
-        corners = source.corners[:kept] + shape.corners[kept:]
-        self._shapes[step.shape] = steps.Shape(shape.primitive, corners, shape.indices)
+        count = min(len(shape.corners), len(source.corners))
+        corners = source.corners[:count] + shape.corners[count:]
+        self._shapes[step.shape] = model.Shape(shape.primitive, corners, shape.indices)
 
-    def _dispatch(self, step: steps.Dispatch) -> None:
+    def _dispatch(self, step: model.Dispatch) -> None:
         image, stored = self._program.images[step.source.image], self._levels[step.source.image, 0]
         value = decode(image.format, Interval(stored.low[0, :, :, 0], stored.high[0, :, :, 0]), self._rules)
         value = value[..., 0].clip(0.0, 4.0)
         for column in range(value.low.shape[1]):
-            self._cells["counts"][0, column % steps.CELLS] += np.floor(value.low[:, column] * 8.0).sum()
-            self._cells["counts"][1, column % steps.CELLS] += np.floor(value.high[:, column] * 8.0).sum()
+            self._cells["counts"][0, column % model.CELLS] += np.floor(value.low[:, column] * 8.0).sum()
+            self._cells["counts"][1, column % model.CELLS] += np.floor(value.high[:, column] * 8.0).sum()
 
     # -- passes ----------------------------------------------------------------------------------------------
 
-    def _pass(self, step: steps.Pass) -> None:
+    def _pass(self, step: model.Pass) -> None:
         images = self._program.images
         first = step.colors[0] if step.colors else step.depth
         assert first is not None
-        for place, color in zip(step.colors, step.clear, strict=False):
+        for subresource, color in zip(step.colors, step.clear, strict=False):
             if color is not None:
-                stored = self._levels[place.image, place.level]
-                form = images[place.image].format
-                given = Interval.of(np.array(color, np.float32).astype(np.float64))
-                fresh = encode(form, given, self._rules)
-                stored.low[place.layer], stored.high[place.layer] = fresh.low, fresh.high
+                stored = self._levels[subresource.image, subresource.level]
+                form = images[subresource.image].format
+                clear_value = Interval.of(np.array(color, np.float32).astype(np.float64))
+                fresh = encode(form, clear_value, self._rules)
+                stored.low[subresource.layer], stored.high[subresource.layer] = fresh.low, fresh.high
         if step.depth is not None:
             stored = self._levels[step.depth.image, step.depth.level]
             if step.clear_depth is not None:
@@ -241,11 +241,11 @@ class _Machine:
         size = images[first.image].level_size(first.level)
         for draw in step.draws:
             self._draw(step, draw, size, images[first.image].samples)
-        for place, target in zip(step.colors, step.resolve, strict=False):
+        for subresource, target in zip(step.colors, step.resolve, strict=False):
             if target is not None:
-                self._resolve(place.image, target)
+                self._resolve(subresource.image, target)
 
-    def _draw(self, step: steps.Pass, draw: steps.Draw, size: tuple[int, int], samples: int) -> None:
+    def _draw(self, step: model.Pass, draw: model.Draw, size: tuple[int, int], samples: int) -> None:
         faults = [fault for fault in self._rules.faults if not fault.effect & Effect.COLOR]
         effects = Effect(0)
         for fault in faults:
@@ -277,7 +277,7 @@ class _Machine:
             counted.append(total)
             if draw.query is not None:
                 self._counts[draw.query] += total
-        if draw.way.name == "COUNTED":
+        if draw.method.name == "COUNTED":
             both = np.array(counted)
             self._sets.append(Result(f"query set {len(self._sets)}", both[:, 0], both[:, 1]))
 
@@ -290,53 +290,53 @@ class _Machine:
         step = np.array(context.draw.step, np.float32) * np.float32(instance)
         moved[:, :2] += step * moved[:, 3:]
         own = colors[list(corners)].astype(np.float64)
-        covered = find_coverage(
+        covered = compute_coverage(
             context.states, context.size, context.samples, moved, own, self._rules,
-            smooth=context.draw.ink is steps.Ink.SMOOTH, spills=bool(context.effects & Effect.SPILL),
+            smooth=context.draw.shader is model.ShaderKind.SMOOTH, spills=bool(context.effects & Effect.SPILL),
         )  # fmt: skip
         if covered is None:
             return np.zeros(2)
         if not runs or context.effects & Effect.COVERAGE:
-            covered.tested.must[:] = False
+            covered.coverage_mask.must[:] = False
         return self._merge(context, covered)
 
-    def _merge(self, context: _Context, covered: Covered) -> Float:
-        draw, states, step = context.draw, context.states, context.whole
-        images, ink = self._program.images, draw.ink
+    def _merge(self, context: _Context, covered: CoveredPrimitive) -> Float:
+        draw, states, step = context.draw, context.states, context.render_pass
+        images, shader = self._program.images, draw.shader
         rows, columns = covered.rows, covered.columns
         # -- the fragment stage
         color = covered.color
-        if draw.source is not None and ink in (steps.Ink.LOAD, steps.Ink.LOAD_LAYER):
+        if draw.source is not None and shader in (model.ShaderKind.LOAD, model.ShaderKind.LOAD_LAYER):
             color = self._load(color, draw.source, rows, columns)
         outputs = [color]
-        if ink is steps.Ink.TWO:
+        if shader is model.ShaderKind.TWO_TARGETS:
             outputs.append(Interval(color.low[..., ::-1], color.high[..., ::-1]))
-        full = covered.tested
-        kept = Tested(np.ones(full.must.shape[:2], bool), np.ones(full.must.shape[:2], bool))
-        if ink in (steps.Ink.HOLES, steps.Ink.HOLES_EARLY):
+        full = covered.coverage_mask
+        undiscarded = MaskBounds(np.ones(full.must.shape[:2], bool), np.ones(full.must.shape[:2], bool))
+        if shader in (model.ShaderKind.DISCARD, model.ShaderKind.DISCARD_EARLY):
             y, x = np.mgrid[rows, columns]
             holes = (x + y) % 2 == 0
-            kept = kept & Tested(~holes, ~holes)
-        floats = ink not in _INTEGER_INKS
+            undiscarded = undiscarded & MaskBounds(~holes, ~holes)
+        floats = shader not in _INTEGER_SHADERS
         if floats and states[rhi.AlphaTest] is rhi.AlphaTest.ON:
             alpha = Interval.of(np.float64(np.float32(states[rhi.AlphaReference].value)))
-            kept = kept & compare(states[rhi.AlphaFunction], color[..., 3], alpha)
-        shown = Tested(kept.must[..., None] & full.must, kept.may[..., None] & full.may)
+            undiscarded = undiscarded & compare(states[rhi.AlphaFunction], color[..., 3], alpha)
+        visible = MaskBounds(undiscarded.must[..., None] & full.must, undiscarded.may[..., None] & full.may)
         if floats and context.samples > 1 and states[rhi.AlphaToCoverage] is rhi.AlphaToCoverage.ON:
-            whole, some = color.low[..., 3] >= 1.0, color.high[..., 3] > 0.0
-            shown = Tested(shown.must & whole[..., None], shown.may & some[..., None])
+            is_all_drawn, is_some_drawn = color.low[..., 3] >= 1.0, color.high[..., 3] > 0.0
+            visible = MaskBounds(visible.must & is_all_drawn[..., None], visible.may & is_some_drawn[..., None])
         # -- tests
-        early = ink in _EARLY
-        passed = self._test(context, covered, full if early else shown)
+        early = shader in _EARLY
+        passed = self._test(context, covered, full if early else visible)
         written = passed
         if early:
-            written = passed & shown
-        if ink in (steps.Ink.COUNT, steps.Ink.COUNT_EARLY):
+            written = passed & visible
+        if shader in (model.ShaderKind.COUNT, model.ShaderKind.COUNT_EARLY):
             ran = passed if early else full
-            texels = Tested(np.asarray(ran.must.any(axis=2)), np.asarray(ran.may.any(axis=2)))
+            texels = MaskBounds(np.asarray(ran.must.any(axis=2)), np.asarray(ran.may.any(axis=2)))
             self._count(color, texels, columns)
             if context.effects & Effect.RERUN and covered.is_polygon:
-                self._cells["counts"][1, np.arange(columns.start, columns.stop) % steps.CELLS] = np.inf
+                self._cells["counts"][1, np.arange(columns.start, columns.stop) % model.CELLS] = np.inf
             if context.effects & Effect.SPILL:  # beside the target, whose fragments have effects
                 self._cells["counts"][1] += 1
                 self._cells["counts"][1, 0] += rows.stop - rows.start
@@ -345,15 +345,17 @@ class _Machine:
         # -- targets
         unknown = Interval(np.full(color.low.shape, -np.inf), np.full(color.low.shape, np.inf))
         outputs += [unknown] * (len(step.colors) - len(outputs))  # a target without an output may become anything
-        for number, place in enumerate(step.colors):
-            self._merge_color(context, covered, number, place, images[place.image].format, outputs[number], written)
+        for number, subresource in enumerate(step.colors):
+            self._merge_color(
+                context, covered, number, subresource, images[subresource.image].format, outputs[number], written
+            )
         must = 0 if context.effects & (Effect.COUNT | Effect.COVERAGE) else int(passed.must.sum())
         may = float(passed.may.sum())
         if context.effects & Effect.COUNT:
             may = np.inf
         return np.array([must, may])
 
-    def _load(self, color: Interval, source: steps.Place, rows: slice, columns: slice) -> Interval:
+    def _load(self, color: Interval, source: model.Subresource, rows: slice, columns: slice) -> Interval:
         stored = self._levels[source.image, source.level]
         part = Interval(stored.low[source.layer, rows, columns, 0], stored.high[source.layer, rows, columns, 0])
         format = self._program.images[source.image].format
@@ -367,29 +369,29 @@ class _Machine:
             error = 2.0**-22 * np.maximum(color.size, texel.size)
         return total.widen(np.where(np.isfinite(error), error, 0.0))
 
-    def _count(self, color: Interval, ran: Tested, columns: slice) -> None:
+    def _count(self, color: Interval, ran: MaskBounds, columns: slice) -> None:
         reds = [np.floor(np.maximum(end[..., 0], 0.0) * 16.0) for end in (color.low, color.high)]
         counts, most = self._cells["counts"], self._cells["reds"]
-        for place, column in enumerate(range(columns.start, columns.stop)):
-            cell = column % steps.CELLS
-            counts[0, cell] += ran.must[:, place].sum()
-            counts[1, cell] += ran.may[:, place].sum()
+        for subresource, column in enumerate(range(columns.start, columns.stop)):
+            cell = column % model.CELLS
+            counts[0, cell] += ran.must[:, subresource].sum()
+            counts[1, cell] += ran.may[:, subresource].sum()
             for end, mask in enumerate((ran.must, ran.may)):
-                values = reds[end][:, place][mask[:, place]]
+                values = reds[end][:, subresource][mask[:, subresource]]
                 most[end, cell] = max(most[end, cell], values.max(initial=0.0))
 
-    def _test(self, context: _Context, covered: Covered, covers: Tested) -> Tested:
+    def _test(self, context: _Context, covered: CoveredPrimitive, covers: MaskBounds) -> MaskBounds:
         """Test stencil and depth, and write both; return what passes."""
-        states, place = context.states, context.whole.depth
-        if place is None:
+        states, subresource = context.states, context.render_pass.depth
+        if subresource is None:
             return covers
-        format = self._program.images[place.image].format
-        stored = self._levels[place.image, place.level]
-        here = (place.layer, covered.rows, covered.columns)
+        format = self._program.images[subresource.image].format
+        stored = self._levels[subresource.image, subresource.level]
+        here = (subresource.layer, covered.rows, covered.columns)
         old = Interval(stored.low[here][..., 0], stored.high[here][..., 0])
-        always = Tested(np.ones(old.low.shape, bool), np.ones(old.low.shape, bool))
+        always = MaskBounds(np.ones(old.low.shape, bool), np.ones(old.low.shape, bool))
         z = covered.depth
-        if context.draw.ink is steps.Ink.DEEP:
+        if context.draw.shader is model.ShaderKind.WRITTEN_DEPTH:
             alpha = covered.color[..., 3:]
             z = Interval(*(np.broadcast_to(end, old.low.shape) for end in (alpha.low, alpha.high)))
         else:
@@ -411,8 +413,14 @@ class _Machine:
         return passed
 
     def _stencil(
-        self, context: _Context, covered: Covered, stored: _Level, here: Any, covers: Tested, near: Tested
-    ) -> Tested:
+        self,
+        context: _Context,
+        covered: CoveredPrimitive,
+        stored: _Level,
+        here: Any,
+        covers: MaskBounds,
+        near: MaskBounds,
+    ) -> MaskBounds:
         states, front = context.states, covered.is_front
         side = states[rhi.StencilFront if front else rhi.StencilBack]
         reference_, reads, writes = (
@@ -420,10 +428,12 @@ class _Machine:
             for state in (states[rhi.StencilReference], states[rhi.StencilReadMask], states[rhi.StencilWriteMask])
         )
         old = Interval(stored.stencil_low[here].copy(), stored.stencil_high[here].copy())
-        known = old.low == old.high
+        exact_values = old.low == old.high
         exact = reference.compare(side.function, reference_ & reads, old.low.astype(np.int64) & reads)
         name = side.function.value
-        equal = Tested(np.where(known, exact, name == "always"), np.where(known, exact, name != "never"))
+        equal = MaskBounds(
+            np.where(exact_values, exact, name == "always"), np.where(exact_values, exact, name != "never")
+        )
         outcomes = [
             (~covers.must, rhi.StencilOperation.KEEP),
             (covers.may & ~equal.must, side.stencil_fail),
@@ -435,14 +445,14 @@ class _Machine:
             table = np.array([reference.stencil(operation, value, reference_, writes) for value in range(256)])
             new = table[old.low.astype(np.int64)]
             changes = operation is not rhi.StencilOperation.KEEP
-            least = np.where(known, new, 0.0 if changes else old.low)
-            most = np.where(known, new, 255.0 if changes else old.high)
+            least = np.where(exact_values, new, 0.0 if changes else old.low)
+            most = np.where(exact_values, new, 255.0 if changes else old.high)
             low = np.where(possible, np.minimum(low, least), low)
             high = np.where(possible, np.maximum(high, most), high)
         stored.stencil_low[here], stored.stencil_high[here] = low, high
         return equal
 
-    def _bias(self, context: _Context, covered: Covered, format: rhi.Format) -> Interval:
+    def _bias(self, context: _Context, covered: CoveredPrimitive, format: rhi.Format) -> Interval:
         bias, offset = context.states[rhi.DepthBias], context.states[rhi.PolygonOffset]
         z = covered.depth
         if (not bias.units and not offset.slope) or covered.slope < 0:
@@ -460,12 +470,12 @@ class _Machine:
         return Interval(z.low + low, z.high + high).widen(2e-7)
 
     def _merge_color(
-        self, context: _Context, covered: Covered, number: int, place: steps.Place, format: rhi.Format,
-        output: Interval, written: Tested,
+        self, context: _Context, covered: CoveredPrimitive, number: int, subresource: model.Subresource,
+        format: rhi.Format, output: Interval, written: MaskBounds,
     ) -> None:  # fmt: skip
         states = context.states
-        stored = self._levels[place.image, place.level]
-        here = (place.layer, covered.rows, covered.columns)
+        stored = self._levels[subresource.image, subresource.level]
+        here = (subresource.layer, covered.rows, covered.columns)
         old = Interval(stored.low[here].copy(), stored.high[here].copy())
         source = output[:, :, None, :]  # for all samples
         function = states[rhi.BlendFunction][number]
@@ -486,7 +496,7 @@ class _Machine:
         stored.low[here], stored.high[here] = after.low, after.high
 
 
-def merge_states(draw: steps.Draw) -> dict[type, Any]:
+def merge_states(draw: model.Draw) -> dict[type, Any]:
     """Return the value of each state of a draw; of those that exist once per target, a list."""
     values: dict[type, Any] = {
         kind: [value] * MAX_TARGETS if kind in PER_TARGET else value for kind, value in DEFAULTS.items()
@@ -514,7 +524,7 @@ def _box(values: Float, shape: tuple[int, ...]) -> Float:
     return values
 
 
-def random_texels(format: rhi.Format, step: steps.Write) -> NDArray[Any]:
+def random_texels(format: rhi.Format, step: model.Write) -> NDArray[Any]:
     """Return the texels of a write, (rows, columns, channels) of the format's dtype."""
     rng = np.random.default_rng(step.seed)
     shape = (step.height, step.width, format.channels)

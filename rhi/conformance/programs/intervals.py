@@ -59,7 +59,7 @@ class Interval:
         return np.asarray(np.maximum(np.abs(self.low), np.abs(self.high)))
 
     def unite(self, possible: Mask, other: Interval, other_possible: Mask) -> Interval:
-        """Return what holds if either of two outcomes is possible; one of them is."""
+        """Union of two outcomes of which one happens."""
         low = np.where(possible, np.where(other_possible, np.minimum(self.low, other.low), self.low), other.low)
         high = np.where(possible, np.where(other_possible, np.maximum(self.high, other.high), self.high), other.high)
         return Interval(low, high)
@@ -75,33 +75,33 @@ def join(*parts: Interval) -> Interval:
 
 
 @dataclass(slots=True)
-class Tested:
+class MaskBounds:
     """The samples that certainly pass, and those that possibly do."""
 
     must: Mask
     may: Mask
 
-    def __and__(self, other: Tested) -> Tested:
-        return Tested(self.must & other.must, self.may & other.may)
+    def __and__(self, other: MaskBounds) -> MaskBounds:
+        return MaskBounds(self.must & other.must, self.may & other.may)
 
 
-def compare(function: Any, new: Interval, stored: Interval) -> Tested:
-    """Return whether `new OP stored` must and may hold."""
+def compare(function: Any, new: Interval, stored: Interval) -> MaskBounds:
+    """Where `new OP stored` must hold, and where it may."""
     name = function.value
     shape = np.broadcast(new.low, stored.low).shape
     both = new.low == new.high
     equal_must = both & (stored.low == stored.high) & (new.low == stored.low)
     equal_may = (new.low <= stored.high) & (new.high >= stored.low)
-    less = Tested(new.high < stored.low, new.low < stored.high)
-    greater = Tested(new.low > stored.high, new.high > stored.low)
+    less = MaskBounds(new.high < stored.low, new.low < stored.high)
+    greater = MaskBounds(new.low > stored.high, new.high > stored.low)
     outcomes = {
-        "never": Tested(np.zeros(shape, bool), np.zeros(shape, bool)),
-        "always": Tested(np.ones(shape, bool), np.ones(shape, bool)),
+        "never": MaskBounds(np.zeros(shape, bool), np.zeros(shape, bool)),
+        "always": MaskBounds(np.ones(shape, bool), np.ones(shape, bool)),
         "less": less,
         "greater": greater,
-        "equal": Tested(equal_must, equal_may),
-        "not_equal": Tested(~equal_may, ~equal_must),
-        "less_equal": Tested(~greater.may, ~greater.must),
-        "greater_equal": Tested(~less.may, ~less.must),
+        "equal": MaskBounds(equal_must, equal_may),
+        "not_equal": MaskBounds(~equal_may, ~equal_must),
+        "less_equal": MaskBounds(~greater.may, ~greater.must),
+        "greater_equal": MaskBounds(~less.may, ~less.must),
     }
     return outcomes[name]

@@ -7,20 +7,20 @@ import numpy as np
 from rhi import BlendColor, BlendFactor, BlendFunction, BlendOperation, Format
 from rhi.conformance import reference
 from rhi.conformance.programs.intervals import Float, Interval, join
-from rhi.conformance.programs.rules import Rules
+from rhi.conformance.programs.tolerances import Tolerances
 from rhi.contract.formats import ChannelKind
 
 
-def decode(format: Format, stored: Interval, rules: Rules) -> Interval:
+def decode(format: Format, stored: Interval, tolerances: Tolerances) -> Interval:
     """Return the (…, 4) values of stored numbers."""
     value = Interval(reference.decode(format, stored.low), reference.decode(format, stored.high))
     if format.kind is ChannelKind.SRGB:
-        error = np.array([rules.decode_srgb] * 3 + [0.0])
+        error = np.array([tolerances.decode_srgb] * 3 + [0.0])
         value = value.widen(np.broadcast_to(error, value.low.shape)).clip(0.0, 1.0)
     return value
 
 
-def encode(format: Format, value: Interval, rules: Rules) -> Interval:
+def encode(format: Format, value: Interval, tolerances: Tolerances) -> Interval:
     """Return the stored numbers, (…, channels), that values may become."""
     with np.errstate(all="ignore"):
         if format.kind is ChannelKind.FLOAT:
@@ -31,7 +31,7 @@ def encode(format: Format, value: Interval, rules: Rules) -> Interval:
             return Interval(low, high)
         slack = np.full(format.channels, 1e-6 + reference.largest(format) * 2.0**-22)
         if format.kind is ChannelKind.SRGB:
-            slack[:3] += rules.encode_srgb
+            slack[:3] += tolerances.encode_srgb
         most = float(reference.largest(format))
         least = -most if format.kind is ChannelKind.SNORM else 0.0
         return Interval(np.ceil(low - 0.5 - slack), np.floor(high + 0.5 + slack)).clip(least, most)
@@ -45,13 +45,13 @@ def _rounded(format: Format, value: Float, towards: float) -> Float:
     return np.where(np.isinf(value), value, moved)
 
 
-def quantise_depth(format: Format, z: Interval, rules: Rules) -> Interval:
+def quantise_depth(format: Format, z: Interval, tolerances: Tolerances) -> Interval:
     """Return the depths that the format may store."""
     z = z.clip(0.0, 1.0)
     steps = format.depth_steps
     if not steps:
         return Interval(_rounded(format, z.low, -np.inf), _rounded(format, z.high, np.inf))
-    slack = 1e-3 + rules.depth_steps
+    slack = 1e-3 + tolerances.depth_steps
     low, high = np.ceil(z.low * steps - 0.5 - slack), np.floor(z.high * steps + 0.5 + slack)
     return Interval(low, high).clip(0, steps)
 
@@ -63,7 +63,8 @@ def read_depth(format: Format, stored: Interval) -> Interval:
 
 
 def blend(
-    format: Format, function: BlendFunction, constant: BlendColor, source: Interval, stored: Interval, rules: Rules
+    format: Format, function: BlendFunction, constant: BlendColor, source: Interval, stored: Interval,
+    tolerances: Tolerances,
 ) -> Interval:  # fmt: skip
     """Return the blended color, (…, 4), before it is stored."""
     color = Interval.of([constant.red, constant.green, constant.blue, constant.alpha])
@@ -72,8 +73,8 @@ def blend(
     least = -1.0 if format.kind is ChannelKind.SNORM else 0.0
     if normalised:
         source, color = source.clip(least, 1.0), color.clip(least, 1.0)
-        if rules.blends_in_format:
-            signed = rules.signed_steps if format.kind is ChannelKind.SNORM else 0.0
+        if tolerances.blends_in_format:
+            signed = tolerances.signed_steps if format.kind is ChannelKind.SNORM else 0.0
             step = 1.0 / reference.largest(format)
             unit, lowest = (1.0 + signed) * step, least - signed * step
             source, color = (part.widen((0.5 + signed) * step).clip(lowest, 1.0) for part in (source, color))
@@ -82,11 +83,11 @@ def blend(
     parts = [
         _combine(
             function.operation, function.source, function.destination, source, stored, color, unit, limits,
-            rules,
+            tolerances,
         ),
         _combine(
             function.operation_alpha or function.operation, function.source_alpha or function.source,
-            function.destination_alpha or function.destination, source, stored, color, unit, limits, rules,
+            function.destination_alpha or function.destination, source, stored, color, unit, limits, tolerances,
         ),
     ]  # fmt: skip
     return join(parts[0][..., :3], parts[1][..., 3:])
@@ -94,7 +95,7 @@ def blend(
 
 def _combine(
     operation: BlendOperation, source_factor: BlendFactor, destination_factor: BlendFactor, source: Interval,
-    stored: Interval, constant: Interval, unit: float, limits: tuple[float, float] | None, rules: Rules,
+    stored: Interval, constant: Interval, unit: float, limits: tuple[float, float] | None, tolerances: Tolerances,
 ) -> Interval:  # fmt: skip
     if operation is BlendOperation.MINIMUM:
         return source.minimum(stored)
@@ -116,20 +117,20 @@ def _combine(
     with np.errstate(all="ignore"):
         exact = (total.low == total.high) & (total.low.astype(np.float32) == total.low)
         rounding = np.where(exact, 0.0, 2.0**-22 * np.maximum(left.size, right.size))
-        if rules.blends_in_format:
+        if tolerances.blends_in_format:
             rounding = 2.0**-22 * np.maximum(1.0, np.maximum(source.size, stored.size))
     return total.widen(np.where(np.isfinite(rounding), rounding, 0.0))
 
 
 def _factor(factor: BlendFactor, source: Interval, stored: Interval, constant: Interval) -> Interval:
-    one = Interval.of(np.ones(source.low.shape))
+    ones = Interval.of(np.ones(source.low.shape))
     zero = Interval.of(np.zeros(source.low.shape))
     if factor is BlendFactor.SOURCE_ALPHA_SATURATE:
-        saturated = source[..., 3:].minimum(one[..., 3:] - stored[..., 3:])
-        return join(saturated + zero[..., :3], one[..., 3:])
+        saturated = source[..., 3:].minimum(ones[..., 3:] - stored[..., 3:])
+        return join(saturated + zero[..., :3], ones[..., 3:])
     base = {
         "zero": zero,
-        "one": one,
+        "one": ones,
         "source_color": source,
         "source_alpha": source[..., 3:] + zero,
         "destination_color": stored,
@@ -137,4 +138,4 @@ def _factor(factor: BlendFactor, source: Interval, stored: Interval, constant: I
         "constant": constant + zero,
     }
     name = factor.value
-    return one - base[name.removeprefix("one_minus_")] if name.startswith("one_minus_") else base[name]
+    return ones - base[name.removeprefix("one_minus_")] if name.startswith("one_minus_") else base[name]

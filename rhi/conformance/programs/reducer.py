@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from rhi import Primitive
-from rhi.conformance.programs.steps import Draw, Part, Pass, Program, Recorded, Shape, Step, Way
+from rhi.conformance.programs.model import Draw, DrawMethod, Part, Pass, Program, RecordedPasses, Shape, Step
 from rhi.errors import RhiError
 
 
@@ -23,15 +23,15 @@ def reduce(program: Program, fails: Callable[[Program], bool], attempts: int = 2
         except RhiError:
             return False
 
-    found = True
-    while found:
-        found = False
+    is_smaller = True
+    while is_smaller:
+        is_smaller = False
         for proposal in propose(program):
             attempts -= 1
             if attempts < 0:
                 return program
             if still_fails(proposal):
-                program, found = proposal, True
+                program, is_smaller = proposal, True
                 break
     return program
 
@@ -39,10 +39,10 @@ def reduce(program: Program, fails: Callable[[Program], bool], attempts: int = 2
 def propose(program: Program) -> Iterator[Program]:
     """Yield programs that are simpler in one place, the largest simplifications first."""
     steps = program.steps
-    for kept in (len(steps) // 2, len(steps) - 1):
-        if 0 < kept < len(steps):
-            yield replace(program, steps=steps[:kept])
-            yield replace(program, steps=steps[-kept:])
+    for count in (len(steps) // 2, len(steps) - 1):
+        if 0 < count < len(steps):
+            yield replace(program, steps=steps[:count])
+            yield replace(program, steps=steps[-count:])
     for i in range(len(steps)):
         if len(steps) > 1:
             yield replace(program, steps=steps[:i] + steps[i + 1 :])
@@ -57,7 +57,7 @@ def propose(program: Program) -> Iterator[Program]:
 
 
 def _simplify_step(step: Step) -> Iterator[tuple[Step, ...]]:
-    if isinstance(step, Recorded):
+    if isinstance(step, RecordedPasses):
         yield step.passes
         if step.times > 1:
             yield (replace(step, times=1),)
@@ -83,8 +83,8 @@ def _simplify_step(step: Step) -> Iterator[tuple[Step, ...]]:
 
 
 def _simplify_draw(draw: Draw) -> Iterator[Draw]:
-    if draw.way is not Way.DIRECT:
-        yield replace(draw, way=Way.DIRECT)
+    if draw.method is not DrawMethod.DIRECT:
+        yield replace(draw, method=DrawMethod.DIRECT)
     if draw.condition is not None:
         yield replace(draw, condition=None)
     if draw.query is not None:
@@ -138,7 +138,7 @@ def _shrink(shape: Shape) -> Iterator[tuple[Shape, Callable[[Part], Part]]]:
 
 
 def _with_parts(step: Step, shape: int, renumber: Callable[[Part], Part]) -> Step:
-    if isinstance(step, Recorded):
+    if isinstance(step, RecordedPasses):
         passes = tuple(_with_parts(part, shape, renumber) for part in step.passes)
         return replace(step, passes=tuple(part for part in passes if isinstance(part, Pass)))
     if not isinstance(step, Pass):

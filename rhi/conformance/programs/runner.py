@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi
-from rhi.conformance.programs import steps
+from rhi.conformance.programs import model
 from rhi.conformance.programs.coverage import clip_corners
-from rhi.conformance.programs.inks import SHADERS, AddTexels, Move
 from rhi.conformance.programs.interpreter import Result, interpret, random_texels
-from rhi.conformance.programs.rules import EXACT, Rules
+from rhi.conformance.programs.shader_kinds import SHADERS, AddTexels, Move
+from rhi.conformance.programs.tolerances import EXACT, Tolerances
 from rhi.conformance.shaders import Corner
 from rhi.device.encoder import Encoder
 from rhi.device.resources.programs import Program as DeviceProgram
@@ -28,24 +28,24 @@ class Difference:
     name: str
     count: int
     first: tuple[int, ...]
-    given: float
+    actual: float
     low: float
     high: float
 
     def __str__(self) -> str:
         at = ", ".join(map(str, self.first))
-        return f"{self.name}: {self.count} differ, first at ({at}): {self.given!r}, not {self.low!r} to {self.high!r}"
+        return f"{self.name}: {self.count} differ, first at ({at}): {self.actual!r}, not {self.low!r} to {self.high!r}"
 
 
-def check(device: rhi.Device, program: steps.Program, rules: Rules = EXACT) -> list[Difference]:
+def check(device: rhi.Device, program: model.Program, tolerances: Tolerances = EXACT) -> list[Difference]:
     """Run a program on a device and return its differences from the interpreter's results."""
-    return compare(run(device, program), interpret(program, rules))
+    return compare(run(device, program), interpret(program, tolerances))
 
 
-def compare(given: list[tuple[str, NDArray[Any]]], allowed: list[Result]) -> list[Difference]:
+def compare(actual: list[tuple[str, NDArray[Any]]], allowed: list[Result]) -> list[Difference]:
     """Return where results lie outside of what is allowed."""
     differences = []
-    for (name, array), result in zip(given, allowed, strict=True):
+    for (name, array), result in zip(actual, allowed, strict=True):
         assert name == result.name, (name, result.name)
         values = array.astype(np.float64).reshape(result.low.shape)
         if array.dtype == np.int8:
@@ -60,14 +60,14 @@ def compare(given: list[tuple[str, NDArray[Any]]], allowed: list[Result]) -> lis
     return differences
 
 
-def run(device: rhi.Device, program: steps.Program) -> list[tuple[str, NDArray[Any]]]:
+def run(device: rhi.Device, program: model.Program) -> list[tuple[str, NDArray[Any]]]:
     """Execute a program; return its reads, counts and buffers, and the final contents of its images, each named."""
     with ExitStack() as stack:
         return _Run(device, program, stack).results()
 
 
 class _Run:
-    def __init__(self, device: rhi.Device, program: steps.Program, stack: ExitStack) -> None:
+    def __init__(self, device: rhi.Device, program: model.Program, stack: ExitStack) -> None:
         self._device, self._program, self._stack = device, program, stack
         self._images: list[rhi.Texture] = []
         for image in program.images:
@@ -78,8 +78,8 @@ class _Run:
             self._images.append(stack.enter_context(texture))
         self._shapes = list(program.shapes)
         self._meshes: dict[tuple[int, tuple[int, int]], rhi.Mesh] = {}
-        self._counts: rhi.StorageBuffer[uint] = stack.enter_context(device.storage(uint, steps.CELLS))
-        self._reds: rhi.StorageBuffer[uint] = stack.enter_context(device.storage(uint, steps.CELLS))
+        self._counts: rhi.StorageBuffer[uint] = stack.enter_context(device.storage(uint, model.CELLS))
+        self._reds: rhi.StorageBuffer[uint] = stack.enter_context(device.storage(uint, model.CELLS))
         self._queries: list[rhi.OcclusionQuery] = []
         for _ in range(program.queries):
             query = device.occlusion_query()
@@ -108,65 +108,65 @@ class _Run:
                 continue
             for level in range(image.levels):
                 for layer in range(image.level_layers(level)):
-                    place = f"image {number}, level {level}, layer {layer}"
-                    results.append((place, texture.read(level, layer)))
+                    subresource = f"image {number}, level {level}, layer {layer}"
+                    results.append((subresource, texture.read(level, layer)))
                     if image.format.has_stencil:
-                        results.append((f"stencil of {place}", texture.read_stencil(level, layer)))
+                        results.append((f"stencil of {subresource}", texture.read_stencil(level, layer)))
         return results
 
-    def _execute(self, step: steps.Step) -> None:
+    def _execute(self, step: model.Step) -> None:
         device, images = self._device, self._images
         match step:
-            case steps.Pass():
+            case model.Pass():
                 self._pass(device, step)
-            case steps.Recorded():
+            case model.RecordedPasses():
                 with device.record() as commands:
                     for part in step.passes:
                         self._pass(commands, part)
                 for _ in range(step.times):
                     device.submit(commands)
-            case steps.Copy():
+            case model.Copy():
                 x, y, width, height, layer, layers = step.box
                 images[step.source.image].copy_to(
                     images[step.target.image], level=step.source.level,
                     region=rhi.Region(x, y, width, height, layer, layers), target_level=step.target.level, x=step.x,
                     y=step.y, layer=step.target.layer,
                 )  # fmt: skip
-            case steps.Write():
+            case model.Write():
                 texture = images[step.target.image]
                 texels = random_texels(texture.format, step)
                 if texture.format.channels == 1:
                     texels = texels[..., 0]
                 texture.write(texels, step.target.level, step.target.layer, step.x, step.y)
-            case steps.Mipmaps():
+            case model.Mipmaps():
                 images[step.image].generate_mipmaps()
-            case steps.Resolve():
+            case model.Resolve():
                 images[step.source].resolve_to(images[step.target])
-            case steps.Read():
-                place = step.place
-                texels = images[place.image].read(place.level, place.layer)
-                self._reads.append((f"read of {place}", texels))
-            case steps.Reshape():
+            case model.Read():
+                subresource = step.subresource
+                texels = images[subresource.image].read(subresource.level, subresource.layer)
+                self._reads.append((f"read of {subresource}", texels))
+            case model.Reshape():
                 self._reshape(step)
-            case steps.ClearCells():
+            case model.ClearCells():
                 self._counts.clear(step.value)
                 self._reds.clear(step.value)
-            case steps.Dispatch():
+            case model.Dispatch():
                 image = images[step.source.image]
                 width, height = image.size
                 groups = (-(-width // 8), -(-height // 8))
                 program = device.program(AddTexels)
                 device.dispatch(program, groups, source=image, counts=self._counts)
 
-    def _reshape(self, step: steps.Reshape) -> None:
+    def _reshape(self, step: model.Reshape) -> None:
         shape, source = self._shapes[step.shape], self._shapes[step.source]
-        kept = min(len(shape.corners), len(source.corners))
-        corners = source.corners[:kept] + shape.corners[kept:]
-        self._shapes[step.shape] = steps.Shape(shape.primitive, corners, shape.indices)
+        count = min(len(shape.corners), len(source.corners))
+        corners = source.corners[:count] + shape.corners[count:]
+        self._shapes[step.shape] = model.Shape(shape.primitive, corners, shape.indices)
         for (number, frame), mesh in self._meshes.items():
             if number == step.shape:
                 assert mesh.vertices is not None
-                mesh.vertices.write(_rows(self._shapes[number], frame)[:kept])
+                mesh.vertices.write(_rows(self._shapes[number], frame)[:count])
 
     def _mesh(self, number: int, frame: tuple[int, int]) -> rhi.Mesh:
         """Return the mesh of a shape in a frame; it is made once, before anything is recorded with it."""
@@ -178,14 +178,14 @@ class _Run:
             self._meshes[number, frame] = self._stack.enter_context(mesh)
         return mesh
 
-    def _target(self, place: steps.Place) -> Any:
-        return self._images[place.image].at(place.level, place.layer)
+    def _target(self, subresource: model.Subresource) -> Any:
+        return self._images[subresource.image].at(subresource.level, subresource.layer)
 
-    def _pass(self, encoder: Encoder, step: steps.Pass) -> None:
+    def _pass(self, encoder: Encoder, step: model.Pass) -> None:
         sets = []
         resolve = [None if i is None else self._images[i] for i in step.resolve]
         with encoder.render_pass(
-            [self._target(place) for place in step.colors] or None,
+            [self._target(subresource) for subresource in step.colors] or None,
             None if step.depth is None else self._target(step.depth),
             clear=list(step.clear) or None,
             clear_depth=step.clear_depth,
@@ -196,15 +196,15 @@ class _Run:
                 sets += self._draw(encoder, draw)
         self._sets += sets
 
-    def _draw(self, encoder: Encoder, draw: steps.Draw) -> list[rhi.QuerySet]:
+    def _draw(self, encoder: Encoder, draw: model.Draw) -> list[rhi.QuerySet]:
         device = self._device
-        program: DeviceProgram[...] = device.program(SHADERS[draw.ink])
+        program: DeviceProgram[...] = device.program(SHADERS[draw.shader])
         bindings: dict[str, Any] = {}
         level, layer = (draw.source.level, draw.source.layer) if draw.source is not None else (0, 0)
         bindings["move"] = encoder.transient.uniform(Move(step=draw.step, level=level, layer=layer))
-        if draw.ink in (steps.Ink.COUNT, steps.Ink.COUNT_EARLY):
+        if draw.shader in (model.ShaderKind.COUNT, model.ShaderKind.COUNT_EARLY):
             bindings |= {"counts": self._counts, "reds": self._reds}
-        if draw.source is not None and draw.ink in (steps.Ink.LOAD, steps.Ink.LOAD_LAYER):
+        if draw.source is not None and draw.shader in (model.ShaderKind.LOAD, model.ShaderKind.LOAD_LAYER):
             bindings["source"] = self._images[draw.source.image]
         mesh = self._mesh(draw.shape, draw.frame)
         sets: list[rhi.QuerySet] = []
@@ -217,18 +217,18 @@ class _Run:
                 self._used.add(draw.query)
                 around.enter_context(self._query(encoder, draw.query))
             parts = _array(mesh, draw.parts)
-            match draw.way:
-                case steps.Way.DIRECT:
+            match draw.method:
+                case model.DrawMethod.DIRECT:
                     for part in draw.parts:
                         view = mesh.view(part.first, part.count, base_instance=part.base_instance)
                         encoder.draw(program, view, part.instances, **bindings)
-                case steps.Way.MANY:
+                case model.DrawMethod.MANY:
                     encoder.draw_many(program, mesh, parts, **bindings)
-                case steps.Way.INDIRECT:
+                case model.DrawMethod.INDIRECT:
                     arguments: rhi.Buffer = device.buffer(parts)
                     self._stack.enter_context(arguments)
                     encoder.draw_indirect(program, mesh, rhi.IndirectDraws(arguments, len(parts)), **bindings)
-                case steps.Way.COUNTED:
+                case model.DrawMethod.COUNTED:
                     sets.append(device.query_set(len(parts)))
                     self._stack.callback(sets[0].destroy)
                     encoder.draw_counted(program, mesh, parts, sets[0], **bindings)
@@ -241,14 +241,14 @@ class _Run:
         return encoder.query(query)  # type: ignore[attr-defined]
 
 
-def _rows(shape: steps.Shape, frame: tuple[int, int]) -> NDArray[Any]:
+def _rows(shape: model.Shape, frame: tuple[int, int]) -> NDArray[Any]:
     clip, colors = clip_corners(shape, frame)
     rows = np.zeros(len(clip), Corner.dtype)
     rows["position"], rows["color"] = clip, colors
     return rows
 
 
-def _array(mesh: rhi.Mesh, parts: tuple[steps.Part, ...]) -> NDArray[Any]:
+def _array(mesh: rhi.Mesh, parts: tuple[model.Part, ...]) -> NDArray[Any]:
     columns = ([getattr(part, name) for part in parts] for name in ("first", "count", "instances", "base_instance"))
     first, count, instances, base = (np.array(column) for column in columns)
     return mesh.draws(first, count, instances=instances, base_instance=base)

@@ -16,7 +16,7 @@ from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 
-MEMOS = frozenset({Op.CREATE_VERTEX_ARRAY, Op.CREATE_SAMPLER, Op.CREATE_PROGRAM})
+CACHED_CREATIONS = frozenset({Op.CREATE_VERTEX_ARRAY, Op.CREATE_SAMPLER, Op.CREATE_PROGRAM})
 """Created once per mesh and program, descriptor or shader, and then kept: any test may be the first to create one."""
 
 
@@ -66,7 +66,7 @@ class refuses:  # noqa: N801 (reads as a verb, like pytest.raises)
         assert error.site is not None, f"the message names no line:\n{text}"
         assert (error.site.file, error.site.line) == (self._file, line), text
         if self._stream is not None:
-            done = self._stream[self._before :].filter(frozenset(Op) - MEMOS)
+            done = self._stream[self._before :].filter(frozenset(Op) - CACHED_CREATIONS)
             assert not len(done), f"refused, but done in part:\n{done}"
         self.error = error
         return True

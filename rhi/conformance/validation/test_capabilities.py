@@ -216,7 +216,7 @@ class Early(Colored):
     early_depth = True
 
 
-class Kept(sl.Shader):
+class StoresInVertexStage(sl.Shader):
     """Stores in the vertex stage."""
 
     values: sl.StorageRW[float]
@@ -229,7 +229,7 @@ class Kept(sl.Shader):
         return sl.vec4(1.0)
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 @pytest.mark.parametrize(
     ("shader", "feature"),
     [
@@ -237,7 +237,7 @@ class Kept(sl.Shader):
         (Inside, "max_point_size"),
         (Numbered, "draw_index"),
         (Early, "early_depth"),
-        (Kept, "vertex_writes"),
+        (StoresInVertexStage, "vertex_writes"),
     ],
 )
 def test_programs_need_a_device_that_has_what_they_use(
@@ -250,7 +250,7 @@ def test_programs_need_a_device_that_has_what_they_use(
             recording.program(shader)
 
 
-@pytest.mark.needs("compute")
+@pytest.mark.requires("compute")
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_groups_are_no_more_than_the_device_says(recording: rhi.Device, axis: int) -> None:
     groups = [1, 1, 1]
@@ -259,7 +259,7 @@ def test_groups_are_no_more_than_the_device_says(recording: rhi.Device, axis: in
         recording.dispatch(recording.program(Count), groups, total=total)
 
 
-@pytest.mark.needs("compute")
+@pytest.mark.requires("compute")
 def test_groups_are_no_more_in_all_than_the_device_says(recording: rhi.Device) -> None:
     """Drivers that count them in 32 bits end the process, or run what is left: of 2³² groups none. That the most are
     taken is shown by a null device with the same limits, which doesn't execute them for hours."""
@@ -270,7 +270,7 @@ def test_groups_are_no_more_in_all_than_the_device_says(recording: rhi.Device) -
         recording.dispatch(recording.program(Count), (1 << 15, rows // 2 + 1, 4), total=total)
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 @pytest.mark.parametrize(
     ("kind", "limit"),
     [
@@ -292,7 +292,7 @@ def test_bindings_are_no_more_than_the_device_says(recording: rhi.Device, kind: 
     recording.program(program(most)).destroy()
 
 
-@pytest.mark.needs("compute")
+@pytest.mark.requires("compute")
 def test_a_work_group_shares_no_more_than_the_device_says(recording: rhi.Device) -> None:
     most = recording.capabilities.max_shared_bytes // 4
 
@@ -332,7 +332,7 @@ def test_an_emulated_set_needs_a_counter(recording: rhi.Device) -> None:
             recording.query_set(2, emulated=True)
 
 
-@pytest.mark.needs("sample_counter", "conditional_rendering")
+@pytest.mark.requires("sample_counter", "conditional_rendering")
 def test_a_condition_needs_a_native_query(recording: rhi.Device, image: Any) -> None:
     query = recording.occlusion_query(emulated=True)
     with recording.render_pass(image):

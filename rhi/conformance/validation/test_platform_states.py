@@ -18,7 +18,7 @@ from rhi.conformance.validation.refusal import refuses
 from rhi.contract.states import PlatformState
 from rhi.errors import rules
 
-pytestmark = pytest.mark.needs("draws")
+pytestmark = pytest.mark.requires("draws")
 
 
 class Elsewhere(PlatformState):
@@ -45,12 +45,12 @@ def owns(device: Device, state: type[PlatformState]) -> bool:
 
 def test_a_state_of_another_platform_is_refused_by_name(recording: Device) -> None:
     states = recording._core.states
-    before = states.wanted
+    before = states.requested
     with refuses(rules.PLATFORM_STATE, recording) as refusal, recording.states(Elsewhere.FANCY):
         pass
     assert "Elsewhere.FANCY" in refusal.error.given
     assert "'nowhere'" in refusal.error.given
-    assert states.wanted is before
+    assert states.requested is before
     if not owns(recording, DepthClamp):
         with refuses(rules.PLATFORM_STATE, recording), recording.states(CullMode.NONE, DepthClamp.ON):
             pass
@@ -67,11 +67,11 @@ def test_a_scope_sets_and_restores_each_of_them(recording: Device) -> None:
     for state in recording.capabilities.platform_states:
         default, other, *_ = state
         with recording.states(other):
-            assert states.wanted[PlatformState] == (other,)
+            assert states.requested[PlatformState] == (other,)
             with recording.states(default):
-                assert states.wanted[PlatformState] == ()
-            assert states.wanted[PlatformState] == (other,)
-        assert states.wanted[PlatformState] == ()
+                assert states.requested[PlatformState] == ()
+            assert states.requested[PlatformState] == (other,)
+        assert states.requested[PlatformState] == ()
         with refuses(rules.STATE_DUPLICATE, recording), recording.states(other, default):
             pass
 
@@ -82,12 +82,12 @@ def test_depth_is_clamped_where_the_platform_can(recording: Device) -> None:
         pytest.skip("the device declares no platform_states with DepthClamp")
     program, since = recording.program(Colored), len(recording.stream)
     with recording.texture((4, 4), Format.R8) as image, recording.mesh(beyond()) as mesh:
-        found = []
+        maxima = []
         for states in ((), (DepthClamp.OFF,), (DepthClamp.ON,), ()):
             with recording.render_pass(image, clear=(0, 0, 0, 0)), recording.states(DepthTest.OFF, *states):
                 recording.draw(program, mesh)
-            found.append(image.read().max())
-        assert found == [0, 0, 255, 0]
+            maxima.append(image.read().max())
+        assert maxima == [0, 0, 255, 0]
         recording.make_current()  # sets it anew
         with recording.render_pass(image, clear=(0, 0, 0, 0)), recording.states(DepthTest.OFF, DepthClamp.ON):
             recording.draw(program, mesh)
@@ -112,9 +112,9 @@ def test_a_trace_of_it_replays_only_where_it_is_declared(backend: str, tmp_path:
         trace.save(device, tmp_path / "clamped.zip")
     loaded = trace.load(tmp_path / "clamped.zip", trusted=True)
     with rhi.create_device(backend) as device:
-        shown = trace.replay(loaded, on=device).image
-        assert shown is not None
-        assert shown.max() == 255
+        replayed = trace.replay(loaded, on=device).image
+        assert replayed is not None
+        assert replayed.max() == 255
     with rhi.create_device("null") as device, pytest.raises(rhi.ValidationError) as caught:
         trace.replay(loaded, on=device)
     assert caught.value.rule.id == "trace-capability"

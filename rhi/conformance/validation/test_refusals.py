@@ -49,7 +49,7 @@ def test_a_refused_mesh_creates_nothing(recording: Device) -> None:
     recording.mesh(rectangle(), np.array([0, 1, 5])).destroy()
 
 
-@pytest.mark.needs("compute")
+@pytest.mark.requires("compute")
 def test_a_refused_dispatch_writes_nothing(recording: Device) -> None:
     tint = recording.uniform(Tint(color=(1, 1, 1, 1)))
     with recording.storage(float, 1) as values:
@@ -61,20 +61,20 @@ def test_a_refused_dispatch_writes_nothing(recording: Device) -> None:
     tint.destroy()
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 def test_a_refused_pass_leaves_the_open_one_open(recording: Device) -> None:
-    with recording.texture(SIZE, Format.R8) as one, recording.texture(SIZE, Format.R8) as two:
-        with recording.render_pass(one, clear=(0, 0, 0, 0)):
-            with refuses(rules.PASS_NESTED, recording), recording.render_pass(two, clear=(1, 1, 1, 1)):
+    with recording.texture(SIZE, Format.R8) as first, recording.texture(SIZE, Format.R8) as second:
+        with recording.render_pass(first, clear=(0, 0, 0, 0)):
+            with refuses(rules.PASS_NESTED, recording), recording.render_pass(second, clear=(1, 1, 1, 1)):
                 pass
             with recording.mesh(rectangle()) as mesh:
                 recording.draw(recording.program(Colored), mesh)
-        assert_same(two.read(), 0)
+        assert_same(second.read(), 0)
         if recording.capabilities.shading:
-            assert_same(one.read(), 255)
+            assert_same(first.read(), 255)
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 def test_a_refused_scope_changes_no_state(recording: Device) -> None:
     with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
         with recording.render_pass(image):
@@ -88,7 +88,7 @@ def test_a_refused_scope_changes_no_state(recording: Device) -> None:
             assert_same(image.read(), 255)
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 def test_a_refused_draw_keeps_the_bindings_of_the_one_before(recording: Device) -> None:
     tint = recording.uniform(Tint(color=(1, 1, 1, 1)))
     with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
@@ -121,14 +121,14 @@ def test_a_refused_submission_executes_nothing(recording: Device) -> None:
             assert_same(image.read(), 255)
 
 
-@pytest.mark.needs("draws", "occlusion_queries", "shading")
+@pytest.mark.requires("draws", "occlusion_queries", "shading")
 def test_a_refused_call_keeps_the_answers_of_a_query_set(recording: Device) -> None:
     program, queries = recording.program(Colored), recording.query_set(4)
     with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
         with recording.render_pass(image):
             recording.draw_counted(program, mesh, mesh.draws(), queries)
             assert queries.wait()[0] == 16
-            with refuses(rules.QUERY_ROWS, recording):
+            with refuses(rules.QUERY_INDICES, recording):
                 recording.draw_counted(program, mesh, mesh.draws(), queries, [9])
         assert queries.is_finished
         assert queries.visible_samples[0] == 16
@@ -164,7 +164,7 @@ class Dispatched(Shader):
         self.buffer[0] = self.groups.color.x + self.offset.color.x
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 def test_a_binding_can_be_called_like_an_argument(recording: Device) -> None:
     tint, rows = recording.uniform(Tint(color=(1, 1, 1, 1))), recording.storage(Tint, 1)
     plainly = recording.program(Plainly)
@@ -180,7 +180,7 @@ def test_a_binding_can_be_called_like_an_argument(recording: Device) -> None:
         resource.destroy()
 
 
-@pytest.mark.needs("compute")
+@pytest.mark.requires("compute")
 def test_a_binding_can_be_called_like_an_argument_of_a_dispatch(recording: Device) -> None:
     tint, values = recording.uniform(Tint(color=(1, 1, 1, 1))), recording.storage(float, 1)
     recording.dispatch(recording.program(Dispatched), 1, groups=tint, buffer=values, offset=tint)
@@ -200,7 +200,7 @@ def test_resources_may_be_destroyed_after_their_device(backend: str) -> None:
         resource.destroy()
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 @pytest.mark.parametrize("quiet", [False, True])
 def test_a_device_may_be_closed_in_the_middle_of_everything(backend: str, quiet: bool) -> None:
     """It is closed nevertheless, and blocks that are still open end quietly."""

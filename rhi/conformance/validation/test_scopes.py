@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -38,8 +38,8 @@ class Things:
             device.draw(self.program, self.mesh)
 
     def destroy(self) -> None:
-        made = (self.image, self.mesh, self.tint, self.buffer, self.other, self.texture, self.query, self.answered)
-        for each in made:
+        resources = (self.image, self.mesh, self.tint, self.buffer, self.other, self.texture, self.query, self.answered)
+        for each in resources:
             each.destroy()
 
 
@@ -110,12 +110,12 @@ def surround(stack: ExitStack, things: Things, *kinds: str) -> None:
         stack.enter_context(things.device.render_pass(things.image))
 
 
-@pytest.mark.needs("draws", "occlusion_queries")
+@pytest.mark.requires("draws", "occlusion_queries")
 @pytest.mark.parametrize(("outer", "inner"), PAIRS)
 def test_a_scope_left_before_one_inside_it(recording: Device, things: Things, outer: str, inner: str) -> None:
     """Refused where it matters; then all is as before, and commands nest."""
     since = len(recording.stream)
-    before = recording._core.states.wanted
+    before = recording._core.states.requested
     with ExitStack() as stack:
         surround(stack, things, outer, inner)
         first, second = ALL[outer](things), ALL[inner](things)
@@ -129,11 +129,11 @@ def test_a_scope_left_before_one_inside_it(recording: Device, things: Things, ou
         else:
             first.__exit__(None, None, None)
         second.__exit__(None, None, None)
-    assert recording._core.states.wanted is before
+    assert recording._core.states.requested is before
     assert_nested(recording.stream[since:])
 
 
-@pytest.mark.needs("draws", "occlusion_queries")
+@pytest.mark.requires("draws", "occlusion_queries")
 @pytest.mark.parametrize(("outer", "inner"), PAIRS)
 def test_the_same_scopes_left_in_order(recording: Device, things: Things, outer: str, inner: str) -> None:
     since = len(recording.stream)
@@ -153,14 +153,14 @@ LEFT_TWICE = {
 }
 
 
-@pytest.mark.needs("draws", "occlusion_queries")
+@pytest.mark.requires("draws", "occlusion_queries")
 @pytest.mark.parametrize("kind", ALL)
 def test_a_block_left_twice(recording: Device, things: Things, kind: str) -> None:
     rule = LEFT_TWICE[kind]
     with ExitStack() as stack:
         surround(stack, things, kind)
         with recording.states(DepthWrite.OFF):
-            inside = recording._core.states.wanted
+            inside = recording._core.states.requested
             block = ALL[kind](things)
             with block:
                 pass
@@ -169,7 +169,7 @@ def test_a_block_left_twice(recording: Device, things: Things, kind: str) -> Non
             else:
                 with refuses(rule, recording):
                     block.__exit__(None, None, None)
-            assert recording._core.states.wanted is inside
+            assert recording._core.states.requested is inside
 
 
 ENTERED_TWICE = {
@@ -184,7 +184,7 @@ ENTERED_TWICE = {
 }
 
 
-@pytest.mark.needs("draws", "occlusion_queries")
+@pytest.mark.requires("draws", "occlusion_queries")
 @pytest.mark.parametrize("kind", ALL)
 def test_a_block_entered_twice(recording: Device, things: Things, kind: str) -> None:
     rule, since = ENTERED_TWICE[kind], len(recording.stream)
@@ -201,7 +201,7 @@ def test_a_block_entered_twice(recording: Device, things: Things, kind: str) -> 
     assert_nested(recording.stream[since:])
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 def test_scopes_of_two_devices_are_left_in_any_order(recording: Device, backend: str) -> None:
     with rhi.create_device(backend) as other:
         image = other.texture(SIZE, Format.R8)
@@ -211,8 +211,8 @@ def test_scopes_of_two_devices_are_left_in_any_order(recording: Device, backend:
             block.__enter__()
         outer.__exit__(None, None, None)
         ours.__exit__(None, None, None)
-        assert recording._core.states.wanted[CullMode] is CullMode.BACK
-        assert other._core.states.wanted[CullMode] is CullMode.FRONT
+        assert recording._core.states.requested[CullMode] is CullMode.BACK
+        assert other._core.states.requested[CullMode] is CullMode.FRONT
         inner.__exit__(None, None, None)
         theirs.__exit__(None, None, None)
 
@@ -220,49 +220,83 @@ def test_scopes_of_two_devices_are_left_in_any_order(recording: Device, backend:
 # -- which states hold ------------------------------------------------------------------------------------
 
 
-def hold(device: Device, *states: rhi.State) -> Iterator[None]:
+def states_block(device: Device, *states: rhi.State) -> Iterator[None]:
     with device.states(*states):
         yield
 
 
-@pytest.mark.needs("draws")
-def test_a_generator_closed_inside_another_scope_loses_no_state(recording: Device) -> None:
-    """Draws have the states with which the inner scope was entered, and the defaults after it."""
+class ClosedInside(NamedTuple):
+    """What a generator that closes its scope inside another one does.
+
+    Attributes:
+        refusal: the refusal of the close.
+        inner: the states of a draw inside the inner scope, after the close.
+        after: the states of a draw after the inner scope.
+        image: the pixels that both drew.
+    """
+
+    refusal: refuses
+    inner: dict[type, object]
+    after: dict[type, object]
+    image: Any
+
+
+@pytest.fixture
+def closed_inside(recording: Device) -> ClosedInside:
     program, since = recording.program(Colored), len(recording.stream)
     with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
         with recording.render_pass(image, clear=(0, 0, 0, 0)):
-            held = hold(recording, Scissor(0, 0, 2, 4))
-            next(held)
+            generator = states_block(recording, Scissor(0, 0, 2, 4))
+            next(generator)
             with recording.states(DepthWrite.OFF, ColorWrite.OFF):
                 with refuses(rules.SCOPE_ORDER) as refusal:
-                    held.close()  # type: ignore[attr-defined]
+                    generator.close()  # type: ignore[attr-defined]
                 recording.draw(program, mesh)
             recording.draw(program, mesh)
-        if recording.capabilities.shading:
-            assert_same(image.read(), 255)
-    first, second = (draw.states for draw in recording.stream[since:].draws())
-    assert first[DepthWrite] is DepthWrite.OFF
-    assert first[Scissor] == Scissor(0, 0, 2, 4)
-    assert second[DepthWrite] is DepthWrite.ON
-    assert second[Scissor] == Scissor.OFF
-    assert "Scissor" in refusal.error.call
-    assert "DepthWrite" in refusal.error.given
-    assert refusal.error.given.count("test_scopes.py:") == 2  # with validation, the lines of both
+        inner, after = (draw.states for draw in recording.stream[since:].draws())
+        return ClosedInside(refusal, inner, after, image.read())
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
+def test_a_generator_closed_inside_another_scope_leaves_the_inner_scope_its_states(closed_inside: ClosedInside) -> None:
+    assert closed_inside.inner[DepthWrite] is DepthWrite.OFF
+    assert closed_inside.inner[Scissor] == Scissor(0, 0, 2, 4)
+
+
+@pytest.mark.requires("draws")
+def test_after_the_inner_scope_of_a_closed_generator_the_defaults_hold(closed_inside: ClosedInside) -> None:
+    assert closed_inside.after[DepthWrite] is DepthWrite.ON
+    assert closed_inside.after[Scissor] == Scissor.OFF
+
+
+@pytest.mark.requires("draws", "shading")
+def test_a_draw_after_the_inner_scope_of_a_closed_generator_covers_the_whole_image(closed_inside: ClosedInside) -> None:
+    assert_same(closed_inside.image, 255)
+
+
+@pytest.mark.requires("draws")
+def test_a_generator_closed_inside_another_scope_is_refused_with_both_scopes_and_lines(
+    closed_inside: ClosedInside,
+) -> None:
+    error = closed_inside.refusal.error
+    assert "Scissor" in error.call
+    assert "DepthWrite" in error.given
+    assert error.given.count("test_scopes.py:") == 2  # with validation, the lines of both
+
+
+@pytest.mark.requires("draws")
 def test_several_scopes_left_too_early_end_with_the_last_one_inside(recording: Device) -> None:
     states = recording._core.states
     scopes = [recording.states(Scissor(0, 0, n, n)) for n in range(4)]
     for scope in scopes:
         scope.__enter__()
-    inside = states.wanted
+    inside = states.requested
     for scope in scopes[:-1]:
         with refuses(rules.SCOPE_ORDER):
             scope.__exit__(None, None, None)
-        assert states.wanted is inside
+        assert states.requested is inside
     scopes[-1].__exit__(None, None, None)
-    assert states.wanted[Scissor] == Scissor.OFF
+    assert states.requested[Scissor] == Scissor.OFF
     assert states.depth == 0
     for scope in scopes[:-1]:
         scope.__exit__(None, None, None)  # quietly, once
@@ -281,8 +315,8 @@ def test_a_wrong_order_hides_no_exception(recording: Device) -> None:
     with recording.states(DepthWrite.OFF):
         with pytest.raises(ZeroDivisionError):
             next(failing)
-        assert states.wanted[DepthWrite] is DepthWrite.OFF
-    assert states.wanted[CullMode] is CullMode.BACK
+        assert states.requested[DepthWrite] is DepthWrite.OFF
+    assert states.requested[CullMode] is CullMode.BACK
     assert states.depth == 0
 
 
@@ -302,7 +336,7 @@ def test_a_query_that_is_not_the_innermost_scope_ends_later(recording: Device) -
 # -- what no scope may surround -----------------------------------------------------------------------------
 
 
-@pytest.mark.needs("draws", "occlusion_queries")
+@pytest.mark.requires("draws", "occlusion_queries")
 @pytest.mark.parametrize("kind", [*ORDERED, "buffer read"])
 def test_a_frame_ends_outside_of_all_scopes(recording: Device, things: Things, kind: str) -> None:
     rule = {"pass": rules.PASS_OPEN, "query": rules.PASS_OPEN}.get(kind, rules.SCOPE_OPEN)
@@ -317,7 +351,7 @@ def test_a_frame_ends_outside_of_all_scopes(recording: Device, things: Things, k
     recording.present()
 
 
-@pytest.mark.needs("draws", "occlusion_queries")
+@pytest.mark.requires("draws", "occlusion_queries")
 @pytest.mark.parametrize("kind", ORDERED)
 def test_a_submission_may_lie_in_scopes_but_not_in_a_pass(recording: Device, things: Things, kind: str) -> None:
     with recording.record() as commands:
@@ -332,7 +366,7 @@ def test_a_submission_may_lie_in_scopes_but_not_in_a_pass(recording: Device, thi
             recording.submit(commands)
 
 
-@pytest.mark.needs("draws", "occlusion_queries")
+@pytest.mark.requires("draws", "occlusion_queries")
 @pytest.mark.parametrize("kind", ALL)
 def test_a_device_closed_inside_a_block_is_closed(backend: str, kind: str) -> None:
     """The error is raised after the device has been released, and not by the ends of the blocks."""
@@ -368,7 +402,7 @@ def test_closing_a_device_hides_no_exception(backend: str) -> None:
 # -- in command buffers --------------------------------------------------------------------------------------
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 @pytest.mark.parametrize("outer", ["states", "event", "pass"])
 @pytest.mark.parametrize("inner", ["states", "event"])
 def test_recorded_scopes_nest_too(recording: Device, outer: str, inner: str) -> None:

@@ -67,7 +67,7 @@ def test_the_same_call_is_allowed_on_the_device_s_thread(backend: str, use: str)
     device.close(quiet=True)
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 def test_a_program_is_created_on_the_device_s_thread(backend: str, elsewhere: Elsewhere[Any]) -> None:
     with rhi.create_device(backend) as device:
         with refuses(rules.DEVICE_THREAD):
@@ -76,7 +76,7 @@ def test_a_program_is_created_on_the_device_s_thread(backend: str, elsewhere: El
         elsewhere(lambda: device.program(Colored))  # exists
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 def test_without_validation_a_first_draw_is_refused(backend: str, elsewhere: Elsewhere[Any]) -> None:
     with rhi.create_device(backend) as device:
         program, image, mesh = device.program(Colored), device.texture(SIZE, Format.R8), device.mesh(rectangle())
@@ -109,7 +109,7 @@ BLOCKS: dict[str, Callable[[Resources], Any]] = {
 }
 
 
-@pytest.mark.needs("draws", "compute", "occlusion_queries", "conditional_rendering")
+@pytest.mark.requires("draws", "compute", "occlusion_queries", "conditional_rendering")
 @pytest.mark.parametrize("kind", BLOCKS)
 def test_a_block_ends_on_the_thread_of_its_begin(fresh_device: Device, elsewhere: Elsewhere[Any], kind: str) -> None:
     """A refused end has no effect: the block is left here afterwards."""
@@ -147,25 +147,44 @@ def test_a_recording_has_one_thread(fresh_device: Device, elsewhere: Elsewhere[A
 # -- moving a device --------------------------------------------------------------------------------------------
 
 
-def test_a_released_device_moves_to_the_thread_that_makes_it_current(
-    fresh_device: Device, elsewhere: Elsewhere[Any]
+@pytest.fixture
+def moved_buffer(fresh_device: Device, elsewhere: Elsewhere[Any]) -> rhi.Buffer:
+    """A buffer of a device that has moved to another thread."""
+    check_working(fresh_device)
+    buffer = fresh_device.buffer(np.arange(4))
+    fresh_device.release_current()
+    elsewhere(fresh_device.make_current)
+    return buffer
+
+
+def test_a_released_device_works_on_the_thread_that_makes_it_current(
+    fresh_device: Device, moved_buffer: rhi.Buffer, elsewhere: Elsewhere[Any]
 ) -> None:
-    device = fresh_device
-    check_working(device)
-    buffer = device.buffer(np.arange(4))
-    device.release_current()
-    elsewhere(device.make_current)
-    elsewhere(lambda: check_working(device))
-    assert_same(elsewhere(buffer.read), np.arange(4))
+    elsewhere(lambda: check_working(fresh_device))
+    assert_same(elsewhere(moved_buffer.read), np.arange(4))
+    elsewhere(fresh_device.release_current)
+    fresh_device.make_current()
+
+
+def test_a_device_that_has_moved_refuses_the_thread_that_it_left(
+    fresh_device: Device, moved_buffer: rhi.Buffer, elsewhere: Elsewhere[Any]
+) -> None:
     with refuses(rules.DEVICE_THREAD):
-        buffer.read()
-    elsewhere(device.release_current)
-    device.make_current()
-    assert_same(buffer.read(), np.arange(4))
-    check_working(device)
+        moved_buffer.read()
+    elsewhere(fresh_device.release_current)
+    fresh_device.make_current()
 
 
-@pytest.mark.needs("draws", "shading")
+def test_a_device_that_has_moved_can_move_back(
+    fresh_device: Device, moved_buffer: rhi.Buffer, elsewhere: Elsewhere[Any]
+) -> None:
+    elsewhere(fresh_device.release_current)
+    fresh_device.make_current()
+    assert_same(moved_buffer.read(), np.arange(4))
+    check_working(fresh_device)
+
+
+@pytest.mark.requires("draws", "shading")
 def test_states_and_bindings_move_with_a_device(fresh_device: Device, elsewhere: Elsewhere[Any]) -> None:
     device = fresh_device
     image, mesh, program = device.texture(SIZE, Format.R8), device.mesh(rectangle()), device.program(Tinted)
@@ -235,7 +254,7 @@ def test_a_pass_does_not_move(recording: Device, elsewhere: Elsewhere[Any]) -> N
             recording.release_current()
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 @pytest.mark.recorded_too
 def test_a_device_made_current_again_goes_on(device: Device) -> None:
     """Between two draws, with states, a condition's query and constants in place."""
@@ -254,7 +273,7 @@ def test_a_device_made_current_again_goes_on(device: Device) -> None:
     tint.destroy()
 
 
-@pytest.mark.needs("draws", "occlusion_queries", "shading")
+@pytest.mark.requires("draws", "occlusion_queries", "shading")
 @pytest.mark.parametrize("emulated", [False, True])
 def test_a_query_counts_on_when_the_device_is_made_current(device: Device, emulated: bool) -> None:
     if emulated and not device.capabilities.sample_counter:
@@ -281,7 +300,7 @@ def test_making_a_device_current_is_no_command(recording: Device) -> None:
 # -- what other threads may do ------------------------------------------------------------------------------------
 
 
-@pytest.mark.needs("draws")
+@pytest.mark.requires("draws")
 def test_commands_recorded_elsewhere_are_submitted_here(recording: Device, elsewhere: Elsewhere[Any]) -> None:
     with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
         program = recording.program(Colored)

@@ -13,11 +13,11 @@ from collections.abc import Iterator
 from typing import Final, Generic, TypeVar
 
 from rhi.errors import refuse
-from rhi.errors.arguments import Arguments
+from rhi.errors.arguments import ArgumentChecker
 from rhi.errors.rules import CONTAINER_CAPACITY, CONTAINER_EMPTY, CONTAINER_FULL
 
 T = TypeVar("T")
-MOST: Final = (1 << 31) - 1
+MAX_CAPACITY: Final = (1 << 31) - 1
 """The largest capacity."""
 
 
@@ -33,7 +33,9 @@ class FixedStack(Generic[T]):
     __slots__ = ("_data", "_index", "capacity")
 
     def __init__(self, capacity: int) -> None:
-        capacity = Arguments("FixedStack(capacity)", rule=CONTAINER_CAPACITY).whole("capacity", capacity, 1, MOST)
+        capacity = ArgumentChecker("FixedStack(capacity)", rule=CONTAINER_CAPACITY).integer(
+            "capacity", capacity, 1, MAX_CAPACITY
+        )
         self.capacity = capacity
         self._data: list[T | None] = [None] * capacity
         self._index = 0
@@ -94,7 +96,9 @@ class FixedQueue(Generic[T]):
     __slots__ = ("_count", "_data", "_mask", "_read", "capacity")
 
     def __init__(self, capacity: int) -> None:
-        capacity = Arguments("FixedQueue(capacity)", rule=CONTAINER_CAPACITY).whole("capacity", capacity, 1, MOST)
+        capacity = ArgumentChecker("FixedQueue(capacity)", rule=CONTAINER_CAPACITY).integer(
+            "capacity", capacity, 1, MAX_CAPACITY
+        )
         self.capacity = capacity
         size = 1 << (capacity - 1).bit_length()
         self._mask = size - 1

@@ -1,4 +1,4 @@
-"""The part of a device that its resources share: backend, ids, timeline, states, counters, current bindings.
+"""The core of a device, shared by its resources: backend, ids, timeline, states, counters, current bindings.
 
 Users hold a `Device`. Resources, programs, queries and rings hold its `Core`, so that none of them depends on the
 device.
@@ -19,30 +19,36 @@ from typing import Any, ClassVar, Final, NoReturn, Protocol, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.contract.backend import Backend, ClipsDraws, HoldsContext, PreparesDraws, SharesTextures
+from rhi.contract.backend import (
+    Backend,
+    SupportsClippedDraws,
+    SupportsCurrentContext,
+    SupportsPreparedDraws,
+    SupportsTextureSharing,
+)
 from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor
 from rhi.contract.limits import Fault, sampler_faults
 from rhi.contract.queries import list_draws
 from rhi.contract.states import AlphaTest, Scissor, StateChange
-from rhi.device.core.interrupts import HeldInterrupts
+from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.core.readback_pool import ReadbackPool
 from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.scopes import Scope
 from rhi.device.core.state_cache import StateCache, StateVector
 from rhi.device.core.timeline import Timeline
-from rhi.errors import DeviceError, Rule, find_call_site, rules
-from rhi.shading.language.bindings import UniformRange
+from rhi.errors import DeviceError, Rule, rules
+from rhi.errors.call_sites import find_call_site
 
 D = TypeVar("D")
 NO_THREAD: Final = 0
 """The `Core.thread` of a device that belongs to no thread."""
 FORKED: Final = -1
-"""That of a device in a process that was forked after its creation."""
+"""The `Core.thread` of a device in a process that was forked after the device's creation."""
 ENDING: Final = -2
-"""That of a device of a daemon thread, in a process that ends: the thread's next call doesn't return."""
+"""The `Core.thread` of a daemon thread's device while the process ends: the thread's next call doesn't return."""
 NO_TARGETS: Final[frozenset[Id]] = frozenset()
 MAX_SAMPLERS: Final = 4096
-"""Number of different samplers of a device: they live as long as it does, and platforms have few."""
+"""Largest number of different samplers of a device. They live as long as the device, and platforms have few."""
 
 
 @dataclass(slots=True)
@@ -76,46 +82,46 @@ class Owner(Protocol):
 
 
 class FrameMemory(Protocol):
-    """Memory of which each frame takes some."""
+    """Memory that frames allocate from."""
 
     def mark(self, fence: int) -> None:
-        """End the frame: what it took is free once `fence` has passed."""
+        """End the frame: its allocations are free once `fence` has passed."""
 
 
 class Creation:
     """A `with` block that creates resources for the user: all of them, or none.
 
-    If it raises, or an interrupt came meanwhile (`HeldInterrupts`), everything that it has created is destroyed, since
-    the caller never receives it. A block inside another is a part of it.
+    If it raises, or an interrupt came meanwhile (`DeferredInterrupts`), everything that it has created is destroyed,
+    since the caller never receives it. A block inside another is a part of it.
     """
 
-    __slots__ = ("_core", "_held", "_outer")
+    __slots__ = ("_core", "_deferred", "_outer")
 
     def __init__(self, core: Core) -> None:
         self._core = core
-        self._held = HeldInterrupts()
+        self._deferred = DeferredInterrupts()
         self._outer = True
 
     def __enter__(self) -> None:
-        self._held.__enter__()
+        self._deferred.__enter__()
         if self._core.created is None:
             self._outer = False
             self._core.created = []
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         core = self._core
-        made: list[Id] = []
+        created: list[Id] = []
         if not self._outer:
-            made, core.created = core.created or [], None
+            created, core.created = core.created or [], None
         try:
             if kind is not None:
-                core.take_back(made)
+                core.take_back(created)
         finally:
             try:
-                self._held.__exit__(kind, error, trace)
+                self._deferred.__exit__(kind, error, trace)
             except BaseException:
                 if kind is None:
-                    core.take_back(made)
+                    core.take_back(created)
                 raise
 
 
@@ -132,8 +138,8 @@ class Core:
         program: the `Program` whose bindings are in place, None when the next draw must check everything.
         render_pass: the open pass, if any.
         scopes: the stack of open scopes.
-        open_query: the scope of the occlusion query that counts now, if any.
-        condition_open: whether draws depend on a query's answer now.
+        open_query: the scope of the open occlusion query, if any.
+        condition_open: whether a condition on a query is open.
         condition_count: number of conditions begun so far.
         targets: ids of the open pass's textures.
         readbacks: the memory of asynchronous reads.
@@ -166,7 +172,6 @@ class Core:
         "lock_blocks",
         "locked",
         "open_query",
-        "place_constants",
         "program",
         "readbacks",
         "refusals",
@@ -182,12 +187,10 @@ class Core:
         "upload_bytes",
     )
 
-    place_constants: Callable[[bytes, object], UniformRange[Any]]
-    """Uploads the value of a uniform binding to the transient memory of the device or command buffer."""
     records: ClassVar[bool] = False
-    """Whether this is the core of a command buffer, whose transient memory nothing else may use."""
+    """Whether this is the core of a command buffer. Nothing else may use its transient memory."""
     validates: ClassVar[bool] = False
-    """Whether each command checks everything, and not only what costs nothing (`ValidatingCore`)."""
+    """Whether each command runs all checks, and not only the free ones (`ValidatingCore`)."""
 
     def __init__(self, backend: Backend, states: StateCache, refusals: RefusalLog) -> None:
         self.backend = backend
@@ -205,7 +208,7 @@ class Core:
         self.closed = False
         self.created: list[Id] | None = None
         self.thread = get_ident()
-        self._context = cast("HoldsContext | None", find_part(backend, "release_current"))
+        self._context = cast("SupportsCurrentContext | None", find_optional_part(backend, "release_current"))
         self.program: object | None = None
         self.render_pass: PassDescriptor | None = None
         self.open_query: Scope | None = None
@@ -219,10 +222,10 @@ class Core:
         self.frame_rings: list[FrameMemory] = []
         self.readbacks = ReadbackPool(backend, self.timeline, self.new_id)
         self.tests_alpha = False
-        self._clips = cast("ClipsDraws", backend) if hasattr(backend, "draw_clipped") else None
-        self._prepares: PreparesDraws | None = None
+        self._clips = cast("SupportsClippedDraws", backend) if hasattr(backend, "draw_clipped") else None
+        self._prepares: SupportsPreparedDraws | None = None
         if hasattr(backend, "prepare_draw"):
-            self._prepares = cast("PreparesDraws", backend)
+            self._prepares = cast("SupportsPreparedDraws", backend)
             self._prepares.on_interruption(self.forget_program)
         self._notes_sites = self.validates or sys.flags.dev_mode  # lines of creation
         self._ids = itertools.count(1)  # its next() is atomic, also with several threads
@@ -254,7 +257,7 @@ class Core:
         return Creation(self)
 
     def create(self, make: Callable[[Id, D], object], resource: Id, descriptor: D, size: int = 0) -> None:
-        """Create a resource of `size` bytes on the backend, inside a `creation` block or `HeldInterrupts`.
+        """Create a resource of `size` bytes on the backend, inside a `creation` block or `DeferredInterrupts`.
 
         If memory is exhausted while destroyed resources wait for their fence, they are destroyed first, and creation
         is tried once more.
@@ -282,14 +285,14 @@ class Core:
         """Refuse calls of a closed device."""
         if self.closed:
             if self.thread == ENDING:
-                stop_thread()
+                block_forever()
             self.refuse(rules.DEVICE_CLOSED, "device", "a closed device")
 
     check_command = check_open
     """Refuse a command that happens thousands of times a frame. With validation it is `check_ready`."""
 
     def check_ready(self) -> None:
-        """Refuse calls of a closed device and on other threads; make the platform's context current if it isn't.
+        """Refuse calls of a closed device and calls on other threads; make the platform's context current.
 
         Raises:
             DeviceError: `device-context` if it was lost inside a render pass, whose draws went elsewhere.
@@ -301,7 +304,7 @@ class Core:
         if context is not None and context.resume():
             self.program = None
             if self.render_pass is not None:
-                self.refusals.fail(lost_pass())
+                self.refusals.fail(make_lost_pass_error())
 
     def check_thread(self, call: str = "device") -> None:
         """Refuse calls on any thread but the device's own. A closed device has none."""
@@ -310,8 +313,8 @@ class Core:
                 self.refuse(
                     rules.DEVICE_FORKED, call, "a device of the process that was forked", "devices of this process"
                 )
-            allowed = name_thread(self.thread) if self.thread != NO_THREAD else "none before make_current()"
-            self.refuse(rules.DEVICE_THREAD, call, f"a call on {name_thread(get_ident())}", allowed)
+            allowed = describe_thread(self.thread) if self.thread != NO_THREAD else "none before make_current()"
+            self.refuse(rules.DEVICE_THREAD, call, f"a call on {describe_thread(get_ident())}", allowed)
 
     def resume(self) -> bool:
         """Make the platform's context current again; return whether another one was current."""
@@ -348,18 +351,19 @@ class Core:
         self.thread = NO_THREAD
 
     def hand_back(self) -> None:
-        """Let other code go on that the platform's context shares textures with."""
+        """End a frame for the code that shares textures with the platform's context, and make that code's
+        context current."""
         if self._context is not None:
             self._context.hand_back()
 
-    def find_sharing(self, call: str) -> SharesTextures:
-        """Return the backend as one whose textures other code uses, too; refuse if it isn't one."""
+    def require_texture_sharing(self, call: str) -> SupportsTextureSharing:
+        """Return the backend, typed for texture sharing; refuse a backend that doesn't share textures."""
         self.check_ready()
         if not self.capabilities.shares_textures:
             given = f"a {self.capabilities.backend} device that stands alone"
             tip = 'create it beside a context: rhi.create_device("gl", context=…)'
             self.refuse(rules.DEVICE_CAPABILITY, call, given, "needs capabilities.shares_textures", tip)
-        return cast("SharesTextures", find_part(self.backend, "adopting_texture"))
+        return cast("SupportsTextureSharing", find_optional_part(self.backend, "adopting_texture"))
 
     def check_usable(self, owner: Owner, call: str) -> None:
         """Refuse a resource that is destroyed, locked, or of another device."""
@@ -373,9 +377,9 @@ class Core:
             self.refuse(rules.LOCK_OPEN, call, f"{describe_object(owner)}, which has an open lock")
 
     def has_open_pass(self) -> bool:
-        """Return whether a pass is open; end one whose block has been left without its end."""
+        """Whether a pass is open. First ends a pass whose block was left without its `__exit__`."""
         if self.render_pass is not None:
-            self.scopes.end_unheld()
+            self.scopes.end_unreferenced()
         return self.render_pass is not None
 
     def leave_pass(self) -> None:
@@ -387,19 +391,19 @@ class Core:
 
     def lock(self, owner: Owner, block: object) -> None:
         """Note that a resource is locked by a `with` block."""
-        with HeldInterrupts():
+        with DeferredInterrupts():
             self.lock_blocks.append(weakref.ref(block))
             self.locked.append(owner)
 
     def unlock(self, block: object = None) -> None:
-        """Note that a block has released its resource, and release those whose blocks were left without their end."""
-        with HeldInterrupts():
+        """Release a block's resource, and the resources of blocks that were left without their `__exit__`."""
+        with DeferredInterrupts():
             for index in reversed(range(len(self.locked))):
                 if self.lock_blocks[index]() in (block, None):
                     del self.lock_blocks[index], self.locked[index]
 
     def is_locked(self, owner: Owner) -> bool:
-        """Return whether a resource has an open lock."""
+        """Whether a resource has an open lock."""
         if owner in self.locked:
             self.unlock()
         return owner in self.locked
@@ -411,11 +415,11 @@ class Core:
     def flush_states(self) -> None:
         """Send changed states to the backend, if any."""
         states = self.states
-        if states.wanted is states.hardware:
+        if states.requested is states.hardware:
             return
         try:
             self.backend.set_states(states.flush())
-        except BaseException:  # it has applied some of them, and nobody knows which
+        except BaseException:  # the backend has applied an unknown part of them
             self.program = None  # it may lack a variant for these states
             self.tests_alpha = True
             states.lose_hardware()
@@ -497,7 +501,7 @@ class Core:
             if len(self._samplers) >= MAX_SAMPLERS:
                 more = f"one more sampler, {descriptor}"
                 self.refuse(rules.DEVICE_CAPABILITY, "device.sampler", more, f"up to {MAX_SAMPLERS} different ones")
-            with HeldInterrupts():  # it belongs to the device, not to whoever asks first
+            with DeferredInterrupts():  # it belongs to the device, not to whoever asks first
                 sampler = self.new_id()
                 self.backend.create_sampler(sampler, descriptor)
                 self._samplers[descriptor] = sampler
@@ -521,23 +525,25 @@ class Core:
     def statistics(self) -> Statistics:
         """Return a snapshot of the counters."""
         self.draws += sum(collect() for collect in self.draw_counters.values())
-        known, states = self.counters, self.states
+        counters, states = self.counters, self.states
         return Statistics(  # `dataclasses.replace` takes five times as long
             self.draws,
             self.dispatches,
-            known.queries,
+            counters.queries,
             self.upload_bytes,
-            known.creations,
+            counters.creations,
             states.software_changes,
             states.hardware_changes,
-            known.recorded_commands,
+            counters.recorded_commands,
         )
 
     def reset_statistics(self) -> None:
         self.counters = Statistics()
         for collect in self.draw_counters.values():
             collect()
-        self.draws = self.dispatches = self.upload_bytes = 0
+        self.draws = 0
+        self.dispatches = 0
+        self.upload_bytes = 0
         self.states.reset_counters()
 
 
@@ -550,27 +556,28 @@ class ValidatingCore(Core):
     check_command = Core.check_ready
 
 
-def find_part(backend: Backend, method: str) -> object | None:
-    """Return the backend that has a method of an optional part of the contract, behind any recorder, or None."""
+def find_optional_part(backend: Backend, method: str) -> object | None:
+    """Find the backend, behind any recorder, that has a method of an optional part of the contract; None if it
+    lacks it."""
     inner: object = backend
     while inner is not None and not hasattr(inner, method):
         inner = getattr(inner, "backend", None)
     return inner
 
 
-def lost_pass() -> DeviceError:
+def make_lost_pass_error() -> DeviceError:
     """Return the error of a render pass during which other code made another context current."""
     given = "another context, made current by other code inside a render pass; draws since then are lost"
     return DeviceError(rules.DEVICE_CONTEXT, "device.render_pass", given)
 
 
-def stop_thread() -> None:
+def block_forever() -> None:
     """Wait for the end of the process."""
     while True:
         time.sleep(3600.0)
 
 
-def name_thread(identity: int) -> str:
+def describe_thread(identity: int) -> str:
     """Return a thread's text for an error message."""
     names = (thread.name for thread in threading.enumerate() if thread.ident == identity)
     name = next(names, None)

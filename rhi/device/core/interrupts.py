@@ -1,10 +1,10 @@
 """Interrupts (Ctrl-C) that wait until a step is complete.
 
-Python raises `KeyboardInterrupt` between any two steps of a program. Most calls put up with that: they set what is
-Python's own first or last, and an `except BaseException` puts back what they have begun. Two steps belong together,
-though, when a resource is created: the driver's object, and the table through which it is ever found again. So an
-interrupt that arrives meanwhile is raised at the end (`HeldInterrupts`), where whoever asked for the resource still
-knows of it (`Core.creation`).
+Python raises `KeyboardInterrupt` between any two steps of a program. Most calls tolerate that: they change
+Python's own state first or last, and an `except BaseException` undoes what they began. But creating a resource
+takes two steps that belong together: the driver creates its object, and a table stores it. So an interrupt
+between them is raised at the end (`DeferredInterrupts`), where the caller can still destroy the resource
+(`Core.creation`).
 
 - A second interrupt is raised at once: the first may be waiting for a driver that never returns.
 - Handlers belong to the main thread. In other threads no interrupt is raised, and nothing is held.
@@ -21,7 +21,7 @@ from typing import Any, Final
 _MAIN: Final = threading.main_thread()
 
 
-class HeldInterrupts:
+class DeferredInterrupts:
     """A `with` block in which SIGINT waits; its handler is called at the end. Blocks may lie inside others."""
 
     __slots__ = ("_before", "_came")
@@ -34,7 +34,7 @@ class HeldInterrupts:
         if threading.current_thread() is not _MAIN:
             return
         before = getsignal(SIGINT)
-        if callable(before) and getattr(before, "__func__", None) is not HeldInterrupts._hold:
+        if callable(before) and getattr(before, "__func__", None) is not DeferredInterrupts._hold:
             try:
                 self._before = before
                 signal(SIGINT, self._hold)

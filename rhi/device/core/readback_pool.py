@@ -20,11 +20,11 @@ from rhi.device.core.timeline import Timeline
 
 LIMIT: Final = 1 << 27
 _PAGE: Final = 1 << 12
-_MOST_FREE: Final = 4
+_MAX_FREE: Final = 4
 
 
 class PendingRead(Protocol):
-    """A read whose result lies in a buffer of the pool."""
+    """A read with its result in a buffer of the pool."""
 
     def fetch(self) -> None:
         """Wait for the result, copy it out of the buffer and give the buffer back."""
@@ -62,7 +62,7 @@ class ReadbackPool:
         """Return a buffer of at least `size` bytes for a copy that the next signalled fence value follows."""
         size = -(-size // _PAGE) * _PAGE
         self._collect_dropped()
-        buffer = self._find_free(size)
+        buffer = self._take_free(size)
         if not buffer:
             while self.allocated + size > self.limit and (self._free or self._leases):
                 self._make_room()
@@ -79,13 +79,13 @@ class ReadbackPool:
         lease = self._leases.pop(buffer, None)
         if lease is not None:
             self._free.append((buffer, lease.size))
-            if len(self._free) > _MOST_FREE:
+            if len(self._free) > _MAX_FREE:
                 self._destroy_free()
 
-    def _find_free(self, size: int) -> Id:
-        for place, (buffer, capacity) in enumerate(self._free):
+    def _take_free(self, size: int) -> Id:
+        for index, (buffer, capacity) in enumerate(self._free):
             if capacity == size:
-                del self._free[place]
+                del self._free[index]
                 return buffer
         return 0
 

@@ -1,4 +1,4 @@
-"""Refused calls of one device: raised, and kept beside the device's commands if it records them.
+"""Refused calls of one device: the errors are raised, and recorded beside the device's commands.
 
 The front end checks each call before a backend sees it. A call that fails a check never becomes a command, so the
 check itself adds the error to the recorded stream (`CommandStream.refusals`). Errors that a backend raises belong to
@@ -51,4 +51,4 @@ class RefusalLog:
 
 
 NO_LOG: Final = RefusalLog()
-"""The log of parts that are used without a device: it keeps nothing."""
+"""A log for code that is used without a device: it records nothing."""

@@ -2,7 +2,7 @@
 
 - Positions only grow; the offset in the buffer is the position modulo the capacity (a power of two). Memory
   between `tail` and `head` may still be read by the GPU and is not allocated again.
-- `mark(fence)`, at the end of a frame, declares everything allocated so far free once that fence has passed; then
+- `mark(fence)`, at the end of a frame, frees everything allocated so far once that fence value has passed:
   `tail` advances.
 - A request that doesn't fit, even after polling the fence, doubles the ring: a new buffer replaces the old one, which
   lives until the end of the frame. So a ring settles at the size that its frames need and never waits. Only at
@@ -20,7 +20,7 @@ from typing_extensions import Buffer as BytesLike
 
 from rhi.contract.backend import Backend
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
-from rhi.device.core.interrupts import HeldInterrupts
+from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.core.timeline import Timeline
 from rhi.errors.rules import TRANSIENT_SIZE
 
@@ -36,13 +36,32 @@ class Ring:
         generation: number of times the ring has grown; bindings and vertex arrays of older generations are outdated.
     """
 
-    __slots__ = ("_backend", "_check", "_head", "_marks", "_new_id", "_outgrown", "_tail", "_timeline", "buffer",
-                 "capacity", "generation", "label", "limit")  # fmt: skip
+    __slots__ = (
+        "_backend",
+        "_check",
+        "_head",
+        "_marks",
+        "_new_id",
+        "_outgrown",
+        "_tail",
+        "_timeline",
+        "buffer",
+        "capacity",
+        "generation",
+        "label",
+        "limit",
+    )
 
     def __init__(
-        self, backend: Backend, timeline: Timeline, new_id: Callable[[], Id], capacity: int, label: str,
-        limit: int = LIMIT, check: Callable[[], None] = lambda: None,
-    ) -> None:  # fmt: skip
+        self,
+        backend: Backend,
+        timeline: Timeline,
+        new_id: Callable[[], Id],
+        capacity: int,
+        label: str,
+        limit: int = LIMIT,
+        check: Callable[[], None] = lambda: None,
+    ) -> None:
         """`check` is called before anything but a write reaches the backend."""
         self._backend = backend
         self._check = check
@@ -81,7 +100,7 @@ class Ring:
     def mark(self, fence: int) -> None:
         """End the frame: everything allocated so far is free once `fence` has passed."""
         if self._outgrown:
-            with HeldInterrupts():
+            with DeferredInterrupts():
                 while self._outgrown:
                     self._timeline.retire(self._outgrown.pop())
         if self._head != (self._marks[-1][1] if self._marks else self._tail):
@@ -136,7 +155,7 @@ class Ring:
             capacity *= 2
         while capacity < size:
             capacity *= 2
-        with HeldInterrupts():
+        with DeferredInterrupts():
             buffer = self._new_id()
             self._backend.create_buffer(buffer, BufferDescriptor(capacity, BufferUsage.STREAM, self.label))
             if self.buffer:

@@ -1,17 +1,18 @@
 """The open scopes of a device or command buffer, in one stack: states, passes, events, conditions and queries.
 
 Scopes nest, whatever their kinds. The entries of the stack are the `with` blocks themselves, so that a scope makes no
-object more than it would alone. Most are left as the innermost one, and then only pop themselves, without a call. Two
-things can go wrong, and `OpenScopes` mends both in one place:
+object more than it would alone. Most are left as the innermost one, and then only pop themselves, without a
+call. `OpenScopes` handles the two exceptions:
 
 - **A scope is left while scopes inside it are open**: one that a generator holds, for example, which is closed inside
   another scope. This is refused (`scope-order`), unless an exception is on its way that the refusal would hide. The
-  scope then ends together with the one inside it. So until then draws have the states with which the inner scope was
-  entered, afterwards those of the scopes that are still open, and backends see begins and ends that always nest.
+  scope then ends together with the one inside it. Until then draws have the states with which the inner scope
+  was entered, afterwards the states of the scopes that are still open. So backends see begins and ends that
+  always nest.
 - **A block is left without its end**, since Python can raise `KeyboardInterrupt` at the first step of an `__exit__`.
-  Then nobody holds the block any more, and its scope ends with the next one around it, or before the next pass or
-  `present`. While the interrupt is on its way, its traceback still holds the block. So the scopes that the interrupt
-  leaves end everything inside.
+  Then nothing refers to the block any more, and its scope ends with the next scope around it, or before the
+  next pass or `present`. While the interrupt propagates, its traceback still refers to the block. So the scopes
+  that the interrupt leaves end everything inside.
 
 A scope that ended before its block leaves quietly.
 """
@@ -22,14 +23,14 @@ from sys import getrefcount, is_finalizing
 from typing import Final, NoReturn
 
 from rhi.device.core.containers import FixedStack
-from rhi.device.core.interrupts import HeldInterrupts
+from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.core.refusals import NO_LOG, RefusalLog
-from rhi.errors import CallSite, find_call_site
+from rhi.errors.call_sites import CallSite, find_call_site
 from rhi.errors.rules import CONTAINER_FULL, SCOPE_OPEN, SCOPE_ORDER
 
 STACK_DEPTH: Final = 256
 _OWN: Final = 2
-"""Number of references to a block that asking for their number makes: a variable's and an argument's."""
+"""References to a block that `sys.getrefcount` itself causes: a variable's and an argument's."""
 
 
 class Scope:
@@ -37,7 +38,7 @@ class Scope:
 
     __slots__ = ()
 
-    def find_block(self) -> Scope:
+    def get_block(self) -> Scope:
         """Return the block whose end ends this scope: itself, unless the block was entered inside itself."""
         return self
 
@@ -54,7 +55,7 @@ class Scope:
         self.finish(True)
 
 
-class _LastInside(Scope):
+class _OuterEnd(Scope):
     """A scope in the stack whose end also ends the one below it, which was left before."""
 
     __slots__ = ("scope",)
@@ -62,30 +63,31 @@ class _LastInside(Scope):
     def __init__(self, scope: Scope) -> None:
         self.scope = scope
 
-    def find_block(self) -> Scope:
-        return self.scope.find_block()
+    def get_block(self) -> Scope:
+        return self.scope.get_block()
 
     def describe(self) -> str:
         return self.scope.describe()
 
 
 class OpenScopes(FixedStack[Scope]):
-    """The stack of the open scopes of one encoder. Scopes of states fill up to its capacity, others find more room.
+    """The stack of one encoder's open scopes. Its capacity limits the scopes of states; other scopes have extra
+    room.
 
     Attributes:
         refusals: raises and keeps the errors of refused calls.
-        keeps_lines: whether messages name the lines that entered the scopes.
+        records_lines: whether messages name the lines that entered the scopes.
     """
 
-    __slots__ = ("_closed", "_cut", "_lines", "keeps_lines", "refusals")
+    __slots__ = ("_closed", "_cut", "_lines", "records_lines", "refusals")
 
     def __init__(self, refusals: RefusalLog = NO_LOG) -> None:
         super().__init__(STACK_DEPTH)
         self.refusals = refusals
-        self.keeps_lines = False
+        self.records_lines = False
         self._closed = False
         self._cut: set[Scope] = set()  # blocks whose scopes ended before them
-        self._lines: dict[int, CallSite | None] = {}  # by place in the stack
+        self._lines: dict[int, CallSite | None] = {}  # by index in the stack
 
     def push(self, value: Scope) -> None:
         """Enter a scope."""
@@ -95,17 +97,17 @@ class OpenScopes(FixedStack[Scope]):
         except IndexError:
             self._data.append(value)
         self._index = index + 1
-        if self.keeps_lines:
-            self.keep_line()
+        if self.records_lines:
+            self.record_line()
 
     def refuse_full(self) -> NoReturn:
         """Refuse one scope of states too many."""
         given, allowed = f"{self._index} elements", f"at most {self.capacity}"
         self.refusals.refuse(CONTAINER_FULL, "FixedStack.push", given, allowed)
 
-    def keep_line(self) -> None:
+    def record_line(self) -> None:
         """Keep the user's line as the one that entered the innermost scope, if lines are kept."""
-        if self.keeps_lines:
+        if self.records_lines:
             self._lines[self._index - 1] = find_call_site()
 
     def leave(self, scope: Scope, error: BaseException | None, *, again: bool = False) -> None:
@@ -121,36 +123,36 @@ class OpenScopes(FixedStack[Scope]):
         if self._data[self._index - 1] is scope:
             scope.finish(error is not None)
         elif not self._closed and not is_finalizing():
-            with HeldInterrupts():
+            with DeferredInterrupts():
                 self._leave_around(scope, error, again)
 
     def _leave_around(self, scope: Scope, error: BaseException | None, again: bool) -> None:
         """End a scope that is not the innermost."""
-        place = self._find(scope)
-        if place < 0:
+        index = self._find_index(scope)
+        if index < 0:
             if scope in self._cut:
                 self._cut.discard(scope)
             else:
                 self.refuse_unopened(scope.describe(), error)
             return
         if _comes_of_interrupt(error):
-            while self._index > place + 1:
-                self._cut.add(self.top.find_block())
+            while self._index > index + 1:
+                self._cut.add(self.top.get_block())
                 self._end_innermost(cut_off=True)
         else:
-            self.end_unheld()
-        if self._index <= place:
+            self.end_unreferenced()
+        if self._index <= index:
             return  # it ended with what was inside
-        if self._index == place + 1:
+        if self._index == index + 1:
             self._end_innermost(failed=error is not None)
             return
-        inner = self[place + 1]
-        if not again and not isinstance(inner, _LastInside):
-            self._data[place + 1] = _LastInside(inner)
+        inner = self[index + 1]
+        if not again and not isinstance(inner, _OuterEnd):
+            self._data[index + 1] = _OuterEnd(inner)
         if _may_raise(error):
             given = f"{inner.describe()}, entered inside it, is still open"
-            if self.keeps_lines:
-                given += f"\nentered at {self._lines.get(place + 1)}, the one around it at {self._lines.get(place)}"
+            if self.records_lines:
+                given += f"\nentered at {self._lines.get(index + 1)}, the one around it at {self._lines.get(index)}"
             self.refusals.refuse(SCOPE_ORDER, f"the end of {scope.describe()}", given, "the innermost open scope")
 
     def _end_innermost(self, *, failed: bool = True, cut_off: bool = False) -> None:
@@ -160,37 +162,38 @@ class OpenScopes(FixedStack[Scope]):
         try:
             scope.cut_off() if cut_off else scope.finish(failed)
         finally:
-            if isinstance(entry, _LastInside) and self._index:
-                self._cut.add(self.top.find_block())
+            if isinstance(entry, _OuterEnd) and self._index:
+                self._cut.add(self.top.get_block())
                 self._end_innermost()
 
-    def _find(self, scope: Scope) -> int:
-        """Return the place of a scope, or of the latest one that was entered through it; -1 if there is none."""
-        for place in reversed(range(self._index)):
-            entry = unwrap(self[place])
-            if entry is scope or entry.find_block() is scope:
-                return place
+    def _find_index(self, scope: Scope) -> int:
+        """Find the stack index of a scope, or of the latest scope that was entered through it; -1 if there is
+        none."""
+        for index in reversed(range(self._index)):
+            entry = unwrap(self[index])
+            if entry is scope or entry.get_block() is scope:
+                return index
         return -1
 
     def withdraw(self, scope: Scope) -> None:
-        """Take a scope out, with all that is inside it, which can't be ended; their blocks are left quietly."""
-        place = self._find(scope)
-        if place >= 0:
-            self._cut.update(entry.find_block() for entry in self._data[place : self._index] if entry)
-            self._data[place : self._index] = [None] * (self._index - place)
-            self._index = place
+        """Remove a scope that can't be ended, with all scopes inside it. Leaving their blocks does nothing."""
+        index = self._find_index(scope)
+        if index >= 0:
+            self._cut.update(entry.get_block() for entry in self._data[index : self._index] if entry)
+            self._data[index : self._index] = [None] * (self._index - index)
+            self._index = index
 
-    def end_unheld(self) -> None:
-        """End the innermost scopes whose blocks nobody holds any more, and forget such blocks."""
+    def end_unreferenced(self) -> None:
+        """End the innermost scopes whose blocks are no longer referenced, and forget those blocks."""
         if self._cut:
             self._cut = {block for block in self._cut if getrefcount(block) > 1 + _OWN}
-        while self._index and not self._is_held():
+        while self._index and not self._is_referenced():
             self._end_innermost(cut_off=True)
 
-    def _is_held(self) -> bool:
-        """Return whether anybody but this stack holds the block of the innermost scope."""
-        block = self.top.find_block()
-        ours = sum(entry.find_block() is block for entry in self) + (block in self._cut)
+    def _is_referenced(self) -> bool:
+        """Whether anything but this stack refers to the innermost scope's block."""
+        block = self.top.get_block()
+        ours = sum(entry.get_block() is block for entry in self) + (block in self._cut)
         return getrefcount(block) > ours + _OWN
 
     def refuse_unopened(self, scope: str, error: BaseException | None) -> None:
@@ -201,7 +204,7 @@ class OpenScopes(FixedStack[Scope]):
 
     def refuse_open(self, call: str) -> None:
         """Refuse a call that no scope may surround."""
-        self.end_unheld()
+        self.end_unreferenced()
         if self._index:
             given = f"a call inside {self.describe_open()}"
             self.refusals.refuse(SCOPE_OPEN, call, given, "no open scope")
@@ -219,16 +222,16 @@ class OpenScopes(FixedStack[Scope]):
 
 def unwrap(entry: Scope) -> Scope:
     """Return the scope itself, whether or not it also ends the one below it."""
-    return entry.scope if isinstance(entry, _LastInside) else entry
+    return entry.scope if isinstance(entry, _OuterEnd) else entry
 
 
 def _may_raise(error: BaseException | None) -> bool:
-    """Return whether a block's end may raise: no exception is on its way, or one that only closes a generator."""
+    """Whether a block's end may raise: no exception is propagating, or only one that closes a generator."""
     return error is None or isinstance(error, GeneratorExit)
 
 
 def _comes_of_interrupt(error: BaseException | None) -> bool:
-    """Return whether an exception is an interrupt, or was raised while one was on its way."""
+    """Whether an exception is an interrupt, or was raised while an interrupt propagated."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__context__
     return error is not None

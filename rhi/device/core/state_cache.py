@@ -1,10 +1,10 @@
-"""State vectors and scopes: wanted states, hardware states, and the difference between them (thesis 4.2).
+"""State vectors and scopes: requested states, hardware states, and the difference between them (thesis 4.2).
 
 - Every combination of states is one interned `StateVector`. On entry, a scope looks up the vector that its states lead
   to in a memo (`vector.after[states]`), keeps the current one, and pushes itself onto the fixed-size stack of open
-  scopes. On exit it pops itself and restores the vector that it kept, whatever happened inside. If it isn't the
-  innermost, the stack mends that (`rhi.device.core.scopes`).
-- A draw compares two pointers, wanted and hardware. Only when they differ are the changed values looked up,
+  scopes. On exit it pops itself and restores the vector that it kept, whatever happened inside.
+  `rhi.device.core.scopes` handles a scope that isn't the innermost.
+- A draw compares two pointers, requested and hardware. Only when they differ are the changed values looked up,
   again in a memo per pair, and sent. So type, duplicate and capability checks run once per combination, not
   once per scope.
 - The pool of vectors is bounded, since scissors and viewports may take any value. When it is full, all memos are
@@ -55,8 +55,8 @@ class StateVector:
         return self.values[_INDEX[state_type]]
 
     def __repr__(self) -> str:
-        shown = [repr(v) for v, d in zip(self.values, default_values(), strict=True) if v != d]
-        return f"StateVector({', '.join(shown) or 'defaults'})"
+        changed = [repr(v) for v, d in zip(self.values, default_values(), strict=True) if v != d]
+        return f"StateVector({', '.join(changed) or 'defaults'})"
 
 
 _INDEX: Final = {state_type: index for index, state_type in enumerate(STATE_TYPES)}
@@ -74,11 +74,11 @@ class Validator(Protocol):
 
 
 class StateCache:
-    """The wanted states and the hardware states of one device.
+    """The requested states and the hardware states of one device.
 
     Attributes:
         scopes: the open scopes of all kinds.
-        wanted: the vector that the open scopes set.
+        requested: the vector that the open scopes set.
         hardware: the vector that was last sent to the backend.
         refusals: raises and keeps the errors of refused scopes.
         limits: what the device can do.
@@ -86,8 +86,19 @@ class StateCache:
         software_changes, hardware_changes: numbers of states set by scopes and of values sent.
     """
 
-    __slots__ = ("_entries", "_limit", "_pool", "hardware", "hardware_changes", "limits", "refusals", "scopes",
-                 "software_changes", "validator", "wanted")  # fmt: skip
+    __slots__ = (
+        "_entries",
+        "_limit",
+        "_pool",
+        "hardware",
+        "hardware_changes",
+        "limits",
+        "refusals",
+        "requested",
+        "scopes",
+        "software_changes",
+        "validator",
+    )
 
     def __init__(
         self,
@@ -102,7 +113,7 @@ class StateCache:
         self._entries = 0
         self.scopes = OpenScopes(refusals)
         self.validator: Validator | None = None
-        self.wanted = self.hardware = self._intern(default_values())
+        self.requested = self.hardware = self._intern(default_values())
         self.software_changes = 0
         self.hardware_changes = 0
 
@@ -123,21 +134,23 @@ class StateCache:
     def scope(self, states: tuple[State, ...]) -> StateScope:
         """Create a scope of these states; they are checked when it is first entered from a combination."""
         scope = StateScope()
-        scope.cache, scope.states, scope.before = self, states, None
+        scope.cache = self
+        scope.states = states
+        scope.before = None
         return scope
 
     def derive(self, states: tuple[State, ...]) -> tuple[StateVector, int]:
         """Return the vector that a scope of these states would set, after the same checks, and their number."""
         try:
-            known = self.wanted.after.get(states)
+            derived = self.requested.after.get(states)
         except (TypeError, ValueError):  # an unhashable object, which can't be a state
             self._validate(states)
             raise
-        return known or self._derive(states)
+        return derived or self._derive(states)
 
     def flush(self) -> tuple[StateChange, ...]:
-        """Return the changes from the hardware states to the wanted ones, which then count as sent."""
-        return self._change(self.wanted)
+        """Return the changes from the hardware states to the requested ones, which then count as sent."""
+        return self._change(self.requested)
 
     def change_to(self, vector: StateVector) -> tuple[StateChange, ...]:
         """Return the changes from the hardware states to any vector, of this cache or another; see `flush`."""
@@ -146,7 +159,7 @@ class StateCache:
         return self._change(self._intern(vector.values))
 
     def lose_hardware(self) -> None:
-        """Note that nobody knows the hardware's states, so that all are sent with the next change."""
+        """Note that the hardware's states are unknown, so that the next change sends all of them."""
         self.hardware = StateVector(tuple(object() for _ in STATE_TYPES))
 
     def adopt(self, values: tuple[object, ...]) -> None:
@@ -156,20 +169,20 @@ class StateCache:
         self._reserve()
         self.hardware = self._intern(values)
 
-    def _change(self, wanted: StateVector) -> tuple[StateChange, ...]:
+    def _change(self, requested: StateVector) -> tuple[StateChange, ...]:
         hardware = self.hardware
-        if wanted is hardware:
+        if requested is hardware:
             return ()
-        changes = hardware.changes.get(wanted)
+        changes = hardware.changes.get(requested)
         if changes is None:
             changes = tuple(
                 StateChange(state_type, new)
-                for state_type, new, old in zip(STATE_TYPES, wanted.values, hardware.values, strict=True)
+                for state_type, new, old in zip(STATE_TYPES, requested.values, hardware.values, strict=True)
                 if new is not old and new != old
             )
             self._reserve()
-            hardware.changes[wanted] = changes
-        self.hardware = wanted
+            hardware.changes[requested] = changes
+        self.hardware = requested
         self.hardware_changes += len(changes)
         return changes
 
@@ -178,9 +191,9 @@ class StateCache:
         self.software_changes = self.hardware_changes = 0
 
     def _derive(self, states: tuple[State, ...]) -> tuple[StateVector, int]:
-        """Check states, and return and memoise the vector that they make of the wanted one."""
+        """Check states, and return and memoise the vector that they make of the requested one."""
         self._validate(states)
-        values = list(self.wanted.values)
+        values = list(self.requested.values)
         for state in states:
             index = _INDEX.get(type(state), _PLATFORM)
             target = getattr(state, "target", None)
@@ -196,7 +209,7 @@ class StateCache:
                 values[index] = tuple(per_target)
         self._reserve()
         vector = self._intern(tuple(values))
-        step = self.wanted.after[states] = vector, len(states)
+        step = self.requested.after[states] = vector, len(states)
         return step
 
     def _validate(self, states: tuple[State, ...]) -> None:
@@ -226,21 +239,21 @@ class StateCache:
         if self._entries <= self._limit:
             return
         self._entries = 0
-        kept = [scope.before for scope in map(unwrap, self.scopes) if isinstance(scope, StateScope) and scope.before]
-        for vector in (*self._pool.values(), *kept, self.wanted, self.hardware):
+        saved = [scope.before for scope in map(unwrap, self.scopes) if isinstance(scope, StateScope) and scope.before]
+        for vector in (*self._pool.values(), *saved, self.requested, self.hardware):
             vector.after.clear()
             vector.changes.clear()
-        self._pool = {self.wanted.values: self.wanted}
+        self._pool = {self.requested.values: self.requested}
 
 
 def _change_platform(values: object, state: object) -> tuple[PlatformState, ...]:
     """Return the states of the platform that differ from their defaults, after one of them has changed."""
     assert isinstance(values, tuple)
     assert isinstance(state, PlatformState)
-    kept = [each for each in values if type(each) is not type(state)]
+    remaining = [each for each in values if type(each) is not type(state)]
     if state is not state.default():
-        kept.append(state)
-    return tuple(sorted(kept, key=lambda each: each.full_name))
+        remaining.append(state)
+    return tuple(sorted(remaining, key=lambda each: each.full_name))
 
 
 class StateScope(Scope):
@@ -268,7 +281,7 @@ class StateScope(Scope):
             self._enter_again()
             return
         cache, states = self.cache, self.states
-        before = cache.wanted
+        before = cache.requested
         try:
             step = before.after[states]
         except (KeyError, TypeError, ValueError):
@@ -282,7 +295,7 @@ class StateScope(Scope):
             scopes.refuse_full()
         scopes._index = index + 1
         self.before = before
-        cache.wanted = target
+        cache.requested = target
         cache.software_changes += count
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
@@ -294,13 +307,16 @@ class StateScope(Scope):
             return
         data[index] = None
         scopes._index = index
-        cache.wanted = self.before  # type: ignore[assignment]  # it is open
+        cache.requested = self.before  # type: ignore[assignment]  # it is open
         self.before = None
 
     def _enter_again(self) -> None:
         """Enter an open scope inside itself: a second one takes its place in the stack."""
-        again = _EnteredAgain()
-        again.cache, again.states, again.before, again.block = self.cache, self.states, None, self
+        again = _ReenteredScope()
+        again.cache = self.cache
+        again.states = self.states
+        again.before = None
+        again.block = self
         again.__enter__()
 
     def describe(self) -> str:
@@ -321,7 +337,7 @@ class ValidatedScope(StateScope):
         if self.cache.validator is not None:
             self.cache.validator.check_ready()
         super().__enter__()
-        self.cache.scopes.keep_line()
+        self.cache.scopes.record_line()
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if self.cache.validator is not None:
@@ -329,11 +345,11 @@ class ValidatedScope(StateScope):
         super().__exit__(kind, error, trace)
 
 
-class _EnteredAgain(StateScope):
+class _ReenteredScope(StateScope):
     """A scope in the stack that was entered through one that was already open."""
 
     __slots__ = ("block",)
     block: StateScope
 
-    def find_block(self) -> Scope:
+    def get_block(self) -> Scope:
         return self.block

@@ -6,10 +6,10 @@
 - Resources are destroyed when the GPU no longer uses them: `retire` records the fence value after which a resource is
   unused, and `collect` destroys those whose value has passed.
 - A program that never signals would keep all of them. So a creation first signals if many wait for it (`make_room`).
-- What nobody holds any more is `drop`ped, by finalizers: on any thread, between any two steps. It waits in a queue
-  until the device's thread retires it, before the next signal or creation.
-- Objects that keep something for a resource (a mesh the vertex array of a program, a command buffer its ids) register
-  with `watch`, and drop it when the resource is retired. So no table outlives what it is about.
+- Finalizers `drop` resources that are no longer referenced, on any thread and between any two steps. Dropped
+  resources wait in a queue until the device's thread retires them, before the next signal or creation.
+- Objects that store something for a resource (a mesh stores a program's vertex array, a command buffer the ids
+  it uses) register with `watch`, and drop it when the resource is retired.
 """
 
 from __future__ import annotations
@@ -22,15 +22,16 @@ from weakref import WeakSet, ref
 
 from rhi.contract.backend import FOREVER, Backend
 from rhi.contract.descriptors import Id
-from rhi.device.core.interrupts import HeldInterrupts
+from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.core.refusals import NO_LOG, RefusalLog
-from rhi.errors import CallSite, DeviceError
+from rhi.errors import DeviceError
+from rhi.errors.call_sites import CallSite
 from rhi.errors.rules import DEVICE_LOST, FENCE_VALUE
 
 MAX_WAITING: Final = 256
-"""Resources that are retired before a creation signals the fence for them."""
+"""Number of retired resources at which a creation signals the fence for them."""
 MAX_WAITING_BYTES: Final = 1 << 26
-"""Their size in bytes, at which it signals too."""
+"""Total size in bytes of retired resources at which a creation signals too."""
 _ALL: Final[Id] = 0
 
 
@@ -55,12 +56,27 @@ class Timeline:
         signalled: the last signalled value; 0 before the first.
         refusals: raises and keeps the errors of refused calls.
         living: by id, the sizes in bytes of the resources that exist and aren't retired, but for the device's own.
-        sites: by id, the lines that created them, if these are noted.
+        sites: by id, the line that created the resource, if lines are noted.
         waited: the seconds that the CPU has waited for the GPU since the last call of `present`.
     """
 
-    __slots__ = ("_backend", "_completed", "_dropped", "_holders", "_lock", "_lot", "_retired", "_waiting",
-                 "_waiting_bytes", "_watchers", "living", "refusals", "signalled", "sites", "waited")  # fmt: skip
+    __slots__ = (
+        "_backend",
+        "_completed",
+        "_dropped",
+        "_holders",
+        "_last_flush",
+        "_lock",
+        "_retired",
+        "_waiting",
+        "_waiting_bytes",
+        "_watchers",
+        "living",
+        "refusals",
+        "signalled",
+        "sites",
+        "waited",
+    )
 
     def __init__(self, backend: Backend, refusals: RefusalLog = NO_LOG) -> None:
         self._backend = backend
@@ -74,7 +90,7 @@ class Timeline:
         self._holders: dict[int, _Holder] = {}
         self._retired: deque[tuple[int, Id]] = deque()
         self._waiting = self._waiting_bytes = 0  # retired since the last signal
-        self._lot = 0  # the value that `make_room` signalled last
+        self._last_flush = 0  # the value that `make_room` signalled last
         self._watchers: dict[Id, WeakSet[Watcher]] = {_ALL: WeakSet()}
         self._lock = threading.RLock()  # the garbage collector may retire something while it is held
 
@@ -119,7 +135,7 @@ class Timeline:
 
     def retire(self, resource: Id) -> None:
         """Destroy `resource` once the GPU has executed everything submitted so far."""
-        with HeldInterrupts():  # all of it or none
+        with DeferredInterrupts():  # all of it or none
             if resource in self._watchers or self._watchers[_ALL]:
                 with self._lock:
                     watchers = [*self._watchers[_ALL], *self._watchers.pop(resource, ())]
@@ -135,15 +151,15 @@ class Timeline:
         self._dropped.append(resource)
 
     def hold(self, holder: object, ids: list[Id]) -> None:
-        """Drop what `ids` names when the last reference to `holder` goes. No function of Python runs then, which an
-        interrupt could cut off."""
-        held = _Holder(holder, self._dropped.append)
-        held.ids = ids
-        self._holders[id(held)] = held
+        """Drop the resources `ids` when the last reference to `holder` goes. No Python function runs then, so
+        no interrupt can cut it off."""
+        entry = _Holder(holder, self._dropped.append)
+        entry.ids = ids
+        self._holders[id(entry)] = entry
 
     def _retire_dropped(self) -> None:
         """Retire what was dropped since the last call, unless it was destroyed before."""
-        with HeldInterrupts():
+        with DeferredInterrupts():
             while self._dropped:
                 dropped = self._dropped.popleft()
                 if isinstance(dropped, _Holder):
@@ -164,7 +180,7 @@ class Timeline:
             return
         completed = self.completed
         while self._retired and self._retired[0][0] <= completed:
-            with HeldInterrupts():
+            with DeferredInterrupts():
                 self._backend.destroy(self._retired.popleft()[1])
 
     def reclaim(self) -> bool:
@@ -178,12 +194,12 @@ class Timeline:
     def make_room(self) -> None:
         """Destroy retired resources if many were retired since the last signal; called before a creation.
 
-        It waits for those that it signalled for last time, so that at most two lots exist.
+        It waits for the previous batch, so that at most two batches exist.
         """
         if self._dropped:
             self._retire_dropped()
         if self._waiting >= MAX_WAITING or self._waiting_bytes >= MAX_WAITING_BYTES:
             value = self.signal()
-            self.wait(self._lot)
-            self._lot = value
+            self.wait(self._last_flush)
+            self._last_flush = value
             self.collect()

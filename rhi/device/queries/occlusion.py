@@ -2,8 +2,8 @@
 
 - A query is native where the backend supports it. Elsewhere, or on request, it is emulated as in the
   thesis (4.4.2): the GPU writes its running samples-passed counter at two fence values. The difference is the
-  answer, which is final once the second fence value has completed.
-- `is_finished` never blocks. `visible_samples` returns the answer of a finished query and refuses an
+  result, which is final once the second fence value has completed.
+- `is_finished` never blocks. `visible_samples` returns the result of a finished query and refuses an
   unfinished one; `wait` blocks.
 """
 
@@ -16,21 +16,23 @@ from typing import Final, Generic, Self, TypeVar
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.contract.limits import condition_faults
 from rhi.device.core.core import Core, describe_object
-from rhi.device.core.interrupts import HeldInterrupts
+from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.core.scopes import Scope
 from rhi.device.resources.lifetime import drop
 from rhi.errors import DeviceError, rules
-from rhi.errors.arguments import Arguments
+from rhi.errors.arguments import ArgumentChecker
 
 T = TypeVar("T")
 
-ANSWER_SECONDS: Final = 10.0
-"""The seconds that a driver may take to publish an answer after the query's fence value has completed."""
-_IDLE, _OPEN, _ENDED = "not begun", "open", "ended"
+RESULT_SECONDS: Final = 10.0
+"""The seconds that a driver may take to publish a result after the query's fence value has completed."""
+_IDLE = "not begun"
+_OPEN = "open"
+_ENDED = "ended"
 
 
 class PendingQuery(Generic[T]):
-    """Common base of queries and query sets: an answer that is available some time after the end."""
+    """Base class of queries and query sets: their result becomes available some time after the end."""
 
     __slots__ = ("_answer", "_core", "_fence", "_ids", "_state", "destroyed", "emulated")
 
@@ -76,7 +78,7 @@ class PendingQuery(Generic[T]):
 
     @property
     def is_finished(self) -> bool:
-        """Whether the answer is available; never blocks. False if the query was never ended."""
+        """Whether the result is available; never blocks. False if the query was never ended."""
         if self._answer is None and self._state is _ENDED and not self.destroyed:
             self._core.check_ready()
             if not self.emulated or self._core.timeline.completed >= self._fence:
@@ -85,7 +87,7 @@ class PendingQuery(Generic[T]):
 
     @property
     def visible_samples(self) -> T:
-        """The answer of a finished query.
+        """The result of a finished query.
 
         Raises:
             ValidationError: `query-unfinished` while it is not available, `query-state` if the query was never ended
@@ -99,7 +101,7 @@ class PendingQuery(Generic[T]):
         return self._answer
 
     def wait(self) -> T:
-        """Block until the answer is available, and return it.
+        """Block until the result is available, and return it.
 
         Raises:
             DeviceError: `device-no-answer` if it is not available 10 s after the GPU has passed the query's end.
@@ -108,10 +110,10 @@ class PendingQuery(Generic[T]):
             call = f"{type(self).__name__}.wait"
             self.check_ended(self._core, call)
             self._core.timeline.wait(self._fence if self.emulated else self._core.signal())
-            deadline = time.monotonic() + ANSWER_SECONDS
+            deadline = time.monotonic() + RESULT_SECONDS
             while not self.is_finished:  # a driver may publish the result a moment after the fence
                 if time.monotonic() > deadline:
-                    given = f"query {self._ids[-1]}: no answer {ANSWER_SECONDS:g} s after the GPU passed its end"
+                    given = f"query {self._ids[-1]}: no result {RESULT_SECONDS:g} s after the GPU passed its end"
                     self._core.refusals.fail(DeviceError(rules.DEVICE_ANSWER, call, given))
                 time.sleep(0)
         assert self._answer is not None
@@ -125,13 +127,13 @@ class PendingQuery(Generic[T]):
             )
         if not self.destroyed:
             self._core.check_thread("destroy")
-            with HeldInterrupts():
+            with DeferredInterrupts():
                 self.destroyed = True
                 for query in self._ids:
                     self._core.timeline.retire(query)
 
-    def discard_answer(self) -> None:
-        """Discard the earlier answer, as the query is used again."""
+    def discard_result(self) -> None:
+        """Discard the earlier result, as the query is used again."""
         self._answer = None
         self._state = _IDLE
 
@@ -142,7 +144,7 @@ class PendingQuery(Generic[T]):
         self._fence = fence
 
     def _read(self) -> T | None:
-        """Read the answer from the backend; None while it is not available."""
+        """Read the result from the backend; None while it is not available."""
         raise NotImplementedError
 
     def check_ended(self, core: Core, call: str) -> None:
@@ -177,7 +179,7 @@ class QueryScope(Scope):
             raise
 
     def cut_off(self) -> None:
-        """Pop the scope, the innermost one, and end the query without an answer."""
+        """Pop the scope, the innermost one, and end the query without a result."""
         core = self._core
         scopes = core.scopes
         index = scopes._index - 1  # as above
@@ -191,26 +193,27 @@ class QueryScope(Scope):
         raise NotImplementedError
 
     def abandon(self) -> None:
-        """End the query without an answer, as its pass ends."""
+        """End the query without a result, as its pass ends."""
         raise NotImplementedError
 
 
 class OcclusionQuery(PendingQuery[int], QueryScope):
     """A counter of the samples of draws between its begin and end that pass all tests.
 
-    A query may be used any number of times; `begin` discards the earlier answer. `with query:` begins and ends it.
+    A query may be used any number of times; `begin` discards the earlier result. `with query:` begins and ends it.
     """
 
     __slots__ = "_checks"
 
     def __init__(self, core: Core, emulated: bool) -> None:
         super().__init__(core, 1, emulated, "device.occlusion_query")
-        # Whether each call checks everything: an emulated one signals the fence, which must not go to another context.
+        # Whether each call checks everything: an emulated query signals the fence, which must not reach another
+        # context.
         self._checks = self.emulated or core.validates
 
     @property
     def id(self) -> Id:
-        """The id of the query in the command stream (of an emulated query, that of the second counter)."""
+        """The id of the query in the command stream; for an emulated query, the id of its second counter."""
         return self._ids[-1]
 
     def begin(self) -> None:
@@ -235,8 +238,8 @@ class OcclusionQuery(PendingQuery[int], QueryScope):
         self._answer = None
         self._state = _OPEN
         try:
-            if checks and scopes.keeps_lines:
-                scopes.keep_line()
+            if checks and scopes.records_lines:
+                scopes.record_line()
             self.write_begin(core)
             if checks and self.emulated:
                 core.signal()
@@ -246,7 +249,7 @@ class OcclusionQuery(PendingQuery[int], QueryScope):
         core.counters.queries += 1
 
     def end(self) -> None:
-        """End counting and flush submitted work to the GPU, so that the answer becomes available."""
+        """End counting and flush submitted work to the GPU, so that the result becomes available."""
         core = self._core
         scopes = core.scopes
         if scopes._data[scopes._index - 1] is self:  # so it and its device are open
@@ -279,7 +282,7 @@ class OcclusionQuery(PendingQuery[int], QueryScope):
         self._state = _ENDED
 
     def abandon(self) -> None:
-        """End the query without an answer, as its pass ends."""
+        """End the query without a result, as its pass ends."""
         self._state = _IDLE
         self.write_end(self._core)
         if self.emulated:
@@ -337,10 +340,10 @@ class Conditional(Scope):
 
     def __init__(self, core: Core, query: OcclusionQuery, inverted: bool) -> None:
         call = "device.conditional"
-        if not core.capabilities.conditional_rendering:  # conditions are frequent, and this asks less
+        if not core.capabilities.conditional_rendering:  # conditions are frequent, and this check is faster
             core.require(call, condition_faults(core.capabilities))
         if query.__class__ is not OcclusionQuery or inverted.__class__ is not bool:
-            check = Arguments(call, core.refuse)
+            check = ArgumentChecker(call, core.refuse)
             check.instance("query", query, OcclusionQuery, "an OcclusionQuery from device.occlusion_query()")
             inverted = check.flag("inverted", inverted)
         if query.emulated:

@@ -2,7 +2,7 @@
 
 Each `device.event` takes two timestamps when timing is on. The tree of a frame is read, without waiting, when all of
 its timestamps are available; `device.timers` is the tree of the latest such frame. Where the backend dates timestamps
-(`DatesTimestamps`), nodes also say when CPU and GPU worked on their event, on one clock: so the trees of consecutive
+(`SupportsIssueTimes`), nodes also say when CPU and GPU worked on their event, on one clock: so the trees of consecutive
 frames show whether one is recorded while the GPU executes the other (3.7.2). A frame has at most `MAX_EVENTS`,
 also in a program that never presents: further events inside an open one are only labels, otherwise a new tree begins.
 """
@@ -15,12 +15,12 @@ from threading import get_ident
 from time import perf_counter
 from typing import Final, TypeAlias, cast
 
-from rhi.contract.backend import DatesTimestamps
+from rhi.contract.backend import SupportsIssueTimes
 from rhi.contract.descriptors import Id, QueryKind
-from rhi.device.core.core import Core, find_part
-from rhi.device.core.interrupts import HeldInterrupts
+from rhi.device.core.core import Core, find_optional_part
+from rhi.device.core.interrupts import DeferredInterrupts
 from rhi.device.core.scopes import Scope
-from rhi.errors.arguments import Arguments
+from rhi.errors.arguments import ArgumentChecker
 
 
 @dataclass(slots=True)
@@ -50,7 +50,7 @@ class TimerNode:
 
 
 PendingEvent: TypeAlias = tuple[TimerNode, Id, Id]
-"""An event whose timestamps are not available yet: its place in the tree, and the queries of its begin and end."""
+"""An event whose timestamps are not available yet: its node, and the queries of its begin and end."""
 MAX_FRAMES: Final = 8
 """Largest number of frames that wait for their timestamps; beyond it the oldest is dropped."""
 MAX_EVENTS: Final = 4096
@@ -61,12 +61,22 @@ class Timers:
     """The events of the current frame, and the event tree of the latest finished frame."""
 
     __slots__ = (
-        "_core", "_count", "_dates", "_frames", "_free", "_open", "_origin", "_pending", "_roots", "enabled", "latest",
-    )  # fmt: skip
+        "_core",
+        "_count",
+        "_dates",
+        "_frames",
+        "_free",
+        "_open",
+        "_origin",
+        "_pending",
+        "_roots",
+        "enabled",
+        "latest",
+    )
 
     def __init__(self, core: Core, enabled: bool) -> None:
         self._core = core
-        self._dates = cast("DatesTimestamps | None", find_part(core.backend, "read_issue_time"))
+        self._dates = cast("SupportsIssueTimes | None", find_optional_part(core.backend, "read_issue_time"))
         self._origin: int | None = None  # when the first event was issued, in nanoseconds on the GPU's clock
         self.enabled = enabled
         self.latest: list[TimerNode] = []
@@ -84,14 +94,18 @@ class Timers:
 
     def begin(self, event: EventScope) -> None:
         """Open an event inside the innermost open one."""
-        core, opened, label = self._core, self._open, event.label
+        core = self._core
+        opened = self._open
+        label = event.label
         node = TimerNode(label)
         counted = self._count < MAX_EVENTS
         if not counted and not opened:
             self.end_frame()
             counted = True
         depth, siblings = len(opened), opened[-1].children if opened else self._roots
-        event.began, event.first, event.last = perf_counter(), 0, 0
+        event.began = perf_counter()
+        event.first = 0
+        event.last = 0
         labelled = False
         try:
             if self.enabled and counted:
@@ -122,7 +136,9 @@ class Timers:
         """Close the frame's tree, and read the frames whose timestamps are available."""
         if not self._open and self._roots:
             self._frames.append((self._roots, self._pending))
-            self._roots, self._pending, self._count = [], [], 0
+            self._roots = []
+            self._pending = []
+            self._count = 0
         self.collect()
         while len(self._frames) > MAX_FRAMES:
             self._release(self._frames.popleft()[1])
@@ -144,7 +160,7 @@ class Timers:
             self._release(pending)
             self.latest = roots
 
-    def _date(self, events: list[PendingEvent], dates: DatesTimestamps) -> None:
+    def _date(self, events: list[PendingEvent], dates: SupportsIssueTimes) -> None:
         """Note when GPU and CPU worked on the events of a frame whose timestamps are available."""
         queries = [query for _, *pair in events for query in pair]
         issued = [dates.read_issue_time(query) or 0 for query in queries]
@@ -161,7 +177,7 @@ class Timers:
         """Return an unused timestamp query, creating one if there is none."""
         free = self._free
         if not free:
-            with HeldInterrupts():
+            with DeferredInterrupts():
                 query = self._core.new_id()
                 self._core.backend.create_query(query, QueryKind.TIMESTAMP)
                 free.append(query)
@@ -183,7 +199,7 @@ class EventScope(Scope):
 
     Attributes:
         label: its label.
-        node: its place in the tree while it is open, None otherwise.
+        node: its node of the tree while it is open, None otherwise.
         began: when it began, in seconds.
         first, last: its timestamps, 0 if it takes none.
     """
@@ -195,7 +211,7 @@ class EventScope(Scope):
 
     def __init__(self, core: Core, timers: Timers, label: str) -> None:
         if label.__class__ is not str:
-            Arguments("device.event", core.refuse).text("label", label)
+            ArgumentChecker("device.event", core.refuse).text("label", label)
         self._core = core
         self._timers = timers
         self.label = label
@@ -206,7 +222,7 @@ class EventScope(Scope):
         if self.node is None:
             self._timers.begin(self)
         else:
-            self._timers.begin(_EventAgain(self, self._core, self._timers, self.label))
+            self._timers.begin(_ReenteredEvent(self, self._core, self._timers, self.label))
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         core = self._core
@@ -227,7 +243,9 @@ class EventScope(Scope):
 
     def finish(self, failed: bool) -> None:
         """Pop the scope, the innermost one, and end the event."""
-        core, timers, node = self._core, self._timers, self.node
+        core = self._core
+        timers = self._timers
+        node = self.node
         assert node is not None
         scopes = core.scopes
         index = scopes._index - 1  # from here on nothing may be interrupted before the `try`, so it calls nothing
@@ -244,7 +262,7 @@ class EventScope(Scope):
             core.backend.pop_label()
 
 
-class _EventAgain(EventScope):
+class _ReenteredEvent(EventScope):
     """An event in the stack that was entered through one that was already open."""
 
     __slots__ = ("block",)
@@ -253,5 +271,5 @@ class _EventAgain(EventScope):
         super().__init__(core, timers, label)
         self.block = block
 
-    def find_block(self) -> Scope:
+    def get_block(self) -> Scope:
         return self.block

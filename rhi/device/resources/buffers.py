@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rhi.contract.backend import FillsBuffers
+from rhi.contract.backend import SupportsFilledBuffers
 from rhi.contract.descriptors import Access, BufferDescriptor, BufferUsage
 from rhi.contract.layout import (
     FLOAT,
@@ -31,7 +31,7 @@ from rhi.device.resources.lifetime import Resource, drop, retire
 from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
 from rhi.errors import ValidationError, rules
-from rhi.errors.arguments import Arguments, as_whole
+from rhi.errors.arguments import ArgumentChecker, to_integer
 from rhi.shading import Struct, ivec3, uint, uvec3, value_type_of, vec3
 from rhi.shading.language.bindings import StorageRange, UniformRange
 from rhi.shading.language.vectors import CLASSES, Composite
@@ -59,10 +59,10 @@ class Buffer(Resource):
         dtype: np.dtype[Any],
         usage: BufferUsage = BufferUsage.STATIC,
         label: str = "",
-        contents: NDArray[Any] | None = None,
+        data: NDArray[Any] | None = None,
     ) -> None:
         """Create a buffer of zeros, or of an array's elements, which are of `dtype`."""
-        check = Arguments("device.buffer", core.refuse)
+        check = ArgumentChecker("device.buffer", core.refuse)
         check.choice("usage", usage, BufferUsage)
         check.text("label", label)
         if not _is_plain(dtype) or dtype.itemsize == 0:
@@ -82,17 +82,17 @@ class Buffer(Resource):
         self.label = label
         self.id = core.create_id()
         backend, descriptor = core.backend, BufferDescriptor(size, usage, label)
-        if contents is not None and usage is BufferUsage.STATIC and hasattr(backend, "create_filled_buffer"):
-            fill = partial(cast("FillsBuffers", backend).create_filled_buffer, data=_bytes_of(contents))
+        if data is not None and usage is BufferUsage.STATIC and hasattr(backend, "create_filled_buffer"):
+            fill = partial(cast("SupportsFilledBuffers", backend).create_filled_buffer, data=_bytes_of(data))
             core.create(fill, self.id, descriptor, size)
             core.upload_bytes += size
-            contents = None
+            data = None
         else:
             core.create(backend.create_buffer, self.id, descriptor, size)
         self.destroyed = False
         self.bind_uniform = core.prepare_uniform(self.id)
-        if contents is not None:
-            self._upload(contents, 0)
+        if data is not None:
+            self._upload(data, 0)
 
     def __del__(self) -> None:
         if not getattr(self, "destroyed", True):  # it isn't there if creation failed
@@ -148,7 +148,7 @@ class Buffer(Resource):
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
         """Create a lock: `with buffer.lock(Access.WRITE, first, count) as array:`; offsets in elements."""
-        Arguments("Buffer.lock", self.core.refuse).choice("access", access, Access)
+        ArgumentChecker("Buffer.lock", self.core.refuse).choice("access", access, Access)
         first, count = self._range("Buffer.lock", first, count)
         return Lock(
             self,
@@ -170,7 +170,7 @@ class Buffer(Resource):
 
     def _clear(self, core: Core, value: int) -> None:
         """Send a `clear` to `core`: the buffer's own, or a command buffer's."""
-        value = Arguments("Buffer.clear", self.core.refuse).whole("value", value, -(1 << 31), (1 << 32) - 1)
+        value = ArgumentChecker("Buffer.clear", self.core.refuse).integer("value", value, -(1 << 31), (1 << 32) - 1)
         core.check_ready()
         core.check_usable(self, "Buffer.clear")
         if self.size % 4:
@@ -182,11 +182,11 @@ class Buffer(Resource):
     ) -> None:
         """Send a `copy_to` to `core`."""
         call = "Buffer.copy_to"
-        check = Arguments(call, self.core.refuse)
+        check = ArgumentChecker(call, self.core.refuse)
         other = check_buffer(check, "target", target)
-        offset = check.whole("offset", offset)
-        target_offset = check.whole("target_offset", target_offset)
-        size = self.size - offset if size is None else check.whole("size", size)
+        offset = check.integer("offset", offset)
+        target_offset = check.integer("target_offset", target_offset)
+        size = self.size - offset if size is None else check.integer("size", size)
         core.check_ready()
         core.check_usable(self, call)
         core.check_usable(other, call)
@@ -199,7 +199,7 @@ class Buffer(Resource):
         self.core.check_usable(self, call)
 
     def _match(self, data: NDArray[Any], call: str) -> NDArray[Any]:
-        array = Arguments(call, self.core.refuse).array("data", data)
+        array = ArgumentChecker(call, self.core.refuse).array("data", data)
         base, shape = self.dtype.subdtype or (self.dtype, ())
         if array.dtype != base or (shape and array.shape[-len(shape) :] != shape):
             given = f"shape {array.shape} of {array.dtype}"
@@ -209,9 +209,9 @@ class Buffer(Resource):
         return np.ascontiguousarray(array).reshape(-1, *shape)
 
     def _range(self, call: str, first: int, count: int | None) -> tuple[int, int]:
-        check = Arguments(call, self.core.refuse)
-        first = check.whole("first", first)
-        count = self.count - first if count is None else check.whole("count", count)
+        check = ArgumentChecker(call, self.core.refuse)
+        first = check.integer("first", first)
+        count = self.count - first if count is None else check.integer("count", count)
         self._check(call)
         if first < 0 or count < 0 or first + count > self.count:
             self.core.refuse(rules.BUFFER_RANGE, call, f"{count} elements from {first}", f"0 to {self.count} elements")
@@ -246,7 +246,7 @@ class UniformBuffer(UniformRange[T], Resource):
 
     def __init__(self, core: Core, value: Any, label: str = "") -> None:
         with core.refusals:  # also of structs, which may have no layout in memory
-            check = Arguments("device.uniform")
+            check = ArgumentChecker("device.uniform")
             check.text("label", label)
             layout, constants = as_constants(check, value)
             data, dtype = constants.to_bytes(), type(constants).uniform_dtype
@@ -276,7 +276,7 @@ class UniformBuffer(UniformRange[T], Resource):
                 self.owner._upload_bytes(data, offset)
             return
         with core.refusals:
-            layout, constants = as_constants(Arguments(call, rule=rules.LAYOUT_MISMATCH), value)
+            layout, constants = as_constants(ArgumentChecker(call, rule=rules.LAYOUT_MISMATCH), value)
             if layout is int and self.type in (float, uint):  # as an int is converted in a field of a struct
                 layout, constants = self.type, _wrapper(self.type)(value=value)
         if layout is not self.type:
@@ -300,10 +300,10 @@ class UniformArray(Resource, Generic[T]):
     __slots__ = ("_ranges", "buffer", "dtype", "type")
 
     def __init__(self, core: Core, struct: Any, count: int, label: str = "") -> None:
-        check = Arguments("device.uniform_array", core.refuse)
+        check = ArgumentChecker("device.uniform_array", core.refuse)
         if not isinstance(struct, type) or not issubclass(struct, Struct):
             check.fail("struct", struct, "a Struct class")
-        count = check.whole("count", count)
+        count = check.integer("count", count)
         check.text("label", label)
         self.type = struct
         with core.refusals:  # a struct may have no layout in memory
@@ -325,13 +325,13 @@ class UniformArray(Resource, Generic[T]):
     def __getitem__(self, index: int) -> UniformRange[T]:
         return self._ranges[index]
 
-    def write(self, rows: NDArray[Any], first: int = 0) -> None:
+    def write(self, values: NDArray[Any], first: int = 0) -> None:
         """Replace elements from `first` on.
 
         Raises:
             ValidationError: `layout-mismatch` with both layouts if the dtype is not `dtype`.
         """
-        self.buffer.write(match_layout(self.buffer.core, rows, self.dtype, "UniformArray.write"), first)
+        self.buffer.write(match_layout(self.buffer.core, values, self.dtype, "UniformArray.write"), first)
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
         """Create a lock: `with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
@@ -367,10 +367,11 @@ class StorageBuffer(StorageRange[T], Resource):
         """Begin to read elements, as `read` does, and return their future at once."""
         return self._typed().read_async(first, count)
 
-    def write(self, rows: ArrayLike, first: int = 0) -> None:
-        """Replace elements from `first` on, by what `Device.storage` takes; `layout-mismatch` for anything else."""
+    def write(self, values: ArrayLike, first: int = 0) -> None:
+        """Replace elements from `first` on. `values` is an array as for `Device.storage`; `layout-mismatch` for
+        anything else."""
         call = "StorageBuffer.write"
-        self._typed().write(match_layout(self.owner.core, rows, self.dtype, call, self.type), first)
+        self._typed().write(match_layout(self.owner.core, values, self.dtype, call, self.type), first)
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
         """Create a lock: `with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
@@ -399,14 +400,14 @@ def _bytes_of(array: NDArray[Any]) -> memoryview:
     return np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
 
 
-def check_buffer(check: Arguments, name: str, buffer: Buffer | StorageBuffer[Any]) -> Buffer:
-    """Return the buffer behind a storage buffer, or the buffer itself; refuse anything else."""
-    found = buffer.owner if isinstance(buffer, StorageBuffer) else buffer
-    return check.instance(name, found, Buffer, "a Buffer or StorageBuffer")
+def check_buffer(check: ArgumentChecker, name: str, buffer: Buffer | StorageBuffer[Any]) -> Buffer:
+    """Return a buffer, or the buffer behind a `StorageBuffer`; refuse anything else."""
+    owner = buffer.owner if isinstance(buffer, StorageBuffer) else buffer
+    return check.instance(name, owner, Buffer, "a Buffer or StorageBuffer")
 
 
-def storage_dtype(check: Arguments, element: Any) -> np.dtype[Any]:
-    """Return the std430 dtype of an element of a storage buffer; refuse what has none."""
+def storage_dtype(check: ArgumentChecker, element: Any) -> np.dtype[Any]:
+    """Return the std430 dtype of a storage buffer's element; refuse a type that has none."""
     try:
         return element_dtype(value_type_of(element), Layout.STD430)
     except TypeError as error:
@@ -415,18 +416,18 @@ def storage_dtype(check: Arguments, element: Any) -> np.dtype[Any]:
 
 
 def as_storage(
-    check: Arguments, core: Core, element: Any, source: int | ArrayLike, dtype: np.dtype[Any], most: int
+    check: ArgumentChecker, core: Core, element: Any, source: int | ArrayLike, dtype: np.dtype[Any], max_bytes: int
 ) -> NDArray[Any]:
-    """Return the first contents of storage of these elements, 1 to `most` bytes: a number of zeros, or an array."""
-    count = as_whole(source)
+    """Return the first data of storage of these elements, 1 to `max_bytes` bytes: a number of zeros, or an array."""
+    count = to_integer(source)
     array = None
     if count is None:
         array = match_layout(core, check.array("source", source), dtype, check.call, element)
     if array is not None and not array.ndim and array.dtype.names is None:
         check.fail("source", source, "a number of elements, or an array")
     size = array.nbytes if array is not None else (count or 0) * dtype.itemsize
-    if not 0 < size <= most:
-        core.refuse(rules.BUFFER_SIZE, check.call, f"{size} bytes", f"1 to {most} bytes")
+    if not 0 < size <= max_bytes:
+        core.refuse(rules.BUFFER_SIZE, check.call, f"{size} bytes", f"1 to {max_bytes} bytes")
     return np.zeros(count or 0, dtype) if array is None else np.ascontiguousarray(array)
 
 
@@ -436,7 +437,7 @@ def _name(kind: object) -> str:
 
 
 def _is_plain(dtype: np.dtype[Any]) -> bool:
-    """Return whether a dtype consists of numbers alone, at any depth."""
+    """Whether a dtype consists of numbers alone, at any depth."""
     if dtype.subdtype is not None:
         return _is_plain(dtype.subdtype[0])
     if dtype.fields is not None:
@@ -464,7 +465,7 @@ def match_layout(core: Core, array: ArrayLike, expected: np.dtype[Any], call: st
     Numbers outside of structs are converted: whole ones exactly or not at all, floats rounded as a mesh's are. Vectors
     of three components take the place of four: if these are the `element`s, (n, 3) becomes (n, 4).
     """
-    given = Arguments(call, core.refuse).array("array", array)
+    given = ArgumentChecker(call, core.refuse).array("array", array)
     base, shape = expected.subdtype or (expected, ())
     kind = given.dtype.kind
     if base.names is None and given.dtype != base and (kind in "iu" or kind == base.kind == "f"):
@@ -486,24 +487,25 @@ def match_layout(core: Core, array: ArrayLike, expected: np.dtype[Any], call: st
     return given if given.dtype == base else np.ascontiguousarray(given).view(base)
 
 
-def _convert(core: Core, numbers: NDArray[Any], wanted: np.dtype[Any], call: str) -> NDArray[Any]:
-    """Return numbers as another dtype; refuse those that it doesn't hold."""
+def _convert(core: Core, numbers: NDArray[Any], dtype: np.dtype[Any], call: str) -> NDArray[Any]:
+    """Convert numbers to another dtype; refuse numbers that it can't hold."""
     with np.errstate(invalid="ignore", over="ignore"):
-        converted = numbers.astype(wanted)
+        converted = numbers.astype(dtype)
         if numbers.dtype.kind == "f":
             fits = np.isfinite(converted) | ~np.isfinite(numbers)
         else:  # back and forth is exact, unless the sign was lost on the way
             fits = (converted.astype(numbers.dtype) == numbers) & ((converted < 0) == (numbers < 0))
     if not fits.all():
-        core.refuse(rules.LAYOUT_MISMATCH, call, f"{numbers[~fits][0]} of {numbers.dtype}", f"what {wanted} holds", "")
+        core.refuse(rules.LAYOUT_MISMATCH, call, f"{numbers[~fits][0]} of {numbers.dtype}", f"what {dtype} holds", "")
     return converted
 
 
-def as_constants(check: Arguments, value: Any) -> tuple[Any, Struct]:
+def as_constants(check: ArgumentChecker, value: Any) -> tuple[Any, Struct]:
     """Return the type as which a value is bound to a `Uniform`, and the value as a struct.
 
     A single value is laid out like a struct with one field. A number is a float, an int or a uint, an array of 2 to 4
-    numbers a vector, one of 2×2 to 4×4 floats a matrix; vectors and matrices of the shading language are what they are.
+    numbers a vector, one of 2×2 to 4×4 floats a matrix; vectors and matrices of the shading language keep their
+    type.
     """
     if isinstance(value, Struct):
         return type(value), value

@@ -4,13 +4,14 @@
   OpenGL calls against 1.2× (`benchmarks/draw_cost.py`).
 - Their state lies in closure cells that they share: the bound values (compared by identity) and the owners whose
   ranges were checked. An event that invalidates it clears `core.program`, and the next call checks everything.
-- Until `make_current` a call may be refused; after that nothing is refused. So a refused call has no effect, and a call
-  that is cut off after it costs the next one a fresh start.
+- Until `make_current` a call may be refused; after that nothing is refused. So a refused call has no effect. If
+  a call is cut off later, the next call checks and binds everything.
 - The number of instances is compared with 1 by identity, which is the quicker comparison and tells 1 from 1.0 and True.
 - A command buffer has functions of its own for a program (`recorded`): uniforms are bound through its backend, which
   records, and prepared draws are kept with the program, not with the mesh, which outlives the recording.
 - A uniform binding takes a value as well as a range. The class of the last range is kept, so that one comparison tells
-  a range from a value; a value becomes transient memory (`PendingConstants`) once nothing is refused any more.
+  a range from a value. The checks pack a value into bytes. Once nothing is refused any more, `UniformRing.push` writes
+  the bytes, and their range is bound.
 - `draw` takes bindings as keywords, for the program's own draw. `draw_with` and `bind` take them as the dictionary
   that `device.draw(**bindings)` has anyway: unpacking it again would cost 70 ns.
 """
@@ -24,41 +25,6 @@ from typing import Any, Final, NamedTuple
 
 from rhi.contract.descriptors import Binding, BindingKind
 from rhi.errors import ValidationError
-
-
-class PendingConstants:
-    """The value of a uniform binding, until a call that isn't refused any more asks for the range that it lies in."""
-
-    __slots__ = ("_core", "_range", "_type", "data")
-
-    def __init__(self, core: Any, data: bytes, type: object) -> None:
-        self._core, self.data, self._type = core, data, type
-        self._range: Any = None
-
-    @property
-    def owner(self) -> Any:
-        """The owner of the range."""
-        return (self._range or self._place()).owner
-
-    @property
-    def buffer(self) -> Any:
-        """The buffer's id."""
-        return (self._range or self._place()).buffer
-
-    @property
-    def offset(self) -> Any:
-        """Where the constants begin in the buffer, in bytes."""
-        return (self._range or self._place()).offset
-
-    @property
-    def size(self) -> int:
-        """The constants' bytes."""
-        return len(self.data)
-
-    def _place(self) -> Any:
-        self._range = self._core.place_constants(self.data, self._type)
-        return self._range
-
 
 MISSING: Final = object()
 """The value of a binding that was not given."""
@@ -101,8 +67,9 @@ def compile_draw_code(
     validates: bool = False,
     takes_more: bool = False,
 ) -> CodeType:
-    """Compile the functions of a program; `recorded`: those that a command buffer uses; `validates`: those of a device
-    with validation, where each draw checks its thread; `takes_more`: a draw may give bindings that are left out."""
+    """Compile the functions of a program; `recorded`: for command buffers; `validates`: for a device with
+    validation, where each draw checks its thread; `takes_more`: draws may pass bindings that the program
+    no longer reads."""
     return _compile("\n".join(_write_source(bindings, recorded, validates, takes_more)), f"<draw of {name}>")
 
 
@@ -120,7 +87,7 @@ def make_draw_code(code: CodeType, program: Any, bindings: tuple[Binding, ...]) 
     types = tuple(binding.type for binding in bindings)
     return DrawCode(
         *scope["make"](
-            core, core.backend, core.states, program, types, MISSING, object(), ValidationError, PendingConstants
+            core, core.backend, core.states, program, program.uniforms.push, types, MISSING, object(), ValidationError
         )
     )
 
@@ -128,11 +95,11 @@ def make_draw_code(code: CodeType, program: Any, bindings: tuple[Binding, ...]) 
 def _write_source(bindings: tuple[Binding, ...], recorded: bool, validates: bool, takes_more: bool) -> Iterator[str]:
     """Yield the source of a function `make` that returns the fields of `DrawCode`.
 
-    Its own names start with an underscore and a letter, those of bindings with a letter.
+    Its own names start with an underscore; names of bindings start with a letter.
     """
     cells = [f"_{kind}_{i}" for kind in ("bound", "owner", "class") for i in range(len(bindings))]
     keywords = "".join(f", {binding.name}=_missing" for binding in bindings)
-    yield "def make(_core, _backend, _states, _program, _types, _missing, _unbound, _refusal, _pending, _one=1):"
+    yield "def make(_core, _backend, _states, _program, _push, _types, _missing, _unbound, _refusal, _one=1):"
     yield f"    {' = '.join([*cells, '_unset'])} = _unbound"
     yield "    _len, _type = len, type  # a binding may have that name"
     yield "    _draws = 0  # counted in a cell, at half the cost of an attribute"
@@ -143,12 +110,12 @@ def _write_source(bindings: tuple[Binding, ...], recorded: bool, validates: bool
     star, rest = ", *" if bindings else "", ", **_more" if takes_more else ""
     yield f"    def draw(_mesh, _instances=1, /{star}{keywords}{rest}):"
     yield from _write_draw(bindings, cells, more, recorded=recorded, validates=validates)
-    yield "    def draw_with(_mesh, _instances, _given):"
+    yield "    def draw_with(_mesh, _instances, _bindings):"
     yield from _write_draw(bindings, cells, tuple(_write_unpack(bindings)), recorded=recorded, validates=validates)
-    yield "    def bind(_check, _mesh, _given):"
+    yield "    def bind(_check, _mesh, _bindings):"
     yield from _write_nonlocal(cells)
-    find = tuple(_write_unpack(bindings))
-    yield from _write_bind(bindings, cells, "_check(_mesh)", find, recorded, draws=False)
+    unpack = tuple(_write_unpack(bindings))
+    yield from _write_bind(bindings, cells, "_check(_mesh)", unpack, recorded, draws=False)
     yield from _write_cut_off()
     yield "    def collect_draw_count():"
     yield "        nonlocal _draws"
@@ -163,7 +130,7 @@ def _write_draw(
     yield from _write_nonlocal([*cells, "_draws"])
     if validates:
         yield "        _core.check_ready()"
-    find = (
+    unpack = (
         *names,
         "try:",
         f"    _draw = {'_program.prepared_draws[_mesh]' if recorded else '_mesh.prepared_draws[_program]'}",
@@ -172,8 +139,8 @@ def _write_draw(
         "if _instances is not _one:",
         "    _instances = _program.check_instances(_instances, _mesh)",
     )
-    yield from _write_bind(bindings, cells, "_program.check_can_draw(_mesh)", find, recorded, draws=True)
-    yield "            if _states.wanted is not _states.hardware:"
+    yield from _write_bind(bindings, cells, "_program.check_can_draw(_mesh)", unpack, recorded, draws=True)
+    yield "            if _states.requested is not _states.hardware:"
     yield "                _core.flush_states()"
     yield "            if _core.tests_alpha:"
     yield "                _program.draw_unprepared(_mesh, _instances)"
@@ -190,23 +157,26 @@ def _write_nonlocal(cells: list[str]) -> Iterator[str]:
 
 def _write_unpack(bindings: tuple[Binding, ...]) -> Iterator[str]:
     """Yield the lines that unpack the dictionary of bindings and check its names."""
-    yield f"if _len(_given) != {len(bindings)}:"
-    yield "    _program.check_names(_given)"
+    yield f"if _len(_bindings) != {len(bindings)}:"
+    yield "    _program.check_names(_bindings)"
     if bindings:
         yield "try:"
         for binding in bindings:
-            yield f"    {binding.name} = _given[{binding.name!r}]"
+            yield f"    {binding.name} = _bindings[{binding.name!r}]"
         yield "except KeyError:"
-        yield "    _program.check_names(_given)"
+        yield "    _program.check_names(_bindings)"
 
 
 def _write_bind(
-    bindings: tuple[Binding, ...], cells: list[str], check: str, find: tuple[str, ...], recorded: bool, draws: bool
+    bindings: tuple[Binding, ...], cells: list[str], check: str, unpack: tuple[str, ...], recorded: bool, draws: bool
 ) -> Iterator[str]:
     """Yield the lines that check everything, then bind what changed."""
     values = "(" + "".join(f"{binding.name}, " for binding in bindings) + ")"
+    packed = [f"_data_{i}" for i, binding in enumerate(bindings) if binding.kind is BindingKind.UNIFORM]
     yield "        try:"
-    for line in find:
+    if packed:
+        yield f"            {' = '.join(packed)} = None"
+    for line in unpack:
         yield f"            {line}"
     yield "            _fresh = _core.program is not _program"
     yield "            if _fresh:"
@@ -216,19 +186,19 @@ def _write_bind(
     for i, binding in enumerate(bindings):
         name = binding.name
         # For another range of an owner that was checked already, only the type is compared.
-        known = f" and ({name}.owner is not _owner_{i} or {name}.type is not _type_{i})"
+        differs = f" and ({name}.owner is not _owner_{i} or {name}.type is not _type_{i})"
         if binding.kind is BindingKind.UNIFORM:
             yield f"            if {name} is not _bound_{i}:"
             yield f"                if _type({name}) is _class_{i}:"
-            yield f"                    if {known.removeprefix(' and ')}:"
+            yield f"                    if {differs.removeprefix(' and ')}:"
             yield f"                        _program.check({i}, {name})"
             yield f"                        _owner_{i} = {name}.owner"
             yield "                else:"
-            yield f"                    {name} = _program.take_uniform({i}, {name})"
-            yield f"                    if _type({name}) is not _pending:"
+            yield f"                    _data_{i} = _program.take_uniform({i}, {name})"
+            yield f"                    if _data_{i} is None:"
             yield f"                        _class_{i}, _owner_{i} = _type({name}), {name}.owner"
             continue
-        yield f"            if {name} is not _bound_{i}{known if binding.kind in _RANGES else ''}:"
+        yield f"            if {name} is not _bound_{i}{differs if binding.kind in _RANGES else ''}:"
         yield f"                _program.check({i}, {name})"
         if binding.kind in _RANGES:
             yield f"                _owner_{i} = {name}.owner"
@@ -242,14 +212,17 @@ def _write_bind(
     yield "                _program.make_current()"
     for i, binding in enumerate(bindings):
         yield f"            if {binding.name} is not _bound_{i}:"
+        if binding.kind is BindingKind.UNIFORM:
+            yield f"                if _data_{i} is not None:"
+            yield f"                    {binding.name} = _push(_data_{i}, _type_{i})"
         apply = (_APPLY_RECORDED if recorded else _APPLY)[binding.kind]
         yield "                " + apply.format(slot=binding.slot, name=binding.name)
         yield f"                _bound_{i} = {binding.name}"
 
 
 def _write_cut_off() -> Iterator[str]:
-    """Yield the lines that end the part in which a call takes effect. If that is cut off, by an interrupt or an error
-    of the driver, it isn't known what was bound, so the next call binds everything."""
+    """Yield the lines that end the part in which a call takes effect. If an interrupt or a driver's error cuts
+    it off, the bindings are unknown, so the next call binds everything."""
     yield "        except BaseException:"
     yield "            _core.program = None"
     yield "            raise"

@@ -1,8 +1,8 @@
-"""Image files and texels: pictures that are read and written by Pillow, and formats that follow from arrays.
+"""Image files, read and written by Pillow, and the formats that follow from arrays of texels.
 
 - Arrays are numbers: uint8 becomes `RGBA8`, not `RGBA8_SRGB`. Colors that are lit need the latter, by name.
-- A picture is what a screen shows: bytes of `RGBA8` and `RGBA8_SRGB` as they are, floats as linear light from 0 to 1
-  in sRGB, depth as grey.
+- An image file holds what a screen shows: bytes of `RGBA8` and `RGBA8_SRGB` as they are, floats as linear light
+  from 0 to 1 in sRGB, depth as grey.
 """
 
 from __future__ import annotations
@@ -22,15 +22,22 @@ from rhi.errors.rules import IMAGE_FILE, IMAGE_LIBRARY
 
 _DATA: Final = {"I;16": np.uint16, "I;16L": np.uint16, "I;16B": np.uint16, "F": np.float32}
 """Modes of Pillow whose texels are numbers rather than colors."""
-_KINDS: Final = {"u1": ChannelKind.UNORM, "u2": ChannelKind.UNORM, "i1": ChannelKind.SNORM, "f2": ChannelKind.FLOAT,
-                 "f4": ChannelKind.FLOAT, "u4": ChannelKind.UINT, "i4": ChannelKind.INT}  # fmt: skip
+_KINDS: Final = {
+    "u1": ChannelKind.UNORM,
+    "u2": ChannelKind.UNORM,
+    "i1": ChannelKind.SNORM,
+    "f2": ChannelKind.FLOAT,
+    "f4": ChannelKind.FLOAT,
+    "u4": ChannelKind.UINT,
+    "i4": ChannelKind.INT,
+}
 _INFERRED: Final = {
     (f.dtype, f.channels): f for f in Format if not f.is_packed and _KINDS.get(f.dtype.str[1:]) is f.kind
 }
 
 
 class ImageLike(Protocol):
-    """What NumPy reads as an array: an array, an image of Pillow, and others."""
+    """Anything that NumPy reads as an array, such as an image of Pillow."""
 
     @property
     def __array_interface__(self) -> dict[str, Any]: ...
@@ -47,7 +54,7 @@ def load_image(source: str | Path | bytes | BinaryIO) -> NDArray[Any]:
             blocks it decodes) and others.
 
     Raises:
-        ValidationError: `image-file` for what is no image that can be read.
+        ValidationError: `image-file` if the source is no readable image.
         DeviceError: `image-library` without Pillow.
     """
     library, call = _import_pillow("rhi.load_image"), "rhi.load_image"
@@ -62,52 +69,53 @@ def load_image(source: str | Path | bytes | BinaryIO) -> NDArray[Any]:
 
 
 def as_texels(source: Any) -> NDArray[Any]:
-    """Return an array-like as texels; of an image of Pillow as `load_image` does."""
+    """Return an array-like as an array of texels; Pillow's images as `load_image` returns them."""
     library = sys.modules.get("PIL.Image")
     if library is None or not isinstance(source, library.Image):
         return np.asarray(source)
-    wanted = _DATA.get(source.mode)
-    return np.array(source if wanted else source.convert("RGBA"), wanted)
+    dtype = _DATA.get(source.mode)
+    return np.array(source if dtype else source.convert("RGBA"), dtype)
 
 
 def infer_format(texels: NDArray[Any]) -> Format | None:
-    """Return the format of texels, (height, width[, channels]) or with layers in front, None if there is no such one.
-    Three channels get a fourth one."""
+    """Return the format that fits an array of texels, ([layers, ]height, width[, channels]), or None. Three
+    channels get a format of four."""
     channels = texels.shape[-1] if texels.ndim > 2 else 1
     return _INFERRED.get((texels.dtype, {3: 4}.get(channels, channels)))
 
 
-def make_picture(format: Format, texels: NDArray[Any]) -> NDArray[Any] | None:
-    """Return texels (height, width[, components]) as (height, width) or (height, width, 3 or 4) uint8, of one channel
-    of 16 bits as uint16; None if they are integers, which are no colors."""
+def convert_to_image(format: Format, texels: NDArray[Any]) -> NDArray[Any] | None:
+    """Convert texels (height, width[, components]) to (height, width) or (height, width, 3 or 4) uint8; a
+    channel of 16 bits becomes uint16. None for integer formats, which hold no colors."""
     if format.is_integer:
         return None
     if format is Format.R16:
         return texels
     if format.kind in (ChannelKind.UNORM, ChannelKind.SRGB) and format.dtype == np.uint8:
-        picture: NDArray[Any] = texels
+        image: NDArray[Any] = texels
     else:
         values = np.nan_to_num(decode(format, texels.reshape(*texels.shape[:2], -1)), posinf=1.0)
         colors = min(format.channels, 3)
         if format.kind is ChannelKind.FLOAT:
             values[..., :colors] = to_srgb(np.clip(values[..., :colors], 0.0, 1.0))
-        picture = np.rint(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
+        image = np.rint(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
     if format.channels == 1:
-        return picture.reshape(texels.shape[:2])
+        return image.reshape(texels.shape[:2])
     if format.channels == 2:
-        return np.concatenate([picture, np.zeros_like(picture[..., :1])], axis=-1)
-    return picture
+        return np.concatenate([image, np.zeros_like(image[..., :1])], axis=-1)
+    return image
 
 
-def write_image(picture: NDArray[Any], target: str | Path | BinaryIO, kind: str | None = None) -> None:
-    """Write a picture; the file's name says in what format, or `kind`. Formats without alpha get the colors only."""
+def write_image(image: NDArray[Any], target: str | Path | BinaryIO, kind: str | None = None) -> None:
+    """Write an image file in the format `kind`, or in that of the file's ending. Formats without alpha get the
+    colors only."""
     library = _import_pillow("Texture.save")
-    image = library.fromarray(picture)
+    pillow_image = library.fromarray(image)
     suffix = "" if kind else Path(str(target)).suffix.lower()
     if suffix in (".jpg", ".jpeg", ".bmp"):
-        image = image.convert("RGB")
+        pillow_image = pillow_image.convert("RGB")
     try:
-        image.save(target, kind)
+        pillow_image.save(target, kind)
     except ValueError as error:
         refuse(IMAGE_FILE, "Texture.save", f"{target}: {error}", "a name with a known ending, such as .png")
 

@@ -1,5 +1,5 @@
-"""The lifetime of resources: until they are destroyed, explicitly or at the end of their `with` block, or until nobody
-holds them any more.
+"""The lifetime of resources: it ends with `destroy`, with their `with` block, or with the last reference to
+them.
 
 Python finalizes an object on any thread and between any two steps, also of a driver's call. So a finalizer (`drop`)
 only queues the resource's id; the timeline retires what is queued at its next signal or creation.
@@ -52,14 +52,14 @@ def retire(resource: Retirable) -> None:
 
 
 def drop(owner: Owner, *ids: Id) -> None:
-    """Queue the ids of a resource that nobody holds for retirement.
+    """Queue the ids of an unreferenced resource for retirement.
 
-    With validation or `python -X dev`, a ResourceWarning at the line that created it says so.
+    With validation or `python -X dev`, it also issues a ResourceWarning at the line that created the resource.
     """
     core = owner.core
-    sites = [site for one in ids if (site := core.timeline.sites.get(one)) is not None]
-    for one in ids:
-        core.timeline.drop(one)
+    sites = [site for resource in ids if (site := core.timeline.sites.get(resource)) is not None]
+    for resource in ids:
+        core.timeline.drop(resource)
     if sites and not core.closed:
         message = f"{describe_object(owner)} was collected instead of destroyed"
         warnings.warn_explicit(message, ResourceWarning, sites[0].file, sites[0].line)

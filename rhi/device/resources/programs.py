@@ -20,15 +20,17 @@ from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.limits import program_faults, range_faults, show_stages
 from rhi.device.core.core import Core, describe_object
 from rhi.device.core.timeline import Timeline
+from rhi.device.core.uniform_ring import UniformRing
 from rhi.device.resources.buffers import Buffer, pack_single
-from rhi.device.resources.draw_code import MISSING, PendingConstants, compile_draw_code, make_draw_code
+from rhi.device.resources.draw_code import MISSING, compile_draw_code, make_draw_code
 from rhi.device.resources.lifetime import retire
 from rhi.device.resources.meshes import Drawable, check_instance_end, reads_instances
 from rhi.device.resources.textures import Texture
-from rhi.errors import CallSite, ShaderWarning, ValidationError, find_call_site, rules
-from rhi.errors.arguments import Arguments
+from rhi.errors import ShaderWarning, ValidationError, rules
+from rhi.errors.arguments import ArgumentChecker
+from rhi.errors.call_sites import CallSite, find_call_site
 from rhi.shading import Precision, Shader, Struct
-from rhi.shading.compile import describe_in, find_exact
+from rhi.shading.compile import describe_with_precision, list_exact_functions
 from rhi.shading.language.bindings import ImageBinding, StorageRange, TextureBinding, UniformRange
 
 P = ParamSpec("P")
@@ -37,7 +39,7 @@ _RANGES = {BindingKind.UNIFORM: UniformRange, BindingKind.STORAGE: StorageRange}
 
 
 class DrawFunction(Protocol[P]):
-    """The draw of a program: an attribute, since type checkers bind what is assigned to no method."""
+    """The type of `Program.draw`. It is an attribute: type checkers don't bind it like a method."""
 
     def __call__(self, mesh: Drawable, instances: int = 1, /, *args: P.args, **bindings: P.kwargs) -> None:
         """Draw `mesh` with the program's bindings as keywords."""
@@ -50,12 +52,14 @@ class Program(Generic[P]):
         id: the program's id in the command stream.
         descriptor: stages, bindings, vertex inputs and outputs.
         name: the name of the shader class.
+        uniforms: where the values of uniform bindings are written.
         recorded_code: the code of its functions in command buffers, None before the first use in one.
     """
 
     __slots__ = (
-        "_left_out",  # the bindings that its shader declares or had before an edit and that it doesn't read: draws may
-        # give them. The value is whether a warning has said so.
+        # Bindings that the shader declares, or had before an edit, and doesn't read: draws may pass them.
+        # The value says whether a warning was issued.
+        "_left_out",
         "bind",
         "core",
         "descriptor",
@@ -65,6 +69,7 @@ class Program(Generic[P]):
         "id",
         "name",
         "recorded_code",
+        "uniforms",
     )
 
     draw_with: Callable[[Drawable, int, dict[str, Any]], None]
@@ -76,9 +81,12 @@ class Program(Generic[P]):
     draw: DrawFunction[P]
     """Draw a mesh, like `device.draw(program, mesh, …)` but with one Python call less."""
 
-    def __init__(self, core: Core, descriptor: ProgramDescriptor, declared: Iterable[str] = ()) -> None:
+    def __init__(
+        self, core: Core, uniforms: UniformRing, descriptor: ProgramDescriptor, declared: Iterable[str] = ()
+    ) -> None:
         _check_limits(core, descriptor)
         self.core = core
+        self.uniforms = uniforms
         self.descriptor = descriptor
         self.name = descriptor.name
         self.destroyed = False
@@ -93,11 +101,11 @@ class Program(Generic[P]):
         return compile_draw_code(self.name, self.descriptor.bindings, validates=self.core.validates, takes_more=more)
 
     def _install_code(self, code: CodeType) -> None:
-        made = make_draw_code(code, self, self.descriptor.bindings)
-        self.draw = made.draw
-        self.draw_with = made.draw_with
-        self.bind = made.bind
-        self.core.draw_counters[self.id] = made.collect_draw_count
+        functions = make_draw_code(code, self, self.descriptor.bindings)
+        self.draw = functions.draw
+        self.draw_with = functions.draw_with
+        self.bind = functions.bind
+        self.core.draw_counters[self.id] = functions.collect_draw_count
 
     @property
     def label(self) -> str:
@@ -119,21 +127,24 @@ class Program(Generic[P]):
             retire(self)
 
     def build(self, descriptor: ProgramDescriptor) -> Id:
-        """Create what the program may be exchanged for, inside a `creation` block; return its id."""
+        """Create the backend's program for a later `exchange`, inside a `creation` block; return its id."""
         _check_limits(self.core, descriptor)
         number = self.core.create_id()
         self.core.create(self.core.backend.create_program, number, descriptor)
         return number
 
     def exchange(self, number: Id, descriptor: ProgramDescriptor) -> None:
-        """Become another program, which exists; what meshes and command buffers have made for this one is dropped."""
+        """Replace the backend's program by one that `build` has created; meshes and command buffers drop what
+        they store for the old one."""
         core = self.core
         core.program = None
         core.draws += core.draw_counters.pop(self.id)()
         core.timeline.retire(self.id)
         for binding in self.descriptor.bindings:
             self._left_out.setdefault(binding.name, False)
-        self.id, self.descriptor, self.name = number, descriptor, descriptor.name
+        self.id = number
+        self.descriptor = descriptor
+        self.name = descriptor.name
         self.recorded_code = None
         self._install_code(self._compile_code())
 
@@ -180,17 +191,17 @@ class Program(Generic[P]):
     def prepare_draw(self, mesh: Drawable, instances: int) -> Callable[[int], object]:
         """Prepare the draw of a mesh that this program has not drawn yet, and keep it for the next one.
 
-        It isn't kept if the mesh's first instance lies beyond its data, which may be drawn with no `instances` only: so
-        a draw of one instance, which is most of them, needn't look.
+        It isn't kept if the mesh's first instance lies beyond its data: only a draw of no instances is valid
+        then. So a draw of one instance, the usual case, needs no check.
         """
         draw = self._make_draw(mesh)
         if mesh.base_instance < mesh.instance_count or not reads_instances(mesh, self.descriptor.attributes):
-            self._keep_draw(mesh, draw)
+            self._cache_draw(mesh, draw)
         elif instances:
             self._check_instance_end(mesh, 1)
         return draw
 
-    def _keep_draw(self, mesh: Drawable, draw: Callable[[int], object]) -> None:
+    def _cache_draw(self, mesh: Drawable, draw: Callable[[int], object]) -> None:
         mesh.prepared_draws[self] = draw
 
     def _check_instance_end(self, mesh: Drawable, instances: int) -> None:
@@ -204,7 +215,7 @@ class Program(Generic[P]):
         self.check_can_draw(mesh)
         return self.core.prepare_draw(
             self.id,
-            self.find_vertex_array(mesh),
+            self.get_vertex_array(mesh),
             mesh.primitive,
             mesh.first,
             mesh.count,
@@ -212,15 +223,15 @@ class Program(Generic[P]):
             mesh.base_instance,
         )
 
-    def find_vertex_array(self, mesh: Drawable) -> Id:
+    def get_vertex_array(self, mesh: Drawable) -> Id:
         """Return the vertex array through which this program reads a mesh, creating it on first use."""
-        known = mesh.vertex_arrays.get(self)
-        return known or mesh.create_vertex_array(self, self.id, self.name, self.descriptor.attributes)
+        vertex_array = mesh.vertex_arrays.get(self)
+        return vertex_array or mesh.create_vertex_array(self, self.id, self.name, self.descriptor.attributes)
 
     def draw_unprepared(self, mesh: Drawable, instances: int) -> None:
         """Draw through the backend's `draw`, without a prepared draw."""
         self.core.backend.draw(
-            self.find_vertex_array(mesh),
+            self.get_vertex_array(mesh),
             mesh.primitive,
             mesh.first,
             mesh.count,
@@ -238,8 +249,6 @@ class Program(Generic[P]):
         type: Any = self.descriptor.bindings[index].type
         if value.__class__ is type and issubclass(type, Struct):
             return value.to_bytes()  # type: ignore[no-any-return]
-        if isinstance(value, PendingConstants):
-            return value.data
         if isinstance(value, UniformRange | Struct | str | bytes) or value is MISSING or value is None:
             return None
         with self.core.refusals:
@@ -248,13 +257,12 @@ class Program(Generic[P]):
                 return type(**value).to_bytes() if is_named else None
             return pack_single(type, value)
 
-    def take_uniform(self, index: int, value: Any) -> Any:
-        """Return what a draw binds for the uniform at `index`: a range that fits, or the constants of a value."""
+    def take_uniform(self, index: int, value: Any) -> bytes | None:
+        """Return the bytes of a value for the uniform binding at `index`, or None for a range, once it is checked."""
         data = self.pack_value(index, value)
-        if data is not None:
-            return PendingConstants(self.core, data, self.descriptor.bindings[index].type)
-        self.check(index, value)
-        return value
+        if data is None:
+            self.check(index, value)
+        return data
 
     def check(self, index: int, value: Any) -> None:
         """Refuse `value` for the binding at `index` unless its type fits and its resource can be used."""
@@ -263,7 +271,7 @@ class Program(Generic[P]):
             return
         call = f"{binding.name}= of program {self.name!r}"
         if value is MISSING or value is None:
-            self.core.refuse(rules.BINDING_MISSING, call, "nothing", _wanted(binding))
+            self.core.refuse(rules.BINDING_MISSING, call, "nothing", _expected_text(binding))
         match binding.kind:
             case BindingKind.UNIFORM | BindingKind.STORAGE:
                 self._check_range(binding, value, call)
@@ -275,67 +283,70 @@ class Program(Generic[P]):
     def _check_range(self, binding: Binding, value: Any, call: str) -> None:
         fits = isinstance(value, _RANGES[binding.kind])
         if not fits or value.type is not binding.type:
-            tip = "" if isinstance(value, UniformRange | StorageRange) else _how_to_make(binding)
-            self.core.refuse(rules.BINDING_TYPE, call, _given(value), _wanted(binding), tip)
+            tip = "" if isinstance(value, UniformRange | StorageRange) else _creation_tip(binding)
+            self.core.refuse(rules.BINDING_TYPE, call, _actual_text(value), _expected_text(binding), tip)
         self.core.check_usable(value.owner, call)
         if binding.writes and not isinstance(value.owner, Buffer):
             tip = "make it with device.storage(…): shaders can't write transient memory"
             self.core.refuse(
-                rules.BINDING_TYPE, call, "transient storage, which shaders only read", _wanted(binding), tip
+                rules.BINDING_TYPE, call, "transient storage, which shaders only read", _expected_text(binding), tip
             )
         faults = range_faults(binding.kind, value.offset, value.size, binding.size, self.core.capabilities)
         self.core.require(call, faults)
 
     def _check_texture(self, binding: Binding, value: Any, call: str) -> None:
         if not isinstance(value, TextureBinding) or not isinstance(value.owner, Texture):
-            self.core.refuse(rules.BINDING_TYPE, call, _given(value), _wanted(binding))
+            self.core.refuse(rules.BINDING_TYPE, call, _actual_text(value), _expected_text(binding))
         texture = value.owner
         self.core.check_usable(texture, call)
         self._check_feedback(texture, call)
-        wanted: Any = binding.type
-        if (texture.samples > 1) != wanted.samples:
+        expected: Any = binding.type
+        if (texture.samples > 1) != expected.samples:
             given = f"{texture!r} of {texture.samples} samples"
             allowed, tip = "a texture of several samples", "give the binding a type of one sample, such as Texture2D"
             if texture.samples > 1:
                 allowed = "a single-sampled texture"
                 tip = "resolve it first: texture.resolve_to(…); or read each sample of a Texture2DSamples"
             self.core.refuse(rules.BINDING_TYPE, call, given, allowed, tip)
-        if texture.kind is not wanted.kind:
-            self.core.refuse(rules.BINDING_TYPE, call, f"{texture!r}, {texture.kind.name}", _wanted(binding))
+        if texture.kind is not expected.kind:
+            self.core.refuse(rules.BINDING_TYPE, call, f"{texture!r}, {texture.kind.name}", _expected_text(binding))
         compares = self.core.sampler_descriptors[value.sampler].compare is not None
-        if wanted.compare != compares:
-            tip = "use texture.sampled(SamplerDescriptor(compare=…))" if wanted.compare else ""
+        if expected.compare != compares:
+            tip = "use texture.sampled(SamplerDescriptor(compare=…))" if expected.compare else ""
             given = "a sampler that compares" if compares else "a sampler that does not compare"
-            self.core.refuse(rules.BINDING_TYPE, call, given, _wanted(binding), tip)
-        if wanted.compare and not texture.format.is_depth:
+            self.core.refuse(rules.BINDING_TYPE, call, given, _expected_text(binding), tip)
+        if expected.compare and not texture.format.is_depth:
             self.core.refuse(rules.BINDING_TYPE, call, texture.format.name, "a depth format")
-        if shader_kind(texture.format) != str(wanted.scalar):
+        if shader_kind(texture.format) != str(expected.scalar):
             self.core.refuse(
                 rules.BINDING_TYPE,
                 call,
                 f"{texture.format.name}, read as {shader_kind(texture.format)}",
-                _wanted(binding),
+                _expected_text(binding),
             )
 
     def _check_image(self, binding: Binding, value: Any, call: str) -> None:
         if not isinstance(value, ImageBinding) or not isinstance(value.owner, Texture):
-            self.core.refuse(rules.BINDING_TYPE, call, _given(value), _wanted(binding), "use texture.image(level)")
+            self.core.refuse(
+                rules.BINDING_TYPE, call, _actual_text(value), _expected_text(binding), "use texture.image(level)"
+            )
         texture = value.owner
         self.core.check_usable(texture, call)
         self._check_feedback(texture, call)
-        wanted: Any = binding.type
-        if texture.format is not wanted.format or texture.samples != 1:
-            self.core.refuse(rules.BINDING_TYPE, call, repr(texture), _wanted(binding))
+        expected: Any = binding.type
+        if texture.format is not expected.format or texture.samples != 1:
+            self.core.refuse(rules.BINDING_TYPE, call, repr(texture), _expected_text(binding))
         kind = TextureKind.D2 if value.layer is not None else texture.kind
-        if kind is not wanted.kind:
-            self.core.refuse(rules.BINDING_TYPE, call, f"{texture!r}, {kind.name}", _wanted(binding))
+        if kind is not expected.kind:
+            self.core.refuse(rules.BINDING_TYPE, call, f"{texture!r}, {kind.name}", _expected_text(binding))
 
     def _check_feedback(self, texture: Texture, call: str) -> None:
         if texture.id in self.core.targets:
             self.core.refuse(rules.PASS_FEEDBACK, call, f"{texture!r}, a target of the open pass")
 
     def explain(self, error: Exception, values: tuple[Any, ...], *meshes: object) -> Exception:
-        """Return the refusal of the argument that caused a Python error in a generated function, or else that error."""
+        """Return the refusal for the argument that caused a Python error in a generated function; without one,
+        the error."""
         try:
             for mesh in meshes:
                 if not isinstance(mesh, Drawable):
@@ -347,24 +358,26 @@ class Program(Generic[P]):
             return refusal.with_traceback(None)
         return error
 
-    def check_names(self, given: Iterable[str]) -> None:
+    def check_names(self, argument_names: Iterable[str]) -> None:
         """Refuse unknown and missing names of bindings."""
-        names = set(given)
-        wanted = {binding.name for binding in self.descriptor.bindings}
-        self.check_unknown(names - wanted)
-        if wanted - names:
-            call, shown = f"draw of program {self.name!r}", ", ".join(sorted(wanted))
-            self.core.refuse(rules.BINDING_MISSING, call, f"nothing for {', '.join(sorted(wanted - names))}", shown)
+        names = set(argument_names)
+        declared = {binding.name for binding in self.descriptor.bindings}
+        self.check_unknown(names - declared)
+        if declared - names:
+            missing_text = f"nothing for {', '.join(sorted(declared - names))}"
+            declared_text = ", ".join(sorted(declared))
+            self.core.refuse(rules.BINDING_MISSING, f"draw of program {self.name!r}", missing_text, declared_text)
 
     def check_unknown(self, names: Iterable[str]) -> None:
-        """Refuse names that aren't bindings; those that the shader declares and doesn't read are a warning, once."""
-        wanted = {binding.name for binding in self.descriptor.bindings}
+        """Refuse names that aren't bindings; a name that the shader declares but doesn't read causes one
+        warning."""
+        declared = {binding.name for binding in self.descriptor.bindings}
         unknown = sorted(set(names) - self._left_out.keys())
         if unknown:
-            shown = ", ".join(sorted(wanted)) or "no bindings"
-            self.core.refuse(rules.BINDING_UNKNOWN, f"draw of program {self.name!r}", ", ".join(unknown), shown)
+            declared_text = ", ".join(sorted(declared)) or "no bindings"
+            self.core.refuse(rules.BINDING_UNKNOWN, f"draw of program {self.name!r}", ", ".join(unknown), declared_text)
         for name in sorted(names):
-            if name not in wanted and not self._left_out[name]:
+            if name not in declared and not self._left_out[name]:
                 self._left_out[name] = True
                 site = find_call_site() or CallSite("rhi", 1)
                 text = f"program {self.name!r} doesn't read {name!r}, which a draw gives; it is left out"
@@ -373,8 +386,8 @@ class Program(Generic[P]):
     def check_instances(self, instances: Any, mesh: Drawable) -> int:
         """Return the number of instances as an int; refuse an invalid one, and one that `mesh` doesn't have."""
         if instances.__class__ is not int or not 0 <= instances <= MAX_INSTANCES:
-            check = Arguments(f"draw of program {self.name!r}", self.core.refuse, rules.DRAW_COUNT)
-            instances = check.whole("instances", instances, 0, MAX_INSTANCES)
+            check = ArgumentChecker(f"draw of program {self.name!r}", self.core.refuse, rules.DRAW_COUNT)
+            instances = check.integer("instances", instances, 0, MAX_INSTANCES)
         if mesh.instance_fields and instances:
             self._check_instance_end(mesh, instances)
         return int(instances)
@@ -382,27 +395,27 @@ class Program(Generic[P]):
 
 def check_program(core: Core, program: object, call: str) -> None:
     """Refuse anything but a usable program."""
-    check = Arguments(call, core.refuse)
+    check = ArgumentChecker(call, core.refuse)
     core.check_usable(check.instance("program", program, Program, "a Program from device.program(…)"), call)
 
 
 class ProgramTable:
-    """The programs of a device, by the shader class or descriptor that they were made of; destroyed ones leave it."""
+    """The programs of a device, by their shader class or descriptor. Destroyed programs leave it."""
 
     def __init__(self, timeline: Timeline, precision: Precision = Precision.EXACT) -> None:
-        """Make an empty table. `precision`: that of shaders which say none themselves."""
+        """Create an empty table. `precision` is for shaders that don't state one."""
         self.precision = precision
         self._timeline = timeline
         self._programs: dict[object, Program[...]] = {}
         self._shaders: dict[Id, object] = {}
 
     def compile(self, shader: type[Shader]) -> ProgramDescriptor:
-        """Compile a shader in its precision, or in that of the device."""
-        return describe_in(shader, self.precision)
+        """Compile a shader in its own precision, or else in the device's."""
+        return describe_with_precision(shader, self.precision)
 
-    def find_exact(self, shader: type[Shader]) -> list[str]:
+    def list_exact_functions(self, shader: type[Shader]) -> list[str]:
         """Return the functions of a shader that run in `Precision.EXACT` here and have a faster form."""
-        return find_exact(shader) if self.compile(shader).flushes_denormals is False else []
+        return list_exact_functions(shader) if self.compile(shader).flushes_denormals is False else []
 
     def find(self, shader: object) -> Program[...] | None:
         """Return the program of a shader, None if there is none."""
@@ -423,17 +436,17 @@ class ProgramTable:
 
 
 def shader_kind(form: Format) -> str:
-    """Return the scalar type as which a shader sees a format's channels: "float", "int" or "uint"."""
+    """The scalar type in which shaders read a format's channels: "float", "int" or "uint"."""
     return {ChannelKind.UINT: "uint", ChannelKind.INT: "int"}.get(form.kind, "float")
 
 
-def _given(value: object) -> str:
+def _actual_text(value: object) -> str:
     element = getattr(value, "type", None)
-    shown = getattr(element, "__name__", None)
-    return f"{describe_object(value)}{f' of {shown}' if shown else ''}"
+    name = getattr(element, "__name__", None)
+    return f"{describe_object(value)}{f' of {name}' if name else ''}"
 
 
-def _wanted(binding: Binding) -> str:
+def _expected_text(binding: Binding) -> str:
     return f"{binding.kind.name.lower()} of {_type_name(binding)}"
 
 
@@ -441,12 +454,12 @@ def _type_name(binding: Binding) -> str:
     return getattr(binding.type, "__name__", None) or str(binding.type)
 
 
-def _how_to_make(binding: Binding) -> str:
+def _creation_tip(binding: Binding) -> str:
     """Return the call that creates a value for a uniform or storage binding, as a tip."""
-    made = _type_name(binding)
+    name = _type_name(binding)
     if binding.kind is BindingKind.STORAGE:
-        return f"make it with device.storage({made}, …)"
-    value = f"{made}(…)" if isinstance(binding.type, type) and issubclass(binding.type, Struct) else "…"
+        return f"make it with device.storage({name}, …)"
+    value = f"{name}(…)" if isinstance(binding.type, type) and issubclass(binding.type, Struct) else "…"
     return f"give the value itself, {value}, or keep it in device.uniform({value})"
 
 

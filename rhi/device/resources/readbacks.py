@@ -1,4 +1,4 @@
-"""Futures of reads: the contents of a texture or a buffer on their way from the device.
+"""Readbacks: futures of reads from textures and buffers.
 
 `Texture.read_async` and `Buffer.read_async` copy on the device, in the order of the commands, and return at once. So
 what is changed or destroyed afterwards doesn't affect the result.
@@ -73,7 +73,7 @@ class Readback:
         self._array = array.reshape(self._shape)
 
     def fetch(self) -> None:
-        """Wait for the result, copy it out of the device's memory and give that back."""
+        """Wait for the result, copy it from the pool's buffer, and give the buffer back."""
         core = self._core
         core.check_ready()
         core.timeline.wait(self.fence)

@@ -30,12 +30,12 @@ from rhi.contract.descriptors import (
 from rhi.contract.formats import Format
 from rhi.device.core.core import Core
 from rhi.device.resources.buffers import Buffer, StorageBuffer, check_buffer
-from rhi.device.resources.images import make_picture, write_image
+from rhi.device.resources.images import convert_to_image, write_image
 from rhi.device.resources.lifetime import Resource, drop, retire
 from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
 from rhi.errors import rules
-from rhi.errors.arguments import Arguments, Fields
+from rhi.errors.arguments import ArgumentChecker, FieldChecker
 from rhi.shading.language.bindings import ImageBinding, TextureBinding
 
 _LINEAR = SamplerDescriptor()
@@ -50,8 +50,8 @@ class Sampler:
     descriptor: SamplerDescriptor
 
     def __post_init__(self) -> None:
-        fields = Fields(self)
-        fields.wholes("id", least=1)
+        fields = FieldChecker(self)
+        fields.integers("id", minimum=1)
         fields.instance("descriptor", self.descriptor, SamplerDescriptor, "an rhi.SamplerDescriptor")
 
 
@@ -75,7 +75,8 @@ class Texture(TextureBinding, Resource):
     Attributes:
         id: the texture's id in the command stream.
         descriptor: size, format, kind, layers, levels and samples; these are also attributes of the texture.
-        requested: the same, but also of blocks that the device doesn't store: they are decoded as they are written.
+        requested: the descriptor as it was asked for. It differs if the device doesn't store the blocks of a
+            compressed format: they are decoded when they are written.
     """
 
     __slots__ = ("core", "descriptor", "destroyed", "id", "requested")
@@ -136,7 +137,7 @@ class Texture(TextureBinding, Resource):
 
     @property
     def compressed(self) -> CompressedFormat | None:
-        """The format of the blocks that are written, or None. They are stored as they are if the device can, else as
+        """The block format that `write` takes, or None. The device stores the blocks if it can, else their
         decoded texels."""
         return self.requested.compressed
 
@@ -173,7 +174,7 @@ class Texture(TextureBinding, Resource):
                 return TextureBinding(self.id, sampler.id, self)
         else:
             allowed = "a Sampler from device.sampler(…), or an rhi.SamplerDescriptor"
-            descriptor = Arguments(call, core.refuse).instance("sampler", sampler, SamplerDescriptor, allowed)
+            descriptor = ArgumentChecker(call, core.refuse).instance("sampler", sampler, SamplerDescriptor, allowed)
         return TextureBinding(self.id, core.sampler(descriptor), self)
 
     def image(self, level: int = 0, layer: int | None = None) -> ImageBinding:
@@ -205,20 +206,20 @@ class Texture(TextureBinding, Resource):
             DeviceError: `image-library` without Pillow.
         """
         if not isinstance(path, (str, Path)):
-            Arguments("Texture.save", self.core.refuse).fail("path", path, "a str or a Path")
-        picture = make_picture(self.format, self.read(level, layer))
-        if picture is None:
+            ArgumentChecker("Texture.save", self.core.refuse).fail("path", path, "a str or a Path")
+        image = convert_to_image(self.format, self.read(level, layer))
+        if image is None:
             self.core.refuse(rules.TEXTURE_FORMAT, "Texture.save", self.format.name, "a format of colors or depth")
-        write_image(picture, path)
+        write_image(image, path)
 
     def _repr_png_(self) -> bytes | None:
-        """Return the picture for a notebook; None for what `save` refuses."""
+        """Return the image for a notebook; None for formats that `save` refuses."""
         if self.destroyed or self.core.closed or self.samples > 1 or self.compressed is not None:
             return None
-        picture = make_picture(self.format, self.read())
+        image = convert_to_image(self.format, self.read())
         file = io.BytesIO()
-        if picture is not None:
-            write_image(picture, file, "png")
+        if image is not None:
+            write_image(image, file, "png")
         return file.getvalue() or None
 
     def read_layers(self, level: int = 0) -> NDArray[Any]:
@@ -268,11 +269,11 @@ class Texture(TextureBinding, Resource):
                 `texture-format` for depth, `texture-samples` for multi-sampled textures.
         """
         call = "Texture.write"
-        check = Arguments(call, self.core.refuse)
+        check = ArgumentChecker(call, self.core.refuse)
         level, layer = self._check(call, level, layer)
         if self.compressed is not None:
             blocks = check.array("texels", texels)
-            x, y = check.whole("x", x), check.whole("y", y)
+            x, y = check.integer("x", x), check.integer("y", y)
             self._write_blocks(call, self.compressed, blocks, level, layer, x, y)
             return
         self.core.require(call, limits.written_faults(self.descriptor))
@@ -290,7 +291,7 @@ class Texture(TextureBinding, Resource):
             allowed = f"(height, width, {components}) of {self.format.dtype}"
             self.core.refuse(rules.TEXTURE_DATA, call, f"shape {np.shape(texels)} of {array.dtype}", allowed)
         layers, height, width = array.shape[:3]
-        region = Region(check.whole("x", x), check.whole("y", y), width, height, layer, layers)
+        region = Region(check.integer("x", x), check.integer("y", y), width, height, layer, layers)
         self._check_region(call, level, region)
         self.core.upload_bytes += array.nbytes
         self.core.backend.write_texture(self.id, level, region, np.ascontiguousarray(array).view(np.uint8).data)
@@ -347,19 +348,26 @@ class Texture(TextureBinding, Resource):
         self._copy(self.core, target, level, region, target_level, x, y, layer)
 
     def _copy(
-        self, core: Core, target: Texture, level: int, region: Region | None, target_level: int, x: int, y: int,
+        self,
+        core: Core,
+        target: Texture,
+        level: int,
+        region: Region | None,
+        target_level: int,
+        x: int,
+        y: int,
         layer: int,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Send a `copy_to` to `core`."""
         call = "Texture.copy_to"
-        check = Arguments(call, self.core.refuse)
+        check = ArgumentChecker(call, self.core.refuse)
         check.instance("target", target, Texture, "a Texture")
         level, source_region = self._whole(call, level, core, region)
         target_level, layer = target._check(call, target_level, layer, core)
-        x, y = check.whole("x", x), check.whole("y", y)
+        x, y = check.integer("x", x), check.integer("y", y)
         end = Region(x, y, source_region.width, source_region.height, layer, source_region.layers)
-        places = (self.requested, level, source_region, target.requested, target_level, end)
-        core.require(call, limits.texture_copy_faults(*places, same=target is self))
+        arguments = (self.requested, level, source_region, target.requested, target_level, end)
+        core.require(call, limits.texture_copy_faults(*arguments, same=target is self))
         core.check_ready()
         core.backend.copy_texture(self.id, level, source_region, target.id, target_level, x, y, layer)
 
@@ -441,10 +449,10 @@ class Texture(TextureBinding, Resource):
         row_bytes: int | None,
         core: Core,
     ) -> tuple[Buffer, int, int]:
-        """Check the place of a region's rows in a buffer; return the buffer, the offset and the distance of rows."""
-        check = Arguments(call, self.core.refuse)
+        """Check the layout of a region's rows in a buffer; return the buffer, the offset and the row pitch."""
+        check = ArgumentChecker(call, self.core.refuse)
         buffer = check_buffer(check, "buffer", buffer)
-        offset, row_bytes = check.whole("offset", offset), check.whole_or_none("row_bytes", row_bytes)
+        offset, row_bytes = check.integer("offset", offset), check.integer_or_none("row_bytes", row_bytes)
         core.check_usable(buffer, call)
         row_bytes = self._tight_row(region) if row_bytes is None else row_bytes
         faults = limits.row_faults(self.requested, level, region, offset, row_bytes, buffer.size, core.capabilities)
@@ -453,7 +461,7 @@ class Texture(TextureBinding, Resource):
         return buffer, offset, row_bytes
 
     def _tight_row(self, region: Region) -> int:
-        """Return the smallest distance in bytes between a region's rows in a buffer."""
+        """Return the smallest row pitch in bytes of a region in a buffer."""
         texel = self.format.transfer_bytes
         step = max(texel, self.core.capabilities.copy_row_alignment)
         return -(-region.width * texel // step) * step
@@ -465,7 +473,7 @@ class Texture(TextureBinding, Resource):
     def _resolve(self, core: Core, target: Texture) -> None:
         """Send a `resolve_to` to `core`."""
         call = "Texture.resolve_to"
-        Arguments(call, self.core.refuse).instance("target", target, Texture, "a Texture")
+        ArgumentChecker(call, self.core.refuse).instance("target", target, Texture, "a Texture")
         self._check(call, core=core)
         target._check(call, core=core)
         self.core.require(call, limits.resolve_faults(self.requested, target.requested, self.core.capabilities))
@@ -475,7 +483,7 @@ class Texture(TextureBinding, Resource):
     def lock(self, access: Access, level: int = 0, layer: int = 0, region: Region | None = None) -> Lock:
         """Create a lock: `with texture.lock(Access.WRITE) as texels:`, (height, width, channels), top row first."""
         call = "Texture.lock"
-        Arguments(call, self.core.refuse).choice("access", access, Access)
+        ArgumentChecker(call, self.core.refuse).choice("access", access, Access)
         self.core.require(call, limits.plain_faults(self.requested))
         if self.format.is_depth and access.writes:
             self.core.refuse(rules.TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
@@ -493,8 +501,8 @@ class Texture(TextureBinding, Resource):
 
     def _check(self, call: str, level: int = 0, layer: int = 0, core: Core | None = None) -> tuple[int, int]:
         """Refuse a texture that can't be used now, and return a level and layer that it has."""
-        check = Arguments(call, self.core.refuse)
-        level, layer = check.whole("level", level), check.whole("layer", layer)
+        check = ArgumentChecker(call, self.core.refuse)
+        level, layer = check.integer("level", level), check.integer("layer", layer)
         core = core or self.core
         core.check_open()
         core.check_usable(self, call)
@@ -506,7 +514,7 @@ class Texture(TextureBinding, Resource):
         self.core.require(call, limits.region_faults(self.descriptor, level, region))
 
     def _whole(self, call: str, level: int, core: Core, region: Region | None = None) -> tuple[int, Region]:
-        """Return a level, and the region of it that was given, or else all of its texels and layers."""
+        """Return a level, and `region` or else all texels and layers of the level."""
         level, _ = self._check(call, level, core=core)
         if region is not None:
             return level, self._as_region(call, region)
@@ -514,7 +522,7 @@ class Texture(TextureBinding, Resource):
         return level, Region(0, 0, width, height, 0, self.descriptor.level_layers(level))
 
     def _region(self, call: str, level: int, layer: int, region: Region | None) -> tuple[int, Region]:
-        """Return a level, and the region of it that was given, or else all texels of the layer."""
+        """Return a level, and `region` or else all texels of the layer."""
         level, layer = self._check(call, level, layer)
         if region is None:
             return level, Region(0, 0, *self.descriptor.level_size(level), layer)
@@ -524,7 +532,7 @@ class Texture(TextureBinding, Resource):
 
     def _as_region(self, call: str, region: Region) -> Region:
         allowed = "an rhi.Region(x, y, width, height), or None"
-        return Arguments(call, self.core.refuse).instance("region", region, Region, allowed)
+        return ArgumentChecker(call, self.core.refuse).instance("region", region, Region, allowed)
 
     def _read(self, call: str, level: int, region: Region, stencil: bool) -> NDArray[Any]:
         self._check(call)

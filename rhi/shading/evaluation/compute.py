@@ -21,14 +21,14 @@ from rhi.shading.ir import tree
 from rhi.shading.language import rules
 from rhi.shading.language.function import ShadingFunction
 from rhi.shading.language.shader import Shader, StorageClass
-from rhi.shading.language.source import FORGOTTEN
+from rhi.shading.language.source import INVALIDATION_CALLBACKS
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.types import ImageType, StorageType, TextureType, stored_kind
 from rhi.shading.lowering.components import all_kinds, words_of
 from rhi.shading.lowering.functions import lower_function
+from rhi.shading.numpy.host_textures import HostTexture
 from rhi.shading.numpy.kernel import LaneFunction, NumpyKernel, load_module
-from rhi.shading.numpy.textures import HostTexture
-from rhi.shading.numpy.writer import write_numpy_function
+from rhi.shading.numpy.numpy_writer import write_numpy_function
 from rhi.shading.parser.stage import parse_function
 
 Array = NDArray[Any]
@@ -36,7 +36,7 @@ Array = NDArray[Any]
 _DTYPES: Final = {layout.INT: np.int32, layout.UINT: np.uint32, layout.BOOL: np.bool_}
 _functions: weakref.WeakKeyDictionary[FunctionType, tuple[tree.Function, LaneFunction]] = weakref.WeakKeyDictionary()
 _shaders: weakref.WeakKeyDictionary[type[Shader], NumpyKernel] = weakref.WeakKeyDictionary()
-FORGOTTEN.extend((_functions.clear, _shaders.clear))
+INVALIDATION_CALLBACKS.extend((_functions.clear, _shaders.clear))
 
 
 # -- functions ---------------------------------------------------------------------------------------------
@@ -66,9 +66,9 @@ def evaluate(
     if not isinstance(function, ShadingFunction):
         refuse(rules.WRONG_ARGUMENTS, call, repr(function), "a function decorated with @function")
     tree_function, run = _compiled_function(function.python)
-    given = _by_name(tree_function, arguments, named, call, dtype)
+    values = _by_name(tree_function, arguments, named, call, dtype)
     scalars = []
-    for parameter, value in zip(tree_function.parameters, given, strict=True):
+    for parameter, value in zip(tree_function.parameters, values, strict=True):
         scalars.extend(scalars_of(parameter.type, value, dtype, f"{call}: {parameter.name}"))  # type: ignore[arg-type]
     shape = np.broadcast_shapes(*(np.shape(scalar) for scalar in scalars))
     with np.errstate(all="ignore"):
@@ -77,24 +77,24 @@ def evaluate(
 
 
 def _compiled_function(function: FunctionType) -> tuple[tree.Function, LaneFunction]:
-    known = _functions.get(function)
-    if known is None:
+    compiled = _functions.get(function)
+    if compiled is None:
         parsed = parse_function(function)
         code = lower_function(parsed)
-        known = _functions[function] = (parsed, load_module(write_numpy_function(code), code.name)["run"])
-    return known
+        compiled = _functions[function] = (parsed, load_module(write_numpy_function(code), code.name)["run"])
+    return compiled
 
 
 def _by_name(
     function: tree.Function, arguments: tuple[Any, ...], named: dict[str, Any], call: str, dtype: Any
 ) -> list[Any]:
     names = [parameter.name for parameter in function.parameters]
-    given = dict(zip(names, arguments, strict=False)) | named
-    if len(arguments) + len(named) != len(names) or set(given) != set(names):
-        refuse(rules.WRONG_ARGUMENTS, call, ", ".join(given) or "nothing", ", ".join(names))
+    values = dict(zip(names, arguments, strict=False)) | named
+    if len(arguments) + len(named) != len(names) or set(values) != set(names):
+        refuse(rules.WRONG_ARGUMENTS, call, ", ".join(values) or "nothing", ", ".join(names))
     if dtype not in (np.float32, np.float64):
         refuse(rules.WRONG_ARGUMENTS, call, f"dtype={dtype!r}", "np.float32, np.float64")
-    return [given[name] for name in names]
+    return [values[name] for name in names]
 
 
 def scalars_of(type: layout.HostType, value: Any, dtype: Any, call: str) -> list[Any]:
@@ -233,8 +233,8 @@ def bound_words(shader: type[Shader], bindings: dict[str, Any], call: str) -> tu
 
 
 def _compiled_shader(shader: type[Shader]) -> NumpyKernel:
-    known = _shaders.get(shader)
-    if known is None:
+    kernel = _shaders.get(shader)
+    if kernel is None:
         descriptor = compile_shader(shader)
         if Stage.COMPUTE not in descriptor.stages:
             refuse(
@@ -243,8 +243,8 @@ def _compiled_shader(shader: type[Shader]) -> NumpyKernel:
                 "no compute stage",
                 "compute(self) -> None",
             )
-        known = _shaders[shader] = NumpyKernel(descriptor.emit("numpy", Stage.COMPUTE).text, descriptor.name)
-    return known
+        kernel = _shaders[shader] = NumpyKernel(descriptor.emit("numpy", Stage.COMPUTE).text, descriptor.name)
+    return kernel
 
 
 def storage_words(element: layout.HostType, value: Any, call: str) -> tuple[Array, Array]:
@@ -253,8 +253,8 @@ def storage_words(element: layout.HostType, value: Any, call: str) -> tuple[Arra
     Raises:
         ValidationError `shading-arguments`: `value` is not an array of the element's std430 dtype.
     """
-    wanted = layout.element_dtype(element, layout.Layout.STD430)
-    base, shape = wanted.subdtype if wanted.subdtype is not None else (wanted, ())
+    dtype = layout.element_dtype(element, layout.Layout.STD430)
+    base, shape = dtype.subdtype if dtype.subdtype is not None else (dtype, ())
     if isinstance(value, int):
         whole = np.zeros((value, *shape), base)
     else:

@@ -24,13 +24,13 @@ from rhi.shading.ir.interface import Interface
 from rhi.shading.ir.lanes import StageCode
 from rhi.shading.language import rules
 from rhi.shading.language.shader import Shader
-from rhi.shading.language.source import FORGOTTEN
+from rhi.shading.language.source import INVALIDATION_CALLBACKS
 from rhi.shading.language.types import VEC4, VECTORS
 from rhi.shading.lowering.components import words_of
 from rhi.shading.lowering.stages import lower_stage, takes_differences
 from rhi.shading.numpy.kernel import LaneFunction, load_module
+from rhi.shading.numpy.numpy_writer import write_numpy_function
 from rhi.shading.numpy.runtime import Invocations
-from rhi.shading.numpy.writer import write_numpy_function
 from rhi.shading.parser.interface import varyings_read, words_of_varyings
 
 Array = NDArray[Any]
@@ -57,15 +57,15 @@ class FragmentRun:
     """The results of a fragment stage.
 
     Attributes:
-        outputs: the outputs by name, (…, rows, columns, components); undefined for fragments that aren't `kept`.
-        depth: the depth, if the stage writes it; undefined for fragments that aren't `kept`.
-        kept: whether each fragment is covered and not discarded.
+        outputs: the outputs by name, (…, rows, columns, components); undefined outside `coverage`.
+        depth: the depth, if the stage writes it; undefined outside `coverage`.
+        coverage: whether each fragment is covered and not discarded.
         memory: the contents of each `StorageRW` by name.
     """
 
     outputs: dict[str, Array]
     depth: Array | None
-    kept: Array
+    coverage: Array
     memory: dict[str, Array]
 
 
@@ -78,7 +78,7 @@ class _CompiledStage:
 
 
 _stages: weakref.WeakKeyDictionary[type[Shader], dict[Stage, _CompiledStage]] = weakref.WeakKeyDictionary()
-FORGOTTEN.append(_stages.clear)
+INVALIDATION_CALLBACKS.append(_stages.clear)
 
 
 def run_vertex(
@@ -176,14 +176,14 @@ def run_fragment(
     memory, written = bound_words(shader, bindings, call)
     with np.errstate(all="ignore"):
         results = list(compiled.run(dtype, memory, Invocations(shape), [*values, *at, front, primitive, *inside, mask]))
-    kept = np.array(np.broadcast_to(results.pop(), shape), np.bool_)
+    coverage = np.array(np.broadcast_to(results.pop(), shape), np.bool_)
     depth = results.pop() if compiled.code.has_depth else None
     outputs = {}
     for output in compiled.interface.outputs:
         words = range(4 * output.location, 4 * output.location + output.components)
         parts = [results[compiled.code.words.index(word)] for word in words]
         outputs[output.name] = assemble(_output_type(compiled.stage, output.name), parts, shape, dtype)
-    return FragmentRun(outputs, None if depth is None else assemble(FLOAT, [depth], shape, dtype), kept, written)
+    return FragmentRun(outputs, None if depth is None else assemble(FLOAT, [depth], shape, dtype), coverage, written)
 
 
 def _output_type(stage: tree.StageTree, name: str) -> HostType:
@@ -206,27 +206,28 @@ def _fields(type: Any, position: str, results: list[Any], shape: tuple[int, ...]
 
 def _inputs(
     stage: tree.StageTree,
-    given: Mapping[str, Any] | Array | None,
+    inputs: Mapping[str, Any] | Array | None,
     read: set[str],
     dtype: Any,
     call: str,
 ) -> list[Any]:
-    """Return the components of the fields in `read` of a stage's parameters. Varyings may be more than those of the
-    shader; attributes may not."""
+    """Return the components of the fields in `read` of a stage's parameters.
+
+    Unknown varyings are ignored, unknown attributes are refused."""
     if dtype not in (np.float32, np.float64):
         refuse(rules.WRONG_ARGUMENTS, call, f"dtype={dtype!r}", "np.float32, np.float64")
     types = [parameter.type for parameter in stage.entry.parameters]
     fields = [field for type in types if isinstance(type, StructType) for field in type.fields]
-    if isinstance(given, np.ndarray):
-        given = {name: given[name] for name in given.dtype.names or ()}
-    given, names = given or {}, {field.name for field in fields}
-    is_unknown = stage.stage is Stage.VERTEX and set(given) - names
-    if names & read - set(given) or is_unknown:
-        refuse(rules.WRONG_ARGUMENTS, call, ", ".join(given) or "nothing", ", ".join(sorted(names)) or "nothing")
+    if isinstance(inputs, np.ndarray):
+        inputs = {name: inputs[name] for name in inputs.dtype.names or ()}
+    inputs, names = inputs or {}, {field.name for field in fields}
+    is_unknown = stage.stage is Stage.VERTEX and set(inputs) - names
+    if names & read - set(inputs) or is_unknown:
+        refuse(rules.WRONG_ARGUMENTS, call, ", ".join(inputs) or "nothing", ", ".join(sorted(names)) or "nothing")
     values: list[Any] = []
     for field in fields:
         if field.name in read:
-            values += scalars_of(field.type, given[field.name], dtype, f"{call}: {field.name}")
+            values += scalars_of(field.type, inputs[field.name], dtype, f"{call}: {field.name}")
     return values
 
 
@@ -238,8 +239,8 @@ def _broadcast(shapes: list[tuple[int, ...]], call: str) -> tuple[int, ...]:
 
 
 def _compiled_stage(shader: type[Shader], stage: Stage, call: str) -> _CompiledStage:
-    known = _stages.setdefault(shader, {})
-    if stage not in known:
+    stages = _stages.setdefault(shader, {})
+    if stage not in stages:
         compiled = compiled_code(shader)
         if stage not in compiled.stages:
             refuse(rules.STAGES, call, f"no {stage.value} stage", f"{stage.value}(self, …)")
@@ -250,5 +251,5 @@ def _compiled_stage(shader: type[Shader], stage: Stage, call: str) -> _CompiledS
             varyings = varyings_read(stage_tree, interface.varyings)
         code = lower_stage(stage_tree, interface, varyings, 0, shader.checked)
         run = load_module(write_numpy_function(code.code), shader.__name__)["run"]
-        known[stage] = _CompiledStage(stage_tree, interface, code, run)
-    return known[stage]
+        stages[stage] = _CompiledStage(stage_tree, interface, code, run)
+    return stages[stage]

@@ -38,7 +38,8 @@ def lines_of(
     structs: set[str],
     work_group: tuple[int, int, int],
 ) -> Iterator[tuple[str, int]]:
-    """Yield the lines of a whole stage with their Python lines; what the class declares is left out.
+    """Yield the lines of a whole stage with their Python lines, without the declarations that the class
+    makes.
 
     Args:
         declared: the GLSL types of inputs, outputs and bindings, by ("in", "out" or "uniform", name).
@@ -49,8 +50,8 @@ def lines_of(
     """
     native = function.native["glsl"]
 
-    def refuse(line: int, given: str, allowed: str, tip: str = "") -> NoReturn:
-        refuse_at(rules.NATIVE, function.name, function.file, SourceSpan(line), given, allowed, tip)
+    def refuse(line: int, actual: str, allowed: str, tip: str = "") -> NoReturn:
+        refuse_at(rules.NATIVE, function.name, function.file, SourceSpan(line), actual, allowed, tip)
 
     for offset, line in enumerate(native.body.splitlines()):
         number = native.line + offset if native.line else function.span.line
@@ -62,14 +63,14 @@ def lines_of(
             if tuple(sizes.values()) != work_group:
                 refuse(number, f"a work-group of {tuple(sizes.values())}", f"work_group = {work_group}")
             text = ""
-        elif found := re.match(_DECLARATION, line):
-            direction, type, name = found[1], found[2] + (found[4] or ""), found[3]
-            wanted = declared.get((direction, name))
-            if wanted != type:
-                known = [f"{way} {kind} {key}" for (way, key), kind in declared.items() if way == direction]
-                tip = suggest(name, [key for way, key in declared if way == direction]) if wanted is None else ""
-                refuse(number, f"{direction} {type} {name}", ", ".join(known) or f"no {direction}", tip)
-            text = line[: found.start()] + line[found.end() :]
+        elif match := re.match(_DECLARATION, line):
+            direction, type, name = match[1], match[2] + (match[4] or ""), match[3]
+            expected_type = declared.get((direction, name))
+            if expected_type != type:
+                declarations = [f"{way} {kind} {key}" for (way, key), kind in declared.items() if way == direction]
+                tip = suggest(name, [key for way, key in declared if way == direction]) if expected_type is None else ""
+                refuse(number, f"{direction} {type} {name}", ", ".join(declarations) or f"no {direction}", tip)
+            text = line[: match.start()] + line[match.end() :]
         elif (block := re.match(_BLOCK, line)) and (block[1] != "struct" or block[2] in structs):
             tip = "remove it: the class declares it; a uniform's fields are read as `camera.view`"
             refuse(number, f"{block[1]} {block[2]}", "declarations of the class", tip)

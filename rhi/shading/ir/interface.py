@@ -1,4 +1,5 @@
-"""What the stages of a shader share and their trees don't hold: inputs, outputs, varyings, bindings, the work-group."""
+"""The interface of a shader: inputs, outputs, varyings, bindings and the work-group, which stage trees don't
+hold."""
 
 from __future__ import annotations
 

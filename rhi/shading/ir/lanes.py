@@ -24,7 +24,8 @@ from rhi.shading.ir import nodes
 
 
 class Uniformity(enum.IntEnum):
-    """The invocations that share a value: the whole dispatch, a work-group, the lanes of one work-item, or none."""
+    """The invocations that share a value: the whole dispatch, a work-group, the lanes of a work-item, or
+    none."""
 
     DISPATCH = 0
     GROUP = 1
@@ -42,7 +43,7 @@ class Variable:
 
 
 class AddressSpace(Choice):
-    """The kind of memory a region lies in, as far as lane code distinguishes it."""
+    """The kind of memory that a region lies in."""
 
     UNIFORM = "uniform"
     STORAGE = "storage"
@@ -262,10 +263,10 @@ class TextureAccess(Statement):
     """Read, query or write a texture or image; `results` receive the components.
 
     Coordinates have three components. The operations and their arguments are: sample (at, level), sample_compare
-    (at, reference, level), sample_across (at, step right, step down, bias), sample_compare_across (at, reference, step
+    (at, reference, level), sample_grad (at, step right, step down, bias), sample_compare_grad (at, reference, step
     right, step down, bias), gather (component, at), gather_compare (at, reference), load (texel, level), store (texel,
-    four values), size (level), levels. Steps are the differences of coordinates to the next pixels, which the pixel
-    reaches across. Nothing is read outside the texture. `mask` says which lanes store.
+    four values), size (level), levels. Steps are the differences of coordinates to the next pixels, which
+    bound the pixel's area. Nothing is read outside the texture. `mask` says which lanes store.
     """
 
     operation: str
@@ -284,10 +285,10 @@ class Barrier(Statement):
 
 @dataclass(slots=True, eq=False)
 class Check(Statement):
-    """Report a fault on this line if `wrong` is true in a lane of `mask`: `given` isn't below `limit`."""
+    """Report a fault on this line if `wrong` is true in a lane of `mask`: `value` isn't below `limit`."""
 
     wrong: Value
-    given: Value
+    value: Value
     limit: Value
     mask: Variable | None
 
@@ -417,9 +418,9 @@ def _simplify(operation: str, arguments: tuple[Value, ...]) -> Value | None:
         case "not" if isinstance(a, Literal):
             return FALSE if a.value else TRUE
         case "and" | "or" if a.kind is BOOL:
-            for one, other in (arguments, arguments[::-1]):
-                if isinstance(one, Literal):
-                    return other if bool(one.value) == (operation == "and") else one
+            for factor, rest in (arguments, arguments[::-1]):
+                if isinstance(factor, Literal):
+                    return rest if bool(factor.value) == (operation == "and") else factor
             return None
         case "to_int" | "to_uint" if isinstance(a, Affine):
             base = apply(operation, a.base)
@@ -440,18 +441,18 @@ def _simplify(operation: str, arguments: tuple[Value, ...]) -> Value | None:
                 return folded
             return _affine_sum(operation, a, b)
         case "multiply":
-            for one, other in ((a, b), (b, a)):
-                if _is(one, 1):
-                    return other
-                if isinstance(one, Literal) and isinstance(other, Affine) and one.value:
-                    base = apply("multiply", other.base, one)
-                    return Affine(other.kind, Uniformity.VARYING, base, other.stride * int(one.value))
+            for factor, rest in ((a, b), (b, a)):
+                if _is(factor, 1):
+                    return rest
+                if isinstance(factor, Literal) and isinstance(rest, Affine) and factor.value:
+                    base = apply("multiply", rest.base, factor)
+                    return Affine(rest.kind, Uniformity.VARYING, base, rest.stride * int(factor.value))
             return _fold(operation, a, b)
     return None
 
 
-def _is(value: Value, wanted: int) -> bool:
-    return isinstance(value, Literal) and value.value == wanted
+def _is(value: Value, number: int) -> bool:
+    return isinstance(value, Literal) and value.value == number
 
 
 def _fold(operation: str, a: Value, b: Value) -> Value | None:
@@ -496,7 +497,7 @@ def variables_of(value: Value) -> Iterator[Variable]:
 
 
 WIDTH: Final = 16
-"""Number of lanes of a draw's stages on OpenCL: 16 vertices, or 4 by 4 pixels with lane = x + 4 y."""
+"""The number of lanes of a draw's stages on OpenCL: 16 vertices, or 4 by 4 pixels with lane = x + 4 y."""
 
 FIRST_VERTEX: Final = "vertex"
 """Name of the argument with the first lane's vertex. The others are consecutive unless the writer says otherwise."""

@@ -1,4 +1,5 @@
-"""Walking over nodes of the typed tree and of lane code: operands and blocks, found by the types of a node's fields."""
+"""Traversal of the typed tree and of lane code: operands and blocks, recognised by the types of a node's
+fields."""
 
 from __future__ import annotations
 
@@ -12,23 +13,26 @@ _Reader: TypeAlias = Callable[[Any], tuple[Any, ...]]
 
 
 _readers: Final[dict[tuple[type, str], _Reader]] = {}
-"""The function that reads the operands of each class of nodes, chosen once: all that is parsed and lowered is read."""
+"""The function that reads the operands of each class of nodes, selected once, since every node is read
+often."""
 
 
-def _choose_reader(kind: type, of: str) -> _Reader:
-    """Return the function that reads the fields of a class of nodes that are declared as `of`, or as a tuple of it."""
-    found = [(field.name, str(field.type)) for field in fields(kind) if re.search(rf"\b{of}\b", str(field.type))]
-    if not found:
+def _choose_reader(kind: type, class_name: str) -> _Reader:
+    """Return the function that reads a node's fields declared as `class_name`, or as a tuple of it."""
+    typed_fields = [
+        (field.name, str(field.type)) for field in fields(kind) if re.search(rf"\b{class_name}\b", str(field.type))
+    ]
+    if not typed_fields:
         return lambda node: ()
-    read = attrgetter(*(name for name, _ in found))
-    if all(type == of for _, type in found):
-        return read if len(found) > 1 else lambda node: (read(node),)
-    if len(found) == 1 and found[0][1].startswith("tuple"):
+    read = attrgetter(*(name for name, _ in typed_fields))
+    if all(type == class_name for _, type in typed_fields):
+        return read if len(typed_fields) > 1 else lambda node: (read(node),)
+    if len(typed_fields) == 1 and typed_fields[0][1].startswith("tuple"):
         return read
 
     def read_mixed(node: Any) -> tuple[Any, ...]:
         parts: list[Any] = []
-        for name, type in found:
+        for name, type in typed_fields:
             part = getattr(node, name)
             parts += part if type.startswith("tuple") else () if part is None else (part,)
         return tuple(parts)
@@ -36,22 +40,22 @@ def _choose_reader(kind: type, of: str) -> _Reader:
     return read_mixed
 
 
-def operands(node: Any, of: str) -> tuple[Any, ...]:
-    """Return the direct operands of a node, in order; `of` is the name of their base class."""
-    key = (type(node), of)
+def operands(node: Any, class_name: str) -> tuple[Any, ...]:
+    """Return the direct operands of a node, in order; `class_name` is the name of their base class."""
+    key = (type(node), class_name)
     read = _readers.get(key)
     if read is None:
         read = _readers[key] = _choose_reader(*key)
     return read(node)
 
 
-def within(node: Any, of: str) -> Iterator[Any]:
-    """Yield a node and all nodes that it is computed from, in order; `of` is the name of their base class."""
+def within(node: Any, class_name: str) -> Iterator[Any]:
+    """Yield a node and all nodes that it is computed from, in order; `class_name` is the name of their base class."""
     left = [node]
     while left:
         node = left.pop()
         yield node
-        left += operands(node, of)[::-1]
+        left += operands(node, class_name)[::-1]
 
 
 def walk(block: Sequence[Any]) -> Iterator[Any]:

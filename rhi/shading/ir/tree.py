@@ -341,10 +341,15 @@ class StageTree:
     discards: bool
 
 
+def has_python_bodies(stage: StageTree) -> bool:
+    """Return whether all functions of a stage have a Python body, so that the stage can be lowered to lane code."""
+    return not any(function.native and not function.body for function in stage.functions)
+
+
 def may_overflow(loop: For) -> bool:
     """Return whether a loop's counter could pass the range of an int when it advances for the last time.
 
-    Then the loop ends by comparing the counter with the last value from which it may advance, before it does.
+    Such a loop compares its counter with the last value from which it may advance, before it advances.
     """
     step, stop = loop.step, loop.stop
     if not isinstance(step, Constant):
@@ -368,7 +373,7 @@ def parts_of(node: Expression | Statement) -> tuple[Expression, ...]:
 def left_chain(node: Binary) -> list[Binary]:
     """Return the operations of a chain such as `a + b - c`, which nests to the left, in the order of evaluation.
 
-    Chains may be longer than Python's recursion limit, so whoever visits an expression goes along them in a loop.
+    Chains may be longer than Python's recursion limit, so visitors iterate over them.
     """
     chain = [node]
     while isinstance(chain[-1].left, Binary):

@@ -51,10 +51,10 @@ def value_type_of(annotation: Any) -> HostType:
     Raises:
         TypeError: the annotation is none of these.
     """
-    found = value_type(annotation)
-    if found is None:
+    type = value_type(annotation)
+    if type is None:
         raise TypeError(f"{annotation!r} is not a value type of the shading language")
-    return found
+    return type
 
 
 def value_type(annotation: Any, default: object = None) -> HostType | None:

@@ -39,8 +39,8 @@ class UniformRange(Generic[T]):
         self.owner = owner
 
     def __repr__(self) -> str:
-        place = f"bytes {self.offset} to {self.offset + self.size} of buffer {self.buffer}"
-        return f"UniformRange({getattr(self.type, '__name__', self.type)}, {place})"
+        text = f"bytes {self.offset} to {self.offset + self.size} of buffer {self.buffer}"
+        return f"UniformRange({getattr(self.type, '__name__', self.type)}, {text})"
 
 
 class StorageRange(Generic[T]):
@@ -57,8 +57,8 @@ class StorageRange(Generic[T]):
         self.owner = owner
 
     def __repr__(self) -> str:
-        place = f"bytes {self.offset} to {self.offset + self.size} of buffer {self.buffer}"
-        return f"StorageRange({self.count} × {getattr(self.type, '__name__', self.type)}, {place})"
+        text = f"bytes {self.offset} to {self.offset + self.size} of buffer {self.buffer}"
+        return f"StorageRange({self.count} × {getattr(self.type, '__name__', self.type)}, {text})"
 
 
 class TextureBinding:
@@ -73,8 +73,10 @@ class TextureBinding:
 
     @property
     def owner(self) -> object:
-        """An object that keeps the texture alive. A texture, which is a binding as well, is its own: it doesn't hold
-        itself, so that it is freed with the last reference from outside."""
+        """An object that keeps the texture alive.
+
+        A texture is a binding, too, and returns itself here without storing a reference, so that it can be
+        freed."""
         return self if self._owner is None else self._owner
 
     def __repr__(self) -> str:

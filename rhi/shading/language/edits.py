@@ -1,13 +1,13 @@
-"""Edits of modules of shaders while a program runs: a new text takes effect in the classes that exist.
+"""Edits of shader modules while a program runs: a new text takes effect in the existing classes.
 
 - The text is executed as a module beside the old one. If that fails, nothing has changed.
-- Then what it defines is put **into the classes and functions that exist**: methods, constants, bindings and bases of a
-  shader class, the body of a `@function`, the fields of a struct. So whoever imported a class by its name, derived
-  from it or made a program of it has the new one, and types stay identical.
-- Constants and imports at the top level are exchanged too, in this module: who imported a number by its name keeps it.
-  Plain functions and classes of Python stay as they are, since objects and callbacks of theirs are in use.
-- A struct of which buffers or meshes are made can't change: what the program has written has the old layout.
-- `Edit.undo` puts everything back, for an edit that turns out not to compile.
+- Its definitions are then copied **into the existing classes and functions**: methods, constants, bindings
+  and bases of a shader class, the body of a `@function`, the fields of a struct. Modules that imported a
+  class, classes derived from it and programs made from it see the change, and types stay identical.
+- Constants and imports at the top level change in this module only: a number that another module imported
+  stays. Plain Python functions and classes stay, since their objects and callbacks are in use.
+- A struct can't change once buffers or meshes use it, because their memory has the old layout.
+- `Edit.undo` restores everything, for an edit that doesn't compile.
 """
 
 from __future__ import annotations
@@ -20,46 +20,48 @@ from types import CellType, FunctionType, ModuleType
 from typing import Any, Final, NoReturn, TypeVar, cast, get_args, get_origin
 
 from rhi.contract.layout import ArrayType, HostType, StructType
-from rhi.errors import CallSite, ShaderError, find_call_site
+from rhi.errors import ShaderError
+from rhi.errors.call_sites import CallSite, find_call_site
 from rhi.shading.language import rules
 from rhi.shading.language.function import ShadingFunction
 from rhi.shading.language.modules import execute, is_own
 from rhi.shading.language.shader import Shader, SharedMemory, collect_bindings
-from rhi.shading.language.source import SourceFile, exchange_source, forget_signatures, read_file, take_source
+from rhi.shading.language.source import SourceFile, exchange_source, forget_signatures, read_file, set_source
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.types import StorageType
 
-_KEPT: Final = frozenset(
+_UNEDITED: Final = frozenset(
     ("__dict__", "__weakref__", "__module__", "__qualname__", "__firstlineno__", "__static_attributes__", "_declared")
 )
-"""Attributes of a class that aren't part of its text, or are made of the rest."""
+"""Attributes of a class that aren't part of its text, or are derived from the others."""
 
 Undo = Callable[[], object]
 C = TypeVar("C")
 
 
 class Edit:
-    """A module's new text, in effect.
+    """A new text of a module that has taken effect.
 
     Attributes:
         module: the module.
         file: the name of its file.
-        classes: the shader classes that it has.
-        structs: the types that changed structs had.
+        classes: the shader classes of the module.
+        structs: the earlier types of changed structs.
     """
 
     def __init__(self, module: ModuleType, text: str) -> None:
         """Execute the text and put it into the module.
 
         Raises:
-            ShaderError: `shading-text`: the text isn't Python or raises an exception, with its line; what classes of
-                the language refuse; `shading-reload`: the text changes what can't change. Nothing has changed then.
+            ShaderError: `shading-text`: the text isn't Python or raises an exception; `shading-reload`: the
+                text changes what can't change; or a class of the language refuses it. Nothing has changed
+                then.
         """
         self.module = module
         self.file = file_of(module)
         self.classes: list[type[Shader]] = []
         self.structs: set[StructType] = set()
-        self._undo: list[Undo] = [self._collect_all]  # last of all
+        self._undo: list[Undo] = [self._collect_all]  # at the end, when nothing can fail any more
         self._file = SourceFile(self.file)
         self._file.lines, self._file.spec = text.splitlines(keepends=True), module.__spec__
         try:
@@ -71,12 +73,12 @@ class Edit:
             raise
 
     def undo(self) -> None:
-        """Put back what was there before."""
+        """Restore the state before the edit."""
         while self._undo:
             self._undo.pop()()
 
     def _execute(self, text: str) -> ModuleType:
-        """Run the text in a module of the same name, which is imported by nobody."""
+        """Run the text in a new module of the same name, which nothing imports."""
         module, file = self.module, self._file
         beside = ModuleType(module.__name__)
         beside.__spec__ = ModuleSpec(module.__name__, None, loader_state=file)
@@ -89,7 +91,7 @@ class Edit:
     # -- what belongs together -----------------------------------------------------------------------------
 
     def _pair(self, beside: ModuleType) -> dict[int, Any]:
-        """Return the class or function that exists for each new one, by the new one's identity."""
+        """Return the existing class or function for each new one, by the id of the new one."""
         pairs: dict[int, Any] = {}
         for name, new in vars(beside).items():
             old = vars(self.module).get(name)
@@ -103,7 +105,7 @@ class Edit:
         return pairs
 
     def _translate(self, value: Any) -> Any:
-        """Return an annotation or constant with the classes that exist in place of new ones."""
+        """Return an annotation or constant in which new classes are replaced by the existing ones."""
         if id(value) in self._exchanges:
             return self._exchanges[id(value)]
         origin, arguments = get_origin(value), get_args(value)
@@ -112,9 +114,9 @@ class Edit:
         return origin[tuple(map(self._translate, arguments))]
 
     def _adopt(self, function: FunctionType, owner: type | None = None) -> FunctionType:
-        """Return a function of the text as one of the module, which sees the module's names."""
+        """Return a copy of a new function whose globals are those of the existing module."""
         closure = function.__closure__
-        if closure is not None and owner is not None:  # the class that `super()` begins at
+        if closure is not None and owner is not None:  # the cell of `super()`
             free = function.__code__.co_freevars
             closure = tuple(
                 CellType(owner) if name == "__class__" else cell for name, cell in zip(free, closure, strict=True)
@@ -125,7 +127,7 @@ class Edit:
         adopted.__qualname__, adopted.__doc__ = function.__qualname__, function.__doc__
         adopted.__module__ = function.__module__
         vars(adopted).update(vars(function))
-        take_source(adopted, self._file)
+        set_source(adopted, self._file)
         return adopted
 
     # -- putting it in place -------------------------------------------------------------------------------
@@ -179,14 +181,14 @@ class Edit:
         _set_python(old, adopted)
 
     def _put_shader(self, old: type[Shader], new: type[Shader]) -> None:
-        """Give a class the members, annotations and bases of the new one."""
-        before = {name: value for name, value in vars(old).items() if name not in _KEPT}
-        after = {name: value for name, value in vars(new).items() if name not in _KEPT}
-        bases, wanted = old.__bases__, tuple(map(self._translate, new.__bases__))
+        """Copy the members, annotations and bases of the new class into the existing one."""
+        before = {name: value for name, value in vars(old).items() if name not in _UNEDITED}
+        after = {name: value for name, value in vars(new).items() if name not in _UNEDITED}
+        bases, new_bases = old.__bases__, tuple(map(self._translate, new.__bases__))
         self._undo.append(partial(_restore_shader, old, before, bases))
-        if bases != wanted:
+        if bases != new_bases:
             try:
-                old.__bases__ = wanted
+                old.__bases__ = new_bases
             except TypeError as error:
                 self._refuse(f"class {old.__name__}", f"other bases: {error}")
         for name in before.keys() - after.keys():
@@ -202,17 +204,17 @@ class Edit:
                 value = self._translate(value)
             setattr(old, name, value)
         self.classes.append(old)
-        _collect_again(old, vars(self.module))
+        _recollect_bindings(old, vars(self.module))
 
     def _collect_all(self) -> None:
         for cls in self.classes:
-            _collect_again(cls, vars(self.module))
+            _recollect_bindings(cls, vars(self.module))
 
     def _put_structs(self, pairs: list[tuple[type[Struct], type[Struct]]]) -> None:
         changed = [(old, new) for old, new in pairs if old.shading_type != new.shading_type]
         types = [old.shading_type for old, _ in changed]
         for old, _ in changed:
-            user = _find_memory(old.shading_type, types)
+            user = _describe_use(old.shading_type, types)
             if user:
                 self._refuse(f"struct {old.__name__}", f"other fields; {user}")
         self.structs.update(types)
@@ -224,13 +226,13 @@ class Edit:
             self._undo.append(partial(_set_members, old, before, names))
             _set_members(old, {name: vars(new)[name] for name in names if name in vars(new)}, names)
 
-    def _refuse(self, call: str, given: str) -> NoReturn:
+    def _refuse(self, call: str, actual: str) -> NoReturn:
         site = find_call_site()
         name = call.split()[-1]
         for number, line in enumerate(self._file.lines, 1):
             if line.split("(")[0].split(":")[0].split() == ["class", name]:
                 site = CallSite(str(self._file), number)
-        raise ShaderError(rules.RELOAD, call, given, site=site)
+        raise ShaderError(rules.RELOAD, call, actual, site=site)
 
 
 def file_of(module: ModuleType) -> str:
@@ -240,12 +242,12 @@ def file_of(module: ModuleType) -> str:
 
 
 def text_of(module: ModuleType) -> str:
-    """Return a module's text that is in effect: as it was imported, or put in its place since."""
+    """Return the text of a module that is in effect: the imported one, or that of the last edit."""
     return "".join(read_file(file_of(module), vars(module)).lines)
 
 
 def defines_shaders(module: ModuleType) -> bool:
-    """Return whether a module defines shaders, structs or functions of them itself."""
+    """Return whether a module itself defines shaders, structs or shading functions."""
     for value in list(vars(module).values()):
         python = value.python if isinstance(value, ShadingFunction) else value
         if (python is not value or _is_kind(value, (Shader, Struct))) and python.__module__ == module.__name__:
@@ -265,7 +267,7 @@ def _set_python(function: ShadingFunction[..., Any], python: FunctionType) -> No
 def _restore_shader(cls: type[Shader], before: Mapping[str, Any], bases: tuple[type, ...]) -> None:
     if cls.__bases__ != bases:
         cls.__bases__ = bases
-    for name in [name for name in vars(cls) if name not in _KEPT and name not in before]:
+    for name in [name for name in vars(cls) if name not in _UNEDITED and name not in before]:
         delattr(cls, name)
     for name, value in before.items():
         setattr(cls, name, value)
@@ -284,15 +286,15 @@ def _subclasses(cls: type[C]) -> Iterator[type[C]]:
     waiting: list[type[C]] = cls.__subclasses__()
     seen: set[type[C]] = set()
     while waiting:
-        found = waiting.pop(0)
-        if found not in seen:
-            seen.add(found)
-            yield found
-            waiting += found.__subclasses__()
+        subclass = waiting.pop(0)
+        if subclass not in seen:
+            seen.add(subclass)
+            yield subclass
+            waiting += subclass.__subclasses__()
 
 
-def _collect_again(cls: type[Shader], names: dict[str, Any]) -> None:
-    """Collect the bindings of a class anew, and those that its subclasses inherit."""
+def _recollect_bindings(cls: type[Shader], names: dict[str, Any]) -> None:
+    """Collect the bindings of a class and its subclasses again."""
     collect_bindings(cls, names)
     for derived in sorted(_subclasses(cls), key=lambda each: len(each.__mro__)):
         own = {
@@ -306,8 +308,8 @@ def _collect_again(cls: type[Shader], names: dict[str, Any]) -> None:
         derived._declared = {**inherited, **own}
 
 
-def _find_memory(type: StructType, changed: list[StructType]) -> str:
-    """Return what a program has in memory in the layout of a struct, or ""."""
+def _describe_use(type: StructType, changed: list[StructType]) -> str:
+    """Return a description of the memory that has the layout of a struct, or ""."""
     for shader in _subclasses(Shader):
         for declaration in shader._declared.values():
             if _contains(declaration.type, type):
@@ -323,9 +325,9 @@ def _find_memory(type: StructType, changed: list[StructType]) -> str:
     return ""
 
 
-def _contains(type: Any, wanted: HostType) -> bool:
-    if type == wanted:
+def _contains(type: Any, part: HostType) -> bool:
+    if type == part:
         return True
     if isinstance(type, StructType):
-        return any(_contains(field.type, wanted) for field in type.fields)
-    return isinstance(type, ArrayType | StorageType) and _contains(type.element, wanted)
+        return any(_contains(field.type, part) for field in type.fields)
+    return isinstance(type, ArrayType | StorageType) and _contains(type.element, part)

@@ -1,4 +1,4 @@
-"""The vertex stage of shaders that run for all pixels of a target."""
+"""The vertex stage of shaders that cover a whole target."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ LANGUAGE_NAMES.add("FullScreen")
 
 
 class FullScreen(Shader):
-    """The base of shaders whose fragments are all pixels of a target: one triangle around it, drawn with
-    `device.mesh(3)`. `fragment_coordinate()` is the pixel.
+    """The base of shaders that cover a whole target with one triangle, drawn with `device.mesh(3)`.
 
-    It lies at the far end of reversed depth, just above the 0 to which depth is cleared. So all that is drawn to the
-    same depth target covers it, before it or after it. A derived shader may have another `screen_depth`.
+    `fragment_coordinate()` is the pixel. The triangle lies at the far end of reversed depth, just above the 0
+    to which depth is cleared, so that everything else in the same depth target covers it, whether drawn
+    before or after it. A derived shader may have another `screen_depth`.
     """
 
     def vertex(self) -> vec4:

@@ -61,7 +61,7 @@ def function(python: Callable[P, R]) -> ShadingFunction[P, R]:
     """Make a Python function callable from shaders. It is parsed when a shader that calls it is compiled."""
     plain = cast(FunctionType, python)
     resolve_annotations(plain, locals_of(sys._getframe(1)))
-    source_of(plain)  # keeps its text
+    source_of(plain)  # stores its text
     return ShadingFunction(plain)
 
 
@@ -71,8 +71,8 @@ def native(language: str, body: str, declarations: str = "") -> Callable[[F], F]
     `body` is the text between the braces, or a whole GLSL stage with its own `main` (`rhi.shading.glsl.native`). It may
     use the parameters, bindings and struct types by their Python names. `declarations` is inserted at file level before
     the function; its `#extension` lines go to the top of the file.
-    In OpenCL C, bindings and parameters are those of the stage function that `rhi.shading.opencl.stages` describes,
-    or of the kernel (`rhi.shading.opencl.writer`).
+    In OpenCL C, bindings and parameters are those of the stage function that `rhi.shading.opencl.opencl_stages`
+    describes, or of the kernel (`rhi.shading.opencl.opencl_writer`).
     """
 
     def attach(python: F) -> F:

@@ -1,8 +1,8 @@
 """Shaders from strings, for editors, notebooks and generators: a text is executed like a module of its own.
 
-- The text is kept with the module, where `rhi.shading.language.source` finds it, so that errors show its lines. Nothing
-  is written to a file, to `linecache` or, once the text has run, to `sys.modules`.
-- Names may be passed in, which are the module's globals before the text runs.
+- The text is stored with the module, where `rhi.shading.language.source` reads it, so that errors show its
+  lines. Nothing is written to a file or to `linecache`, and nothing stays in `sys.modules`.
+- Names that are passed in become globals of the module before the text runs.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any, Final, overload
 
-from rhi.errors import CallSite, RhiError, ShaderError, find_call_site
+from rhi.errors import RhiError, ShaderError
+from rhi.errors.call_sites import CallSite, find_call_site
 from rhi.shading.language import rules
 from rhi.shading.language.function import ShadingFunction
 from rhi.shading.language.shader import Shader
@@ -44,8 +45,8 @@ def from_source(text: str, *names: str, file: str = "<shader>", scope: Mapping[s
         scope: names that the text may use without importing them.
 
     Raises:
-        ShaderError: `shading-text`: the text isn't Python, raises an exception or doesn't define what is wanted; the
-            error shows the line. Errors of the shading language are raised as they are.
+        ShaderError: `shading-text`: the text isn't Python, raises an exception or doesn't define the names;
+            the error shows the line. Errors of the shading language are raised as they are.
     """
     source = SourceFile(file)
     source.lines, source.spec = text.splitlines(keepends=True), None
@@ -53,16 +54,17 @@ def from_source(text: str, *names: str, file: str = "<shader>", scope: Mapping[s
     module.__spec__ = ModuleSpec(module.__name__, None, loader_state=source)
     vars(module).update(scope or {})
     execute("from_source", source, text, module)
-    found = [_find(source, module, name) for name in names]
+    shaders = [_find(source, module, name) for name in names]
     if not names:
         return _last_shader(source, module)
-    return found[0] if len(found) == 1 else tuple(found)
+    return shaders[0] if len(shaders) == 1 else tuple(shaders)
 
 
-def execute(call: str, source: SourceFile, text: str, module: ModuleType, kept: ModuleType | None = None) -> None:
-    """Run a text in a module, which has its name in `sys.modules` meanwhile: classes look for it while they are made.
+def execute(call: str, source: SourceFile, text: str, module: ModuleType, registered: ModuleType | None = None) -> None:
+    """Run a text in a module, which is in `sys.modules` meanwhile because the creation of classes looks it
+    up.
 
-    Afterwards the name is that of the module `kept`, or of none.
+    Afterwards `sys.modules` has the module `registered` under the name, or none.
 
     Raises:
         ShaderError: `shading-text`: the text isn't Python or raises an exception; the error shows the line.
@@ -75,10 +77,10 @@ def execute(call: str, source: SourceFile, text: str, module: ModuleType, kept: 
     except (Exception, SystemExit) as error:
         raise _describe_failure(call, source, error, module) from error
     finally:
-        if kept is None:
+        if registered is None:
             del sys.modules[module.__name__]
         else:
-            sys.modules[module.__name__] = kept
+            sys.modules[module.__name__] = registered
 
 
 def _last_shader(source: SourceFile, module: ModuleType) -> type[Shader]:
@@ -88,16 +90,16 @@ def _last_shader(source: SourceFile, module: ModuleType) -> type[Shader]:
         if isinstance(value, type) and issubclass(value, Shader) and is_own(value, module)
     ]
     if not shaders:
-        given, allowed = "no shader", "a class derived from Shader"
-        raise ShaderError(rules.TEXT, f"from_source({source})", given, allowed, site=find_call_site())
+        actual, allowed = "no shader", "a class derived from Shader"
+        raise ShaderError(rules.TEXT, f"from_source({source})", actual, allowed, site=find_call_site())
     return shaders[-1]
 
 
 def _find(source: SourceFile, module: ModuleType, name: str) -> Any:
     if name not in vars(module):
-        known = [key for key, value in vars(module).items() if is_own(value, module)]
-        call, allowed = f"from_source({source})", ", ".join(known)
-        raise ShaderError(rules.TEXT, call, repr(name), allowed, suggest(name, known), find_call_site())
+        own_names = [key for key, value in vars(module).items() if is_own(value, module)]
+        call, allowed = f"from_source({source})", ", ".join(own_names)
+        raise ShaderError(rules.TEXT, call, repr(name), allowed, suggest(name, own_names), find_call_site())
     return vars(module)[name]
 
 
@@ -109,19 +111,19 @@ def is_own(value: object, module: ModuleType) -> bool:
 
 def _describe_failure(call: str, source: SourceFile, error: BaseException, module: ModuleType) -> ShaderError:
     """Return the error for an exception that executing a text has raised, at the text's innermost line."""
-    line, given = 0, f"{type(error).__name__}: {error}"
+    line, actual = 0, f"{type(error).__name__}: {error}"
     if isinstance(error, SyntaxError) and error.filename == source:
-        line, given = error.lineno or 0, f"SyntaxError: {error.msg}"
+        line, actual = error.lineno or 0, f"SyntaxError: {error.msg}"
     trace = error.__traceback__
     while trace is not None:
         if trace.tb_frame.f_code.co_filename == source:
             line = trace.tb_lineno
         trace = trace.tb_next
-    shown = f"{call}\n{show(source, SourceSpan(line))}" if line else f"{call}({source})"
+    text = f"{call}\n{show(source, SourceSpan(line))}" if line else f"{call}({source})"
     site = CallSite(str(source), line) if line else find_call_site()
     unknown = error.name if isinstance(error, NameError) and error.name else ""
     tip = suggest_name(unknown, vars(module)) if unknown else ""
-    return ShaderError(rules.TEXT, shown, given, tip=tip, site=site)
+    return ShaderError(rules.TEXT, text, actual, tip=tip, site=site)
 
 
 __all__ = ["from_source"]

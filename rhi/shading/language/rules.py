@@ -12,7 +12,7 @@ NO_SOURCE: Final = Rule(
     "shaders are compiled from their Python source: define them in a file or a notebook cell, or make them with "
     "rhi.shading.from_source(text)",
 )
-TEXT: Final = Rule("shading-text", "a text doesn't define the shader that is wanted from it")
+TEXT: Final = Rule("shading-text", "a text doesn't define the requested shader")
 SYNTAX: Final = Rule("shading-unsupported", "this form of Python is not part of the shading language")
 UNKNOWN_NAME: Final = Rule("shading-unknown-name", "a name is not defined")
 UNKNOWN_MEMBER: Final = Rule("shading-unknown-member", "a value has no such field, component or method")
@@ -79,19 +79,20 @@ INDEX: Final = Rule(
     "an index is out of bounds (found on the device)",
     "without `checked` a read gives the nearest element, and a write is dropped",
 )
-DIFFERENT: Final = Rule(
-    "shading-different",
+NONUNIFORM: Final = Rule(
+    "shading-nonuniform",
     "uniform(x) was given values that differ between invocations (found on the device)",
     "use uniform only for values that are the same in all active invocations",
 )
 ENDLESS: Final = Rule(
     "shading-endless",
     "a loop goes on and on (found on the device)",
-    "`for … in range(…)` has all its turns but on llvmpipe, which ends any loop; a `while` ends also if not `checked`",
+    "`for … in range(…)` has all its iterations but on llvmpipe, which ends any loop; "
+    "a `while` ends also if not `checked`",
 )
 RACE: Final = Rule(
     "shading-race",
-    "invocations store different values to the same place",
+    "invocations store different values to the same element",
     "use an atomic, or let a single invocation store",
 )
 NATIVE: Final = Rule("shading-native", "a native function can't be used here")

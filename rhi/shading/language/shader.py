@@ -23,7 +23,8 @@ from typing_extensions import dataclass_transform
 
 from rhi.contract.formats import ChannelKind, Choice
 from rhi.contract.layout import ArrayType, HostType, is_host_shareable
-from rhi.errors import ShaderError, ShaderErrors, find_call_site, refuse
+from rhi.errors import ShaderError, ShaderErrors, refuse
+from rhi.errors.call_sites import find_call_site
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import value_type
 from rhi.shading.language.bindings import Storage, StorageRW, Uniform
@@ -86,7 +87,7 @@ class Shader:
 
     Attributes:
         work_group: size of a work-group in 1 to 3 dimensions, for a `compute` stage.
-        precision: accuracy of some functions on OpenCL. Other backends have one way of computing them.
+        precision: accuracy of some functions on OpenCL. Other backends compute them in one way only.
         checked: test every index and every `uniform(x)` on the device where it is used, and raise an error with the
             Python line for a fault. Works on NumPy and on OpenCL, where it waits for each dispatch and each batch of
             draws. Costs nothing when off. `RHI_SHADING_CHECKED=1` in the environment turns it on for all shaders
@@ -121,15 +122,15 @@ class Shader:
             )
 
 
-def find_work_group(shader: type[Shader]) -> tuple[int, int, int]:
+def work_group_size(shader: type[Shader]) -> tuple[int, int, int]:
     """Return the size of a shader's work-groups; `shading-out-of-range` if it isn't 1 to 3 numbers of at most 1024
     together."""
-    given: Any = shader.work_group
-    valid = isinstance(given, tuple) and 1 <= len(given) <= 3 and all(type(n) is int and n > 0 for n in given)
-    if not valid or math.prod(given) > 1024:
+    size: Any = shader.work_group
+    valid = isinstance(size, tuple) and 1 <= len(size) <= 3 and all(type(n) is int and n > 0 for n in size)
+    if not valid or math.prod(size) > 1024:
         call, allowed = f"class {shader.__name__}: work_group", "1 to 3 positive numbers whose product is at most 1024"
-        raise ShaderError(rules.OUT_OF_RANGE, call, repr(given), allowed, site=find_call_site())
-    x, y, z = (*given, 1, 1)[:3]
+        raise ShaderError(rules.OUT_OF_RANGE, call, repr(size), allowed, site=find_call_site())
+    x, y, z = (*size, 1, 1)[:3]
     return x, y, z
 
 
@@ -151,7 +152,7 @@ def collect_bindings(
 
     Args:
         module: the globals of the class's module.
-        names: the local names where the class is made.
+        names: the local variables where the class is defined.
     """
     declared: dict[str, Declaration] = {}
     for base in reversed(cls.__mro__[1:]):
@@ -226,11 +227,11 @@ def _shared_type(cls: type[Shader], name: str, value: SharedMemory) -> HostType:
     return ArrayType(element, value.length)
 
 
-def _refuse_shadow(cls: type, before: Declaration, given: str) -> NoReturn:
+def _refuse_shadow(cls: type, before: Declaration, actual: str) -> NoReturn:
     call, allowed = f"class {cls.__name__}: {before.name}", f"{before.type}, as in the base class"
-    raise ShaderError(rules.SHADOWED_BINDING, call, given, allowed, site=find_call_site())
+    raise ShaderError(rules.SHADOWED_BINDING, call, actual, allowed, site=find_call_site())
 
 
-def _refuse(cls: type, name: str, given: str, tip: str) -> NoReturn:
+def _refuse(cls: type, name: str, actual: str, tip: str) -> NoReturn:
     allowed = "Uniform[T], Storage[T], StorageRW[T], textures, images; numbers without annotation; shared(…)"
-    raise ShaderError(rules.BINDING, f"class {cls.__name__}: {name}", given, allowed, tip, find_call_site())
+    raise ShaderError(rules.BINDING, f"class {cls.__name__}: {name}", actual, allowed, tip, find_call_site())

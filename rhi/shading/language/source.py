@@ -1,12 +1,14 @@
-"""The Python source of shaders: a function's syntax tree, the names it can see, and errors that point into it.
+"""The Python source of shaders: syntax trees of functions, the names they can use, and errors that point into
+them.
 
-- `keep_sources` keeps the text of a file when a class or function of it is made, so that a later edit changes neither
-  what the class compiles to nor the lines that its errors show. The text is parsed when something is compiled.
+- `keep_sources` stores the text of a file when one of its classes or functions is created. A later edit
+  changes neither the compiled class nor the lines in its errors. The text is parsed when a shader is
+  compiled.
 - Functions are found in their file by their first line. Notebook cells and interpreters work wherever `linecache`
   knows their lines.
 - `NameScope` resolves a name as the function itself would: variables of enclosing functions, globals, builtins.
-- Annotations may be strings, and closures don't keep the names that only they use. `resolve_annotations` evaluates
-  them when the class or function is defined, while those names still exist.
+- Annotations may be strings, and closures don't capture names that only annotations use.
+  `resolve_annotations` evaluates them when the class or function is defined, while those names still exist.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from functools import cached_property
 from types import FrameType, FunctionType
 from typing import Any, ClassVar, Final, NoReturn
 
-from rhi.errors import CallSite, Rule, ShaderError
+from rhi.errors import Rule, ShaderError
+from rhi.errors.call_sites import CallSite
 from rhi.shading.language import rules
 from rhi.shading.language.tips import FOREIGN
 from rhi.shading.language.types import LANGUAGE_NAMES
@@ -32,7 +35,7 @@ _SOURCE: Final = "_rhi_source"
 
 
 class SourceFile(str):
-    """The name of a Python file, together with its lines as they were when a class or function of it was made."""
+    """A Python file: its name, and its lines at the time when one of its classes or functions was created."""
 
     lines: list[str]
     spec: object
@@ -58,35 +61,35 @@ class SourceFile(str):
         return functions
 
 
-FORGOTTEN: Final[list[Callable[[], object]]] = []
-"""Called when classes and functions have changed: what others keep for them is no longer true."""
+INVALIDATION_CALLBACKS: Final[list[Callable[[], object]]] = []
+"""Functions that are called when classes or functions have changed, to discard what was derived from them."""
 
 _files: dict[str, SourceFile] = {}
-"""The file of each name, as it was read last."""
+"""The last version read of each file, by name."""
 
 
 def read_file(name: str, names: Mapping[str, Any]) -> SourceFile:
-    """Return a file with its lines: as read before, unless its module is another or was imported again since.
+    """Return a file with its lines, from the cache unless its module was replaced or imported again.
 
-    A class that a function of an imported module makes later thus has the text that was imported. What isn't a
-    module (a script, a notebook's cell) is compared with the file each time. The text of a module that
-    `rhi.shading.language.modules` makes comes with it.
+    A class that is created after the import thus has the text that was imported. Scripts and notebook cells
+    are compared with the file each time. The text of a module that `rhi.shading.language.modules` makes comes
+    with it.
 
     Args:
         names: the globals of a function in the file.
     """
-    spec, known = names.get("__spec__"), _files.get(name)
-    given = getattr(spec, "loader_state", None)
-    if isinstance(given, SourceFile) and given == name:
-        return given
-    if known is not None and spec is not None and known.spec is spec:
-        return known
+    spec, cached = names.get("__spec__"), _files.get(name)
+    state = getattr(spec, "loader_state", None)
+    if isinstance(state, SourceFile) and state == name:
+        return state
+    if cached is not None and spec is not None and cached.spec is spec:
+        return cached
     linecache.checkcache(name)
     lines = linecache.getlines(name, dict(names) if name not in linecache.cache else None)
-    if known is None or spec is not known.spec or known.lines != lines:
-        known = _files[name] = SourceFile(name)
-        known.lines, known.spec = lines, spec
-    return known
+    if cached is None or spec is not cached.spec or cached.lines != lines:
+        cached = _files[name] = SourceFile(name)
+        cached.lines, cached.spec = lines, spec
+    return cached
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,15 +117,15 @@ class Source:
     """The file, syntax tree and name scope of a Python function.
 
     Attributes:
-        reading: counts how often the annotations of all functions have changed.
+        generation: how often the annotations of functions have changed; older signatures are read again.
     """
 
     __slots__ = ("_node", "file", "function", "name", "scope", "signature")
 
-    reading: ClassVar[int] = 0
+    generation: ClassVar[int] = 0
 
     def __init__(self, function: FunctionType, file: SourceFile) -> None:
-        self.signature: Any = None  # kept here by rhi.shading.parser.signatures, with `reading`
+        self.signature: Any = None  # kept here by rhi.shading.parser.signatures, with `generation`
         self.function = function
         self.file = file
         self.name = function.__qualname__.replace("<locals>.", "")
@@ -134,31 +137,31 @@ class Source:
         """The function's syntax tree.
 
         Raises:
-            ShaderError: `shading-no-source`: the file has no text, or another one than Python ran.
+            ShaderError: `shading-no-source`: the file has no text, or its text isn't the one that Python ran.
         """
         if self._node is None:
             code = self.function.__code__
-            found = self.file.functions.get(code.co_firstlineno)
-            if found is None or found.name != code.co_name:
-                given = f"{self.file}, without `{code.co_name}` on line {code.co_firstlineno}"
-                raise ShaderError(rules.NO_SOURCE, self.name, given if self.file.lines else str(self.file))
-            self._node = found
+            parsed = self.file.functions.get(code.co_firstlineno)
+            if parsed is None or parsed.name != code.co_name:
+                actual = f"{self.file}, without `{code.co_name}` on line {code.co_firstlineno}"
+                raise ShaderError(rules.NO_SOURCE, self.name, actual if self.file.lines else str(self.file))
+            self._node = parsed
         return self._node
 
     def refuse(
-        self, rule: Rule, at: ast.AST | SourceSpan, given: str = "", allowed: str = "", tip: str = ""
+        self, rule: Rule, at: ast.AST | SourceSpan, actual: str = "", allowed: str = "", tip: str = ""
     ) -> NoReturn:
         """Raise a `ShaderError` that shows the source line of `at` with carets below it."""
         span = at if isinstance(at, SourceSpan) else span_of(at)
-        refuse_at(rule, self.name, self.file, span, given, allowed, tip)
+        refuse_at(rule, self.name, self.file, span, actual, allowed, tip)
 
 
 def refuse_at(
-    rule: Rule, function: str, file: str, span: SourceSpan, given: str, allowed: str = "", tip: str = ""
+    rule: Rule, function: str, file: str, span: SourceSpan, actual: str, allowed: str = "", tip: str = ""
 ) -> NoReturn:
     """Raise a `ShaderError` that shows the source line of a span of a function."""
     site = CallSite(str(file), span.line, function)
-    raise ShaderError(rule, f"{function}\n{show(file, span)}", given, allowed, tip, site)
+    raise ShaderError(rule, f"{function}\n{show(file, span)}", actual, allowed, tip, site)
 
 
 def show(file: str, span: SourceSpan) -> str:
@@ -174,11 +177,11 @@ def show(file: str, span: SourceSpan) -> str:
 
 
 def _line(file: str, number: int) -> str:
-    """Return a line of a file, as it was when a shader in it was made if that is known."""
-    known = file if isinstance(file, SourceFile) else _files.get(file)
-    if known is None:
+    """Return a line of a file, from the stored text if a shader in it has been created."""
+    source_file = file if isinstance(file, SourceFile) else _files.get(file)
+    if source_file is None:
         return linecache.getline(file, number)
-    return known.lines[number - 1] if 0 < number <= len(known.lines) else ""
+    return source_file.lines[number - 1] if 0 < number <= len(source_file.lines) else ""
 
 
 class NameScope:
@@ -224,7 +227,8 @@ def locals_of(frame: FrameType | None) -> Mapping[str, Any]:
 
 
 def globals_of(cls: type, frame: FrameType) -> dict[str, Any]:
-    """Return the globals of a class's module, or of the frame that makes the class if the module isn't imported."""
+    """Return the globals of a class's module, or of the frame that defines the class if the module isn't
+    imported."""
     module = sys.modules.get(cls.__module__)
     return vars(module) if module is not None else frame.f_globals
 
@@ -238,7 +242,7 @@ def resolve_annotations(function: FunctionType, names: Mapping[str, Any]) -> Non
 
 
 def keep_sources(members: Mapping[str, object]) -> None:
-    """Keep the text of the files in which the functions among a class's members are defined."""
+    """Store the text of the files that define the functions among a class's members."""
     for name, member in members.items():
         function = member.__func__ if isinstance(member, staticmethod) else member
         if isinstance(function, FunctionType) and not name.startswith("__"):
@@ -246,7 +250,7 @@ def keep_sources(members: Mapping[str, object]) -> None:
 
 
 def source_of(function: FunctionType) -> Source:
-    """Return a function's source. It is kept on the function, so it lives as long."""
+    """Return a function's source, which is stored on the function."""
     source: Source | None = getattr(function, _SOURCE, None)
     if source is None:
         file = read_file(function.__code__.co_filename, function.__globals__)
@@ -255,13 +259,13 @@ def source_of(function: FunctionType) -> Source:
     return source
 
 
-def take_source(function: FunctionType, file: SourceFile) -> None:
-    """Let a function's source be that of a file."""
+def set_source(function: FunctionType, file: SourceFile) -> None:
+    """Set the file from which a function's source is read."""
     setattr(function, _SOURCE, Source(function, file))
 
 
 def exchange_source(file: SourceFile | None, name: str = "") -> SourceFile | None:
-    """Let later classes and functions of a file, and errors, have this text; return what they had."""
+    """Replace the stored text of a file, for later classes, functions and errors; return the earlier one."""
     name = str(file) if file is not None else name
     before = _files.pop(name, None)
     if file is not None:
@@ -271,26 +275,26 @@ def exchange_source(file: SourceFile | None, name: str = "") -> SourceFile | Non
 
 
 def forget_signatures() -> None:
-    """Let all annotations be read again, since the structs that they name may have changed, and forget what was
-    compiled to run on the CPU."""
-    Source.reading += 1
-    for forget in FORGOTTEN:
+    """Discard all signatures, since the structs in them may have changed, and all code compiled for the
+    CPU."""
+    Source.generation += 1
+    for forget in INVALIDATION_CALLBACKS:
         forget()
 
 
-def suggest(name: str, known: Iterable[str]) -> str:
+def suggest(name: str, candidates: Iterable[str]) -> str:
     """Return a did-you-mean tip for an unknown name, or "" if no known name is close."""
-    from difflib import get_close_matches  # which only errors need
+    from difflib import get_close_matches  # imported only for errors
 
-    close = get_close_matches(name, list(known), 1, 0.6)
+    close = get_close_matches(name, list(candidates), 1, 0.6)
     return f"did you mean {close[0]!r}?" if close else ""
 
 
-def suggest_name(name: str, known: Iterable[str]) -> str:
-    """Return a tip for an undefined name: to import it if it belongs to the language, what the language has for a name
-    of another language, or a did-you-mean."""
+def suggest_name(name: str, candidates: Iterable[str]) -> str:
+    """Return a tip for an undefined name: an import, the equivalent of another language's name, or a
+    did-you-mean."""
     if name in LANGUAGE_NAMES:
         return f"import it: from rhi.shading import {name}"
     if name in FOREIGN:
-        return "; ".join(filter(None, (FOREIGN[name], suggest(name, known))))
-    return suggest(name, [*known, *LANGUAGE_NAMES])
+        return "; ".join(filter(None, (FOREIGN[name], suggest(name, candidates))))
+    return suggest(name, [*candidates, *LANGUAGE_NAMES])

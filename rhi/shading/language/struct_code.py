@@ -1,9 +1,10 @@
 """The constructor that is generated for a struct of scalars, vectors and matrices.
 
-- Checking and converting field by field costs some ten times the draw that the constants are for. The generated one
-  unpacks all fields at once and packs them as a uniform block (std140) holds them: what `struct.pack` takes fits.
-- It accepts the usual cases only. Everything else, refusals included, is done field by field, by the struct itself.
-- The numbers are kept as they were given, and a matrix as its bytes. Fields are made of them when one is read or set.
+- Checking and converting field by field takes ten times as long as the draw that uses the constants. The
+  generated constructor unpacks all fields at once and packs them as a uniform block (std140); `struct.pack`
+  checks the values.
+- It accepts the usual cases only. The struct itself handles all others field by field, refusals included.
+- The numbers are stored as passed, a matrix as its bytes. Fields are created when one is read or set.
 """
 
 from __future__ import annotations
@@ -14,21 +15,22 @@ from typing import Any, Final
 
 import numpy as np
 
-from rhi.contract.layout import BOOL, Field, Layout, MatrixType, ScalarType, StructType, VectorType, place
+from rhi.contract.layout import BOOL, Field, Layout, MatrixType, ScalarType, StructType, VectorType, memory_layout
 
 MISSING: Final = object()
-"""The value of a field that was not given."""
+"""The value of a field that was not passed."""
 
 _CODES: Final = {"f4": "f", "i4": "i", "u4": "I"}
 _FLOAT: Final = np.dtype("<f4")
 _ERRORS: Final = (TypeError, ValueError, OverflowError, struct.error, Warning)
-"""What unpacking and packing raise for values that need a closer look; warnings where a program makes them errors."""
+"""Exceptions that unpacking and packing raise for unusual values; warnings, where a program turns them into
+errors."""
 
 
 def make_constructor(owner: type, type: StructType, defaults: Mapping[str, Any]) -> Callable[..., None] | None:
-    """Return the `__init__` of a struct class, or None if it has fields of other types than those of this module.
+    """Return the `__init__` of a struct class, or None if a field is no scalar, vector or matrix.
 
-    It leaves `_numbers` and `_bytes` in the value, or calls its `_set_fields(values)`.
+    The constructor sets `_numbers` and `_bytes` of the value, or calls `_set_fields(values)`.
     """
     if not type.fields or not all(map(_is_simple, type.fields)):
         return None
@@ -48,7 +50,7 @@ def make_constructor(owner: type, type: StructType, defaults: Mapping[str, Any])
         names += parts
         scope[f"_default_{i}"] = defaults.get(field.name, MISSING)
         parameters.append(f"{field.name}=_default_{i}")
-    given = ", ".join(f"{field.name!r}: {field.name}" for field in type.fields)
+    entries = ", ".join(f"{field.name!r}: {field.name}" for field in type.fields)
     lines = [
         f"def __init__(_self, /, *, {', '.join(parameters)}, **_unknown):",
         "    if not _unknown and _self.__class__ is _owner:",
@@ -60,11 +62,11 @@ def make_constructor(owner: type, type: StructType, defaults: Mapping[str, Any])
         "            return",
         "        except _errors:",
         "            pass",
-        f"    _self._set_fields({{{given}, **_unknown}})",
+        f"    _self._set_fields({{{entries}, **_unknown}})",
     ]
     exec(compile("\n".join(lines), f"<constructor of {type.name}>", "exec"), scope)
-    made: Callable[..., None] = scope["__init__"]
-    return made
+    constructor: Callable[..., None] = scope["__init__"]
+    return constructor
 
 
 def split_numbers(type: StructType, numbers: tuple[Any, ...]) -> Iterator[tuple[Field, Any]]:
@@ -96,7 +98,7 @@ def _count(field: Field) -> int:
 
 def _format_of(type: StructType) -> str:
     """Return the format for `struct` of a uniform block, in which a row of a matrix is 16 bytes."""
-    placement, text, end = place(type, Layout.STD140), "<", 0
+    placement, text, end = memory_layout(type, Layout.STD140), "<", 0
     for field, offset in zip(type.fields, placement.offsets, strict=True):
         scalar = field.type.scalar if isinstance(field.type, VectorType) else field.type
         part = _CODES[scalar.code] * _count(field) if isinstance(scalar, ScalarType) else ""

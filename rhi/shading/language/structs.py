@@ -33,11 +33,12 @@ from rhi.contract.layout import (
     VectorType,
     dtype_of,
     is_host_shareable,
-    place,
-    scalar_places,
+    memory_layout,
+    scalar_offsets,
     shape_of,
 )
-from rhi.errors import RhiError, ShaderError, find_call_site, refuse
+from rhi.errors import RhiError, ShaderError, refuse
+from rhi.errors.call_sites import find_call_site
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import Role, role_of, value_type
 from rhi.shading.language.source import globals_of, locals_of, suggest, suggest_name
@@ -51,9 +52,9 @@ _TOO_LARGE: Final = 3.4028235677973366e38
 """Smallest magnitude that rounds to infinity in a 32-bit float."""
 
 MAX_DEPTH: Final = 32
-"""The most structs that may lie in each other."""
+"""The maximum nesting of structs."""
 MAX_FIELDS: Final = 1024
-"""The most fields of a struct, those of nested structs included."""
+"""The maximum number of fields of a struct, including those of nested structs."""
 
 
 class LayoutDtype:
@@ -136,9 +137,9 @@ class Struct:
                 defaults[name] = _convert_field(cls.__name__, fields[name], default)
         cls._depth, cls._leaves = depth, leaves
         if depth > MAX_DEPTH or leaves > MAX_FIELDS:
-            given = f"{depth} structs in each other" if depth > MAX_DEPTH else f"{leaves} fields"
+            actual = f"{depth} structs in each other" if depth > MAX_DEPTH else f"{leaves} fields"
             allowed = f"up to {MAX_DEPTH} structs in each other, up to {MAX_FIELDS} fields with those inside"
-            raise ShaderError(rules.TOO_DEEP, f"class {cls.__name__}", given, allowed, site=find_call_site())
+            raise ShaderError(rules.TOO_DEEP, f"class {cls.__name__}", actual, allowed, site=find_call_site())
         cls.shading_type = StructType(cls.__name__, tuple(fields.values()))
         cls._roles, cls._defaults = roles, defaults
         for name in own:
@@ -150,7 +151,7 @@ class Struct:
         self._set_fields(values)
 
     def _set_fields(self, values: Mapping[str, Any]) -> None:
-        """Check and convert the values of all fields one by one; those that are `MISSING` weren't given."""
+        """Check and convert the values of all fields one by one; `MISSING` ones weren't passed."""
         cls = type(self)
         values = {name: value for name, value in values.items() if value is not MISSING}
         names = [field.name for field in cls.shading_type.fields]
@@ -165,15 +166,16 @@ class Struct:
                 )
         missing = [name for name in names if name not in values and name not in cls._defaults]
         if missing:
-            given = f"no {', '.join(missing)}"
-            refuse(rules.STRUCT_VALUE, f"{cls.__name__}(…)", given, "a value for each field without a default")
+            actual = f"no {', '.join(missing)}"
+            refuse(rules.STRUCT_VALUE, f"{cls.__name__}(…)", actual, "a value for each field without a default")
         self._values = dict(cls._defaults)
         for name, value in values.items():
             setattr(self, name, value)
 
     @cached_property
     def _values(self) -> dict[str, Any]:
-        """The fields by name. Those of a generated constructor are made when the first is read or set."""
+        """The fields by name. After a generated constructor, they are created when the first is read or
+        set."""
         parts = split_numbers(self.shading_type, self._numbers)
         values = {field.name: _converted(field.type, part) for field, part in parts}
         del self._numbers, self._bytes
@@ -189,7 +191,7 @@ class Struct:
 
     @classmethod
     def pack_field(cls, name: str, value: Any) -> tuple[int, bytes]:
-        """Return where a field begins in a uniform block, in bytes, and its bytes there for a value.
+        """Return the byte offset of a field in a uniform block, and the field's bytes for a value.
 
         Raises:
             ValidationError: `shading-struct-value`: there is no such field, or the value doesn't match its type.
@@ -197,13 +199,13 @@ class Struct:
         field = cls.shading_type.field(name)
         if field is None:
             names = [field.name for field in cls.shading_type.fields]
-            call, given = f"{cls.__name__}({name}=…)", "a field that the struct doesn't have"
-            refuse(rules.STRUCT_VALUE, call, given, ", ".join(names), suggest(name, names))
+            call, actual = f"{cls.__name__}({name}=…)", "a field that the struct doesn't have"
+            refuse(rules.STRUCT_VALUE, call, actual, ", ".join(names), suggest(name, names))
         numbers: list[Any] = []
         _flatten(field.type, _convert_field(cls.__name__, field, value), numbers)
         data = _packer(StructType(name, (field,)), Layout.STD140).pack(*numbers)
         offset: int = cls.uniform_dtype.fields[name][1]  # type: ignore[index]
-        return offset, data[: place(field.type, Layout.STD140).size]
+        return offset, data[: memory_layout(field.type, Layout.STD140).size]
 
     @classmethod
     def array(cls, count: int) -> np.recarray[Any, Any]:
@@ -246,13 +248,13 @@ def _check_shareable(type: StructType, call: str) -> None:
         raise ShaderError(rules.STRUCT, call, "a bool field", tip=tip)
 
 
-def _refuse_field(cls: type, name: str, given: str, tip: str) -> NoReturn:
+def _refuse_field(cls: type, name: str, actual: str, tip: str) -> NoReturn:
     allowed = "float, int, uint, bool, vectors, matrices, Struct classes, Array[…] with array(…)"
-    raise ShaderError(rules.STRUCT, f"class {cls.__name__}: {name}", given, allowed, tip, find_call_site())
+    raise ShaderError(rules.STRUCT, f"class {cls.__name__}: {name}", actual, allowed, tip, find_call_site())
 
 
 def _convert_field(owner: str, field: Field, value: Any) -> Any:
-    """Return a value in the form in which a struct keeps this field; refuse one that doesn't match the field's type."""
+    """Return a value in the form that a struct stores for this field, or refuse it."""
     try:
         return _converted(field.type, value)
     except (TypeError, ValueError, OverflowError) as error:
@@ -300,12 +302,12 @@ def _converted(type: HostType, value: Any) -> Any:
                 if len(value) != length:
                     raise ValueError("wrong length")
                 return tuple(_converted(element, part) for part in value)
-            given = np.asarray(value)
-            if given.shape != shape_of(type):
+            array = np.asarray(value)
+            if array.shape != shape_of(type):
                 raise ValueError("wrong shape")
             inner = _innermost(type)
             component = FLOAT if isinstance(inner, MatrixType) else scalar_of(inner)
-            return np.array(given, (component.code if component is not None else "") or "?")
+            return np.array(array, (component.code if component is not None else "") or "?")
 
 
 def _innermost(type: HostType) -> HostType:
@@ -336,7 +338,7 @@ def _packer(type: StructType, layout: Layout) -> struct.Struct:
     """Return a packer that turns a struct's scalars, given in order, into its bytes."""
     _check_shareable(type, f"{type}.to_bytes(…)")
     text, end = "<", 0
-    for offset, code in scalar_places(type, layout):
+    for offset, code in scalar_offsets(type, layout):
         text += f"{offset - end}x" * (offset > end) + {"f4": "f", "i4": "i", "u4": "I"}[code]
         end = offset + 4
-    return struct.Struct(text + f"{place(type, layout).size - end}x")
+    return struct.Struct(text + f"{memory_layout(type, layout).size - end}x")

@@ -122,6 +122,9 @@ _STORED: Final = (
     ("size", _NOT_CUBE, {"SIZE()": "imageSize({0})"}, "in texels"),
 )
 
+METHOD_NAMES: Final = frozenset(row[0] for table in (_SAMPLED, _COMPARED, _SEVERAL, _STORED) for row in table)
+"""The names of all methods of textures and images."""
+
 _FRAGMENT_ONLY: Final = frozenset({"sample_bias"})
 
 

@@ -14,6 +14,7 @@ from rhi.shading.language.vectors import ivec2, ivec3, ivec4, uvec2, uvec3, uvec
 
 __all__ = ['DepthTexture2D', 'DepthTexture2DArray', 'DepthTextureCube', 'Image2D', 'Image2DArray', 'Image3D', 'IntImage2D', 'IntImage2DArray', 'IntImage3D', 'IntTexture2D', 'IntTexture2DArray', 'IntTexture2DSamples', 'IntTexture3D', 'IntTextureCube', 'Texture2D', 'Texture2DArray', 'Texture2DSamples', 'Texture3D', 'TextureCube', 'UintImage2D', 'UintImage2DArray', 'UintImage3D', 'UintTexture2D', 'UintTexture2DArray', 'UintTexture2DSamples', 'UintTexture3D', 'UintTextureCube', 'image']
 
+METHOD_NAMES: frozenset[str]
 def methods_of(type: TextureType | ImageType) -> dict[str, Builtin]: ...
 
 class SampledTexture:

@@ -1,8 +1,8 @@
-"""Names of other languages for what the shading language has under another name or says in another way.
+"""Tips for names of other languages: the name or expression that the shading language has instead.
 
 `FOREIGN` is the table, from HLSL, GLSL, CUDA, Metal, NumPy and Python. The names that GLSL and NumPy have for a
-built-in follow from its row in `BUILTINS`; the others are written here. A tip never names something that doesn't
-exist: a test resolves each `name(` in the table.
+built-in follow from its row in `BUILTINS`; the others are listed here. A test resolves each
+`name(` in a tip, so that all exist.
 """
 
 from __future__ import annotations
@@ -179,9 +179,9 @@ def _derive_tips() -> Iterator[tuple[str, str]]:
             arguments = ", ".join("abcd"[: len(overload.parameters)])
         tip = f"{'call' if overload.result is VOID else 'use'} {row.name}({arguments})"
         for pattern, spelling in ((_GLSL_NAME, overload.glsl), (_NUMPY_NAME, row.numpy)):
-            found = pattern.fullmatch(spelling)
-            if found and found[1] not in BUILTINS:
-                yield found[1], tip
+            match = pattern.fullmatch(spelling)
+            if match and match[1] not in BUILTINS:
+                yield match[1], tip
 
 
 _GLSL_NAME: Final = re.compile(r"(?:\w+\()?(?=\w*[A-Z])(\w+)\)?(?:\(\))?")

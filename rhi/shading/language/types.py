@@ -24,7 +24,7 @@ from rhi.contract.layout import (
 )
 
 LANGUAGE_NAMES: Final[set[str]] = set()
-"""The names that shaders import from `rhi.shading`. Each module that defines some adds them when it is imported."""
+"""The names that shaders import from `rhi.shading`. Each module adds its own names when it is imported."""
 
 VECTORS: Final = {(scalar, size): VectorType(scalar, size) for scalar in (FLOAT, INT, UINT, BOOL) for size in (2, 3, 4)}
 MATRICES: Final = {size: MatrixType(size) for size in (2, 3, 4)}
@@ -101,7 +101,7 @@ def is_value(type: Type) -> bool:
 
 
 def count_scalars(type: HostType) -> int:
-    """Return the number of scalars of a value, those of all elements of arrays included."""
+    """Return the number of scalars of a value, including all elements of arrays."""
     match type:
         case ArrayType(element=element, length=length):
             return length * count_scalars(element)
@@ -120,7 +120,7 @@ def has_array(type: HostType) -> bool:
 
 
 def count_elements(type: Type) -> int:
-    """Return the number of elements that can be indexed, 0 if the type doesn't say it."""
+    """Return the number of elements that can be indexed, 0 if it depends on the bound buffer."""
     return type.length if isinstance(type, ArrayType) else getattr(type, "size", 0)
 
 

@@ -1,7 +1,7 @@
 """Vectors, matrices, arrays and `uint` in Python: annotations and constructors in shaders, constants on the CPU.
 
-- The stub beside this file (`vectors.pyi`, written by `rhi.shading.tools.stubs`) declares what they can do in a
-  shader: operators, swizzles, conversions. On the CPU they only hold components, so that
+- The stub beside this file (`vectors.pyi`, written by `rhi.shading.tools.stubs`) declares their operators,
+  swizzles and conversions in a shader. On the CPU they only hold components, so that
   `SKY = vec3(0.2, 0.4, 0.9)` at module level is a constant that shaders can use. For arithmetic on the CPU, convert
   to NumPy: `numpy.asarray(SKY)`.
 - `Array` is the type of arrays. `array` creates one in a shader, and gives an array field of a struct its length.
@@ -48,8 +48,8 @@ class Composite:
         size, count = self.shape[0], math.prod(self.shape)
         if len(flat) == 1:
             # A single number is copied to all components, or to a matrix's diagonal.
-            one = flat[0]
-            flat = [one] * size if count == size else [one * (i % (size + 1) == 0) for i in range(count)]
+            scalar = flat[0]
+            flat = [scalar] * size if count == size else [scalar * (i % (size + 1) == 0) for i in range(count)]
         if len(flat) != count:
             raise TypeError(f"{type(self).__name__} has {count} components, not {len(flat)}")
         self.components = tuple(map(self.convert, flat))

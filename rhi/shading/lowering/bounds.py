@@ -28,8 +28,8 @@ from rhi.shading.ir import lanes, nodes
 _INPUTS: Final = "inputs_"
 _REACHES: Final = "reaches_"
 _FIXED: Final = (lanes.AddressSpace.UNIFORM, lanes.AddressSpace.STORAGE, lanes.AddressSpace.CONSTANT)
-_MORE: Final = 1.001
-_LEAST: Final = 2.0**-64
+_MARGIN: Final = 1.001
+_MIN_TERM: Final = 2.0**-64
 _ROUNDING: Final = 2.0**-22
 
 _Magnitude: TypeAlias = "tuple[lanes.Value, int]"
@@ -37,7 +37,7 @@ _Magnitude: TypeAlias = "tuple[lanes.Value, int]"
 
 
 def bound_positions(stage: lanes.StageCode) -> lanes.PositionBounds | None:
-    """Return the bounds of a vertex stage; None if positions aren't affine or it does more than compute outputs."""
+    """Return the bounds of a vertex stage; None if positions aren't affine or the stage has side effects."""
     code = stage.code
     positions = [value for word, value in zip(stage.words, code.results, strict=False) if word < 4]
     if len(positions) < 4 or code.checked or any(map(_has_effect, nodes.walk(code.block))):
@@ -45,8 +45,8 @@ def bound_positions(stage: lanes.StageCode) -> lanes.PositionBounds | None:
     analysis = _Analysis()
     for statement in code.block:
         analysis.add(statement)
-    found = [analysis.measure(value) for value in positions]
-    slacks = [size * lanes.literal((roundings + 4) * _ROUNDING) for size, roundings in filter(None, found)]
+    magnitudes = [analysis.measure(value) for value in positions]
+    slacks = [size * lanes.literal((roundings + 4) * _ROUNDING) for size, roundings in filter(None, magnitudes)]
     results = (*positions, *slacks)
     block = _slice(analysis.block, results)
     if len(slacks) < 4 or block is None:
@@ -68,17 +68,17 @@ class _Analysis:
 
     def __init__(self) -> None:
         self.block: lanes.Block = []
-        self._known: dict[int, _Magnitude] = {}  # the current magnitudes of varying variables
+        self._magnitudes: dict[int, _Magnitude] = {}  # the current magnitudes of varying variables
 
     def add(self, statement: lanes.Statement) -> None:
         """Append the next statement of the stage."""
         self.block.append(statement)
         value = statement.value if _is_assignment(statement) else None
         magnitude = self.measure(value) if value is not None else None
-        for variable in _written(statement):
-            self._known.pop(id(variable), None)
+        for variable in _written_variables(statement):
+            self._magnitudes.pop(id(variable), None)
             if magnitude is not None and variable.uniformity is lanes.Uniformity.VARYING:
-                self._known[id(variable)] = self._name(magnitude, variable.name, statement.line)
+                self._magnitudes[id(variable)] = self._name(magnitude, variable.name, statement.line)
 
     def measure(self, value: lanes.Value) -> _Magnitude | None:
         """Return the magnitude of a component; None if it isn't affine."""
@@ -92,15 +92,15 @@ class _Analysis:
                 reach = lanes.Argument(FLOAT, lanes.Uniformity.LANES, f"{_REACHES}{name[len(_INPUTS) :]}")
                 return _extend(reach), 0
             case lanes.Get(variable=variable):
-                return self._known.get(id(variable))
-            case lanes.Apply(operation="negate", arguments=(one,)):
-                return self.measure(one)
+                return self._magnitudes.get(id(variable))
+            case lanes.Apply(operation="negate", arguments=(operand,)):
+                return self.measure(operand)
             case lanes.Apply(operation="add" | "subtract" | "multiply" as operation, arguments=(a, b)):
                 scales = operation == "multiply"
                 left, right = self.measure(a), self.measure(b)
                 if left is None or right is None or (scales and not (_is_fixed(a) or _is_fixed(b))):
                     return None
-                size = left[0] * right[0] + lanes.literal(_LEAST) if scales else left[0] + right[0]
+                size = left[0] * right[0] + lanes.literal(_MIN_TERM) if scales else left[0] + right[0]
                 return size, max(left[1], right[1]) + 1
         return None
 
@@ -113,8 +113,8 @@ class _Analysis:
 
 def _extend(value: lanes.Value) -> lanes.Value:
     if isinstance(value, lanes.Literal):
-        return lanes.literal(value.value * _MORE + _LEAST)
-    return value * lanes.literal(_MORE) + lanes.literal(_LEAST)
+        return lanes.literal(value.value * _MARGIN + _MIN_TERM)
+    return value * lanes.literal(_MARGIN) + lanes.literal(_MIN_TERM)
 
 
 def _inputs_of(value: lanes.Value) -> Iterator[int]:
@@ -144,10 +144,10 @@ def _has_effect(statement: lanes.Statement) -> bool:
     return isinstance(statement, lanes.Atomic | lanes.Barrier)
 
 
-def _written(statement: lanes.Statement) -> Iterator[lanes.Variable]:
+def _written_variables(statement: lanes.Statement) -> Iterator[lanes.Variable]:
     """Yield the variables that a statement and its nested statements write."""
-    for one in nodes.walk([statement]):
-        match one:
+    for inner in nodes.walk([statement]):
+        match inner:
             case lanes.Let(variable=variable) | lanes.Set(variable=variable):
                 yield variable
             case lanes.TextureAccess(results=results):
@@ -164,20 +164,20 @@ def _is_assignment(statement: lanes.Statement) -> TypeGuard[lanes.Let | lanes.Se
 def _slice(block: lanes.Block, results: tuple[lanes.Value, ...]) -> lanes.Block | None:
     """Return the statements that results depend on; None unless all are plain assignments of fixed or affine values."""
     needed = {id(variable) for value in results for variable in lanes.variables_of(value)}
-    kept: lanes.Block = []
+    slice: lanes.Block = []
     for statement in reversed(block):
-        if needed.isdisjoint(map(id, _written(statement))):
+        if needed.isdisjoint(map(id, _written_variables(statement))):
             continue
         if not _is_assignment(statement):
             return None
-        kept.append(statement)
+        slice.append(statement)
         if isinstance(statement, lanes.Let):
             needed.discard(id(statement.variable))
         if statement.value is not None:
             if not _is_plain(statement.value):
                 return None
             needed.update(id(variable) for variable in lanes.variables_of(statement.value))
-    return kept[::-1]
+    return slice[::-1]
 
 
 def _is_plain(value: lanes.Value) -> bool:

@@ -1,23 +1,29 @@
-"""The lowering of built-in functions: those of values through their expansions, and those that involve other
-invocations: indices in the dispatch, atomics, barriers, `uniform`."""
+"""The lowering of built-in functions.
+
+Functions of values are expanded (`rhi.shading.lowering.expansions`). Functions that involve other invocations
+are lowered
+here: indices in the dispatch, atomics, barriers, `uniform`."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
 
 from rhi.contract.layout import BOOL, INT
 from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.lanes import Uniformity, Value, apply, get, literal, number
 from rhi.shading.language import rules
-from rhi.shading.language.builtins import SideEffect
+from rhi.shading.language.builtins import BUILTINS, POLYFILL, check_polyfills
 from rhi.shading.language.types import ImageType, TextureType
 from rhi.shading.lowering.components import all_kinds
-from rhi.shading.lowering.context import Lowering, lowers
-from rhi.shading.lowering.expansions import convert, expansion_of, floored
+from rhi.shading.lowering.context import Lowering
+from rhi.shading.lowering.expansions import FUNCTIONS, convert, expansion_of, floored
 from rhi.shading.lowering.lvalues import MemoryLvalue
 from rhi.shading.lowering.memory import guarded, lvalue
+from rhi.shading.lowering.stage_inputs import STAGE_INPUTS
 from rhi.shading.lowering.textures import difference, lower_texture
 
 
-@lowers(tree.BuiltinCall)
 def lower_builtin(lowering: Lowering, node: tree.BuiltinCall, needs_result: bool = True) -> list[Value]:
     """Lower a call of a built-in to its scalars. `needs_result` is false if they are unused."""
     name = node.builtin.name
@@ -25,35 +31,46 @@ def lower_builtin(lowering: Lowering, node: tree.BuiltinCall, needs_result: bool
         return lower_texture(lowering, node)
     if name in lowering.inputs:
         return list(lowering.inputs[name])
-    if name in ("ddx", "ddy"):
-        return [difference(name, value) for value in lowering.named(node.arguments[0])]
-    if name == "fwidth":
-        values = lowering.named(node.arguments[0])
-        return [apply("abs", difference("ddx", value)) + apply("abs", difference("ddy", value)) for value in values]
     if name.startswith("atomic_"):
         return lower_atomic(lowering, node, needs_result)
-    if node.builtin.effect is SideEffect.BARRIER:
-        lower_barrier(lowering, waits=name == "barrier")
-        return []
-    if name in ("global_id", "local_id", "group_id", "group_count", "local_index"):
-        return dispatch_index(lowering, name)
-    if name == "uniform":  # what helpers have may differ
-        mask = lowering.effect_mask()
-        return [broadcast_first(lowering, value, mask, lowering.checked) for value in lowering.named(node.arguments[0])]
-    if name == "broadcast_first":  # helpers, too, must meet their value, or a loop that waits for it never ends
-        return [broadcast_first(lowering, value, lowering.scope.mask) for value in lowering.named(node.arguments[0])]
-    try:
-        expand = expansion_of(node.builtin)
-    except LookupError:
-        lowering.refuse(rules.STAGE, name, tip="lane code doesn't support it yet")
-    return expand(lowering.let, *(lowering.named(argument) for argument in node.arguments))
+    lower = _FUNCTIONS.get(name)
+    if lower is not None:
+        return lower(lowering, node)
+    expand = expansion_of(node.builtin)
+    return expand(lowering.let, *(lowering.lower_named(argument) for argument in node.arguments))
+
+
+def lower_difference(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
+    return [difference(node.builtin.name, value) for value in lowering.lower_named(node.arguments[0])]
+
+
+def lower_fwidth(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
+    values = lowering.lower_named(node.arguments[0])
+    return [apply("abs", difference("ddx", value)) + apply("abs", difference("ddy", value)) for value in values]
+
+
+def lower_uniform(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
+    mask = lowering.effect_mask()  # the values of helpers may differ
+    return [
+        broadcast_first(lowering, value, mask, lowering.checked) for value in lowering.lower_named(node.arguments[0])
+    ]
+
+
+def lower_broadcast_first(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
+    # Helpers, too, must meet their value, or a loop that waits for it never ends.
+    mask = lowering.scope.mask
+    return [broadcast_first(lowering, value, mask) for value in lowering.lower_named(node.arguments[0])]
+
+
+def lower_dispatch_index(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
+    return dispatch_index(lowering, node.builtin.name)
 
 
 def broadcast_first(lowering: Lowering, value: Value, mask: lanes.Variable | None, is_checked: bool = False) -> Value:
     """Return the value of the first lane of a mask for all lanes of a work-item.
 
     Args:
-        is_checked: whether it is a fault if a lane of the mask has another value.
+        is_checked: whether another value in a lane of the mask is reported as a fault.
     """
     if lowering.width <= 1 or value.uniformity < Uniformity.VARYING:
         return value
@@ -76,15 +93,15 @@ def lower_atomic(lowering: Lowering, node: tree.BuiltinCall, needs_result: bool)
     (kind,) = all_kinds(at.type)
     result = lowering.variable("old", kind, lowering.own_uniformity) if needs_result else None
     if guards:
-        kept = lowering.variable("old", kind, lowering.own_uniformity) if needs_result else None
-        if kept is not None:
-            lowering.emit(lanes.Let(lowering.line, kept, literal(0, kind)))
+        guarded_result = lowering.variable("old", kind, lowering.own_uniformity) if needs_result else None
+        if guarded_result is not None:
+            lowering.emit(lanes.Let(lowering.line, guarded_result, literal(0, kind)))
         with guarded(lowering, guards):
             emit_atomic(lowering, node, at, result, values)
-            if kept is not None and result is not None:
+            if guarded_result is not None and result is not None:
                 mask = lowering.scope.mask if lowering.scope.owns_mask else None
-                lowering.emit(lanes.Set(lowering.line, kept, get(result), mask))
-        return [get(kept)] if kept is not None else []
+                lowering.emit(lanes.Set(lowering.line, guarded_result, get(result), mask))
+        return [get(guarded_result)] if guarded_result is not None else []
     emit_atomic(lowering, node, at, result, values)
     return [get(result)] if result is not None else []
 
@@ -109,14 +126,15 @@ def emit_atomic(
     )
 
 
-def lower_barrier(lowering: Lowering, waits: bool) -> None:
-    """Synchronise the work-group.
+def lower_barrier(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
+    """Lower `barrier()` or `memory_barrier()`.
 
-    All of its invocations must reach a barrier, so no enclosing condition may vary within the work-group.
+    All invocations of a work-group must reach a barrier, so no enclosing condition may vary within the work-group.
     """
+    waits = node.builtin.name == "barrier"
     if waits:
         conditions = [scope.uniformity for scope in lowering.scopes_up_to(None) if scope.kind != "function"]
-        # Returns found so far stand before the barrier, so lanes may be missing.
+        # Invocations that returned before the barrier don't reach it.
         if max([*conditions, lowering.frame.return_uniformity]) > Uniformity.GROUP:
             lowering.refuse(
                 rules.BARRIER,
@@ -124,6 +142,7 @@ def lower_barrier(lowering: Lowering, waits: bool) -> None:
                 "conditions and loop bounds that are the same for the whole work-group",
             )
     lowering.emit(lanes.Barrier(lowering.line, waits))
+    return []
 
 
 def dispatch_index(lowering: Lowering, name: str) -> list[Value]:
@@ -157,7 +176,7 @@ def lanes_from(lowering: Lowering, first: Value) -> Value:
 
 
 def local_axis(lowering: Lowering, axis: int) -> Value:
-    """Return one component of `local_id()`."""
+    """Return one component of `local_id()`, the invocation's index in its work-group along an axis."""
     size, before = lowering.work_group[axis], 1
     for inner in lowering.work_group[:axis]:
         before *= inner
@@ -170,3 +189,25 @@ def local_axis(lowering: Lowering, axis: int) -> Value:
         return lanes_from(lowering, row) if axis == 0 else row
     index = local_index(lowering)
     return floored(False, floored(True, index, number(before)), number(size))
+
+
+_FUNCTIONS: Final[dict[str, Callable[[Lowering, tree.BuiltinCall], list[Value]]]] = {
+    "ddx": lower_difference,
+    "ddy": lower_difference,
+    "fwidth": lower_fwidth,
+    "uniform": lower_uniform,
+    "broadcast_first": lower_broadcast_first,
+    "barrier": lower_barrier,
+    "memory_barrier": lower_barrier,
+    **dict.fromkeys(("global_id", "local_id", "group_id", "group_count", "local_index"), lower_dispatch_index),
+}
+"""The built-ins that involve other invocations, with the functions that lower them."""
+
+_WRITTEN: Final = {
+    *FUNCTIONS,
+    *_FUNCTIONS.keys() - {"ddx", "ddy"},  # which have spellings, too
+    "discard",  # a statement of its own: `tree.Discard`
+    *(name for name in BUILTINS if name.startswith("atomic_")),  # `lower_atomic`
+    *(name for inputs in STAGE_INPUTS.values() for name in inputs),  # arguments of the stage: `Lowering.inputs`
+}
+check_polyfills("lane code", (row.name for row in BUILTINS.values() if row.lanes is POLYFILL), _WRITTEN)

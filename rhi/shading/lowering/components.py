@@ -11,7 +11,7 @@ from rhi.contract.layout import (
     ScalarType,
     StructType,
     VectorType,
-    place,
+    memory_layout,
 )
 from rhi.shading.language.types import count_scalars
 
@@ -51,7 +51,7 @@ def word_offsets(type: HostType, layout: Layout | None) -> list[int]:
     """Return the offset of each scalar of a value in words. Without a layout they are consecutive."""
     if layout is None:
         return list(range(words_of(type)))
-    placement = place(type, layout)
+    placement = memory_layout(type, layout)
     match type:
         case ScalarType():
             return [0]

@@ -1,15 +1,15 @@
-"""The lowering of one stage or function: what its parts share, in one `Lowering`.
+"""The state of lowering a stage or function, which the modules beside this one share: `Lowering`.
 
-- Each module beside this one has functions of a `Lowering` and a node. Those of expressions are chosen by the node's
-  type (`lowers`): an operand may be a call, whose body has statements, which have expressions again.
-
+- Each module beside this one has functions of a `Lowering` and a node. The table
+  `rhi.shading.lowering.functions.EXPRESSIONS` selects those of expressions by the node's type: an operand may be a
+  call, whose body has statements, which have expressions again.
 - A `MaskScope` is a part of the stage under one condition: a branch, a loop, an iteration of a loop, the body of an
   inlined call. Where its condition varies among lanes, it owns a mask. A variable that is assigned inside scopes that
   don't hold its declaration varies at least as they do, and the assignment is blended if one of them owns a mask.
 - The uniformity of a variable, of a loop's exits and of a function's returns is found by iteration to a fixpoint: each
-  run joins what it finds with what is known, so that values only rise in the semilattice of `Uniformity`. Lowering runs
-  again until all that a run was told holds at its end. The last run therefore knows at a loop's beginning what its end
-  implies.
+  run joins its results with earlier ones, so that values only rise in the semilattice of `Uniformity`.
+  Lowering runs again until all assumptions of a run hold at its end. The last run therefore knows at a loop's
+  beginning what its end implies.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Final, NoReturn, TypeVar
+from typing import Any, Final, NoReturn, TypeAlias, TypeVar
 
 from rhi.contract.layout import BOOL, ScalarType
 from rhi.errors import Rule
@@ -72,18 +72,8 @@ class InlinedFrame:
     slots: dict[tree.Local, list[Home]] = field(default_factory=dict)
 
 
-Lower = TypeVar("Lower", bound=Callable[..., list[lanes.Value]])
-_EXPRESSIONS: Final[dict[type[tree.Expression], Callable[..., list[lanes.Value]]]] = {}
-
-
-def lowers(*nodes: type[tree.Expression]) -> Callable[[Lower], Lower]:
-    """Decorate the function that lowers expressions of these types to their scalars, in order."""
-
-    def register(function: Lower) -> Lower:
-        _EXPRESSIONS.update(dict.fromkeys(nodes, function))
-        return function
-
-    return register
+ExpressionLowering: TypeAlias = Callable[["Lowering", Any], list[lanes.Value]]
+"""A function that lowers an expression, its second argument, to its scalars in order."""
 
 
 class Lowering:
@@ -93,11 +83,13 @@ class Lowering:
         joined: for each key (a local, a loop's exits, a function's returns), the join of the uniformities and strides
             found so far, in all runs.
         memories: the memory that the code accesses, by the names of bindings; constant arrays by a key.
-        told: what this run was told of each key, first. Whatever it was told later is above that, as is its end.
+        assumptions: the first assumption of this run about each key. Later ones, and the result, are never
+            below it.
     """
 
     def __init__(
         self,
+        expressions: Mapping[type[tree.Expression], ExpressionLowering],
         width: int,
         work_group: tuple[int, int, int] = (1, 1, 1),
         *,
@@ -109,11 +101,13 @@ class Lowering:
         """Prepare to lower for `width` lanes, or for whole arrays of any shape with 0.
 
         Args:
+            expressions: the function that lowers each type of expression.
             checked: whether to test every index.
             inputs: the components of the built-in inputs of a vertex or fragment stage, by the built-in's name.
             has_helpers: whether the stage has differences between pixels, for which helper invocations run.
             may_discard: whether the stage discards fragments.
         """
+        self.expressions = expressions
         self.width = width
         self.work_group = work_group
         self.checked = checked
@@ -124,17 +118,17 @@ class Lowering:
         self.memories: dict[object, lanes.MemoryRegion] = {}
         self.start()
 
-    def settle(self, run: Callable[[], R]) -> R:
-        """Run until nothing that a run was told turns out to be otherwise at its end, and return the last result."""
+    def run_to_fixpoint(self, run: Callable[[], R]) -> R:
+        """Repeat a run until all its assumptions hold at its end, and return the last result."""
         while True:
             self.start()
             result = run()
-            if all(self.joined.get(key, _UNKNOWN) == told for key, told in self.told.items()):
+            if all(self.joined.get(key, _UNKNOWN) == assumption for key, assumption in self.assumptions.items()):
                 return result
 
     def start(self) -> None:
         """Start a run."""
-        self.told: dict[object, tuple[lanes.Uniformity, int]] = {}
+        self.assumptions: dict[object, tuple[lanes.Uniformity, int]] = {}
         self.block: lanes.Block = []
         self.count = 0
         self.span = SourceSpan(0)
@@ -146,12 +140,12 @@ class Lowering:
         self.discards = 0  # the number of masked discards
         self.discarded = lanes.Uniformity.DISPATCH  # how much they vary
         self.covered: lanes.Variable  # the mask of lanes that aren't helpers
-        self.kept: lanes.Value  # the mask of covered lanes that weren't discarded
+        self.result_mask: lanes.Value  # the mask of covered lanes that weren't discarded
 
     def code(
         self, name: str, arguments: tuple[lanes.Argument, ...] = (), results: Iterable[lanes.Value] = ()
     ) -> lanes.Code:
-        """Return what the last run has emitted."""
+        """Return the lane code that the last run has emitted."""
         memories = tuple(self.memories.values())
         return lanes.Code(
             name, self.width, self.block, memories, arguments, tuple(results), self.work_group, self.checked
@@ -161,21 +155,22 @@ class Lowering:
 
     def lower(self, node: tree.Expression) -> list[lanes.Value]:
         """Lower an expression of the current frame to its scalars, in order."""
-        return _EXPRESSIONS[type(node)](self, node)
+        return self.expressions[type(node)](self, node)
 
-    def one(self, node: tree.Expression) -> lanes.Value:
+    def lower_scalar(self, node: tree.Expression) -> lanes.Value:
         """Lower a scalar expression."""
         (value,) = self.lower(node)
         return value
 
-    def named(self, node: tree.Expression) -> list[lanes.Value]:
+    def lower_named(self, node: tree.Expression) -> list[lanes.Value]:
         """Lower an expression whose components are used more than once."""
         return [self.let(value) for value in self.lower(node)]
 
     # -- the target
 
     def branches(self, uniformity: lanes.Uniformity) -> bool:
-        """Return whether a condition this uniform is a real branch: a scalar in OpenCL, a single value in NumPy."""
+        """Return whether a condition of this uniformity is a real branch: a scalar in OpenCL, a single value
+        in NumPy."""
         return uniformity <= lanes.Uniformity.LANES if self.width else uniformity is lanes.Uniformity.DISPATCH
 
     @property
@@ -185,27 +180,27 @@ class Lowering:
 
     # -- uniformities
 
-    def known_uniformity(self, key: object) -> lanes.Uniformity:
+    def assume_uniformity(self, key: object) -> lanes.Uniformity:
         """Return the uniformity known so far."""
-        return self.known(key)[0]
+        return self.assume(key)[0]
 
-    def known(self, key: object) -> tuple[lanes.Uniformity, int]:
+    def assume(self, key: object) -> tuple[lanes.Uniformity, int]:
         """Return the uniformity and stride known so far."""
-        known = self.joined.get(key, _UNKNOWN)
-        self.told.setdefault(key, known)
-        return known
+        assumption = self.joined.get(key, _UNKNOWN)
+        self.assumptions.setdefault(key, assumption)
+        return assumption
 
     def join(self, key: object, uniformity: lanes.Uniformity, stride: int = 0) -> tuple[lanes.Uniformity, int]:
         """Join a uniformity and stride with those known for a key, and return the join.
 
         Its stride is 0 unless both pairs are equal.
         """
-        known = self.joined.get(key)
+        joined = self.joined.get(key)
         now = (uniformity, stride)
-        if known is not None and known != now:
-            now = (max(known[0], uniformity), 0)
+        if joined is not None and joined != now:
+            now = (max(joined[0], uniformity), 0)
         self.joined[key] = now
-        return self.known(key)
+        return self.assume(key)
 
     # -- emitting
 
@@ -236,10 +231,10 @@ class Lowering:
         self.emit(lanes.Let(self.line, variable, value))
         return lanes.Get(value.kind, value.uniformity, variable)
 
-    def refuse(self, rule: Rule, given: str, allowed: str = "", tip: str = "") -> NoReturn:
+    def refuse(self, rule: Rule, actual: str, allowed: str = "", tip: str = "") -> NoReturn:
         """Refuse the statement at the current span."""
         function = self.frame.function
-        refuse_at(rule, function.name, function.file, self.span, given, allowed, tip)
+        refuse_at(rule, function.name, function.file, self.span, actual, allowed, tip)
 
     # -- masks
 
@@ -266,7 +261,7 @@ class Lowering:
     def new_mask(
         self, value: lanes.Value, name: str, uniformity: lanes.Uniformity = lanes.Uniformity.DISPATCH
     ) -> lanes.Variable:
-        """Return a new mask that begins as `value`, and varies as it does and as what narrows it later."""
+        """Return a new mask with the initial value `value`; with lanes, masks always vary."""
         uniformity = lanes.Uniformity.VARYING if self.width else max(uniformity, value.uniformity)
         mask = self.variable(name, BOOL, uniformity)
         self.emit(lanes.Let(self.line, mask, value))
@@ -305,7 +300,7 @@ class Lowering:
 
     @contextmanager
     def branch(self, condition: lanes.Value) -> Iterator[None]:
-        """Emit the statements of this context under a condition, as a real branch or under a mask."""
+        """Emit the context's statements under a condition: as a real branch, or under a mask."""
         outer = self.scope
         if self.branches(condition.uniformity):
             self.scope = MaskScope("branch", outer, condition.uniformity, outer.mask, False)
@@ -326,7 +321,7 @@ class Lowering:
         else:
             self.block.extend(block)
 
-    def two_branches(self, condition: lanes.Value) -> tuple[lanes.Value, lanes.Value]:
+    def condition_and_negation(self, condition: lanes.Value) -> tuple[lanes.Value, lanes.Value]:
         """Return a condition, evaluated once, and its negation."""
         condition = self.let(condition, "condition")
         return condition, lanes.apply("not", condition)

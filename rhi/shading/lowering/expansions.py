@@ -1,5 +1,7 @@
-"""Built-ins composed of others: the expressions in the rows of `rhi.shading.language.builtins`, and functions for what
-no expression covers: vectors and matrices as a whole, bits, packing.
+"""Built-ins composed of others.
+
+They are expressions in the rows of `rhi.shading.language.builtins`, and functions where no expression
+suffices: whole vectors and matrices, bits, packing.
 
 An expansion is a function of `let`, which names a value that is used more than once, and of the components of each
 argument. It returns the components of the result. The arguments are variables or constants.
@@ -116,7 +118,7 @@ class _ExpressionExpansion:
                 row = BUILTINS.get(name)
                 if row is None:
                     return self.apply(name, *arguments)
-                values = [[self.let(part) for part in self.value(one)] for one in arguments]
+                values = [[self.let(part) for part in self.value(argument)] for argument in arguments]
                 return expansion_of(row)(self.let, *values)
         raise TypeError(f"{ast.unparse(node)} in a built-in's expression")
 
@@ -130,17 +132,17 @@ class _ExpressionExpansion:
         return [apply(operation, *parts) for parts in zip(*values, strict=True)]
 
 
-def expansion_of(row: Builtin) -> Expansion:
+def expansion_of(builtin: Builtin) -> Expansion:
     """Return the expansion of a built-in in lane code.
 
     Raises:
         LookupError: the built-in has none.
     """
-    if row.lanes:
-        return _ExpressionExpansion(row.lanes)
-    if row.opencl:
-        return by_component(lambda *parts: apply(row.name, *parts))
-    return _FUNCTIONS[row.name]
+    if isinstance(builtin.lanes, str) and builtin.lanes:
+        return _ExpressionExpansion(builtin.lanes)
+    if builtin.opencl:
+        return by_component(lambda *parts: apply(builtin.name, *parts))
+    return FUNCTIONS[builtin.name]
 
 
 # -- common ------------------------------------------------------------------------------------------------
@@ -298,7 +300,7 @@ def _ones(count: Value) -> Value:
 
 
 def _field(let: LetFunction, offset: Components, count: Components) -> tuple[Value, Value]:
-    """Return where the part of a field begins that is inside a word, and as many ones as it has bits."""
+    """Return the first bit of the part of a field that is inside a word, and a mask of that part's length."""
     start = let(apply("min", apply("as_uint", offset[0]), _uint(32)))
     inside = apply("min", apply("as_uint", count[0]), _uint(32) - start)
     return let(start & _uint(31)), let(_ones(let(inside)))
@@ -335,13 +337,13 @@ def bitfield_insert(
 
 def _join(parts: list[Value], bits: int) -> list[Value]:
     total = parts[0]
-    for place, part in enumerate(parts[1:], 1):
-        total = total | apply("shift_left", part, _uint(bits * place))
+    for index, part in enumerate(parts[1:], 1):
+        total = total | apply("shift_left", part, _uint(bits * index))
     return [total]
 
 
 def _split(let: LetFunction, whole: Value, bits: int) -> list[Value]:
-    moved = [apply("shift_right", whole, _uint(bits * place)) for place in range(32 // bits)]
+    moved = [apply("shift_right", whole, _uint(bits * index)) for index in range(32 // bits)]
     return [let(part & _uint((1 << bits) - 1)) for part in moved]
 
 
@@ -399,7 +401,7 @@ def unpack_snorm(bits: int) -> Expansion:
     return expand
 
 
-_FUNCTIONS: Final[dict[str, Expansion]] = {
+FUNCTIONS: Final[dict[str, Expansion]] = {
     "mix": by_component(mix),
     "length": length,
     "dot": dot,
@@ -425,3 +427,4 @@ _FUNCTIONS: Final[dict[str, Expansion]] = {
     "pack_snorm_4x8": pack_snorm(8),
     "unpack_snorm_4x8": unpack_snorm(8),
 }
+"""The expansions that are functions of this module, by the name of the built-in."""

@@ -1,4 +1,5 @@
-"""The lowering of expressions to components: operators, selections, constructors, and reads of what lies somewhere."""
+"""The lowering of expressions to components: operators, selections, constructors, and reads of memory and
+locals."""
 
 from __future__ import annotations
 
@@ -12,16 +13,16 @@ from rhi.shading.language.builtins import SideEffect
 from rhi.shading.language.shader import StorageClass
 from rhi.shading.language.types import StorageType, scalar_of
 from rhi.shading.lowering.components import all_kinds, words_of
-from rhi.shading.lowering.context import Lowering, lowers
+from rhi.shading.lowering.context import Lowering
 from rhi.shading.lowering.expansions import all_of, any_of, by_component, convert, dot, floored
 from rhi.shading.lowering.lvalues import part, select_by_index
 from rhi.shading.lowering.memory import choice_of, lvalue, read, region_of
 
 DEEPEST_VALUE: Final = 24
-"""The most operations that nest in one expression of a text: C's compilers and Python's parser limit brackets."""
+"""The maximum nesting of operations in an expression of a text: compilers and Python's parser limit
+brackets."""
 
 
-@lowers(tree.Read, tree.BindingRead, tree.ConstantArray, tree.Member, tree.Swizzle, tree.Index)
 def lower_access(lowering: Lowering, node: Expression) -> list[Value]:
     """Read an lvalue, or take a part of a value that isn't one."""
     at = lvalue(lowering, node)
@@ -42,7 +43,7 @@ def lower_access(lowering: Lowering, node: Expression) -> list[Value]:
             values = lowering.lower(base)
             return [values[c] for c in components]
         case tree.Index(base=base):
-            values, size = lowering.named(base), words_of(node.type)  # type: ignore[arg-type]
+            values, size = lowering.lower_named(base), words_of(node.type)  # type: ignore[arg-type]
             rows = [values[start : start + size] for start in range(0, len(values), size)]
             row = choice_of(lowering, node)
             if isinstance(row, Literal):
@@ -51,62 +52,58 @@ def lower_access(lowering: Lowering, node: Expression) -> list[Value]:
     raise TypeError(f"no lane code for {node}")
 
 
-@lowers(tree.Length)
 def lower_length(lowering: Lowering, node: tree.Length) -> list[Value]:
     assert isinstance(node.base, tree.BindingRead)
     return [lanes.ElementCount(INT, Uniformity.DISPATCH, region_of(lowering, node.base.declaration))]
 
 
-@lowers(tree.Constant)
 def lower_constant(lowering: Lowering, node: tree.Constant) -> list[Value]:
     assert isinstance(node.type, ScalarType)
     return [Literal(node.type, Uniformity.DISPATCH, node.value)]
 
 
-@lowers(tree.Zeros)
 def lower_zeros(lowering: Lowering, node: tree.Zeros) -> list[Value]:
     return [literal(0, kind) for kind in all_kinds(node.type)]  # type: ignore[arg-type]
 
 
-@lowers(tree.Convert)
 def lower_conversion(lowering: Lowering, node: tree.Convert) -> list[Value]:
     kind = scalar_of(node.type)
     assert kind is not None
     return shallow(lowering, [convert(part, kind) for part in lowering.lower(node.value)])
 
 
-@lowers(tree.Construct)
 def lower_construct(lowering: Lowering, node: tree.Construct) -> list[Value]:
-    values = [value for one in node.parts for value in lowering.lower(one)]
+    values = [value for part in node.parts for value in lowering.lower(part)]
     if isinstance(node.type, VectorType) and len(values) == 1:
         return [lowering.let(values[0])] * node.type.size
     if isinstance(node.type, MatrixType) and len(node.parts) == 1:
         n, source = node.type.size, node.parts[0].type
-        zero, one = literal(0.0), literal(1.0)
+        zero, unit = literal(0.0), literal(1.0)
         if isinstance(source, MatrixType):
             m = source.size
-            return [values[i * m + j] if max(i, j) < m else one if i == j else zero for i in range(n) for j in range(n)]
+            return [
+                values[i * m + j] if max(i, j) < m else unit if i == j else zero for i in range(n) for j in range(n)
+            ]
         diagonal = lowering.let(values[0])
         return [diagonal if i == j else zero for i in range(n) for j in range(n)]
     return values
 
 
-@lowers(tree.Select)
 def lower_select(lowering: Lowering, node: tree.Select) -> list[Value]:
     """Lower `then if condition else otherwise`."""
-    condition, then, otherwise = lowering.one(node.condition), node.then, node.otherwise
+    condition, then, otherwise = lowering.lower_scalar(node.condition), node.then, node.otherwise
     if is_simple(then) and is_simple(otherwise):
         condition = lowering.let(condition)
         pairs = zip(lowering.lower(then), lowering.lower(otherwise), strict=True)
         return shallow(lowering, [apply("select", condition, a, b) for a, b in pairs])
-    condition, opposite = lowering.two_branches(condition)
+    condition, opposite = lowering.condition_and_negation(condition)
     kinds, key = all_kinds(then.type), (lowering.frame.path, id(then))  # type: ignore[arg-type]
     slots = []
     for i, kind in enumerate(kinds):
-        slots.append(lowering.variable("chosen", kind, max(condition.uniformity, lowering.known_uniformity((key, i)))))
+        slots.append(lowering.variable("chosen", kind, max(condition.uniformity, lowering.assume_uniformity((key, i)))))
         lowering.emit(lanes.Let(lowering.line, slots[-1], None))
-    for chosen, branch in ((condition, then), (opposite, otherwise)):
-        with lowering.branch(chosen):
+    for branch_condition, branch in ((condition, then), (opposite, otherwise)):
+        with lowering.branch(branch_condition):
             values = lowering.lower(branch)
             mask = lowering.scope.mask if lowering.scope.owns_mask else None
             for i, (slot, value) in enumerate(zip(slots, values, strict=True)):
@@ -118,23 +115,21 @@ def lower_select(lowering: Lowering, node: tree.Select) -> list[Value]:
 # -- operators ---------------------------------------------------------------------------------------------
 
 
-@lowers(tree.Unary)
 def lower_unary(lowering: Lowering, node: tree.Unary) -> list[Value]:
     return shallow(lowering, [apply(node.operator.primitive, value) for value in lowering.lower(node.operand)])
 
 
-@lowers(tree.Binary)
 def lower_binary(lowering: Lowering, node: tree.Binary) -> list[Value]:
     """Lower a binary operator, with Python's semantics, and the chain of operators on its left."""
     chain = tree.left_chain(node)
     values = lowering.lower(chain[0].left)
-    for one in chain:
-        values = shallow(lowering, lower_operation(lowering, one, values))
+    for operation in chain:
+        values = shallow(lowering, lower_operation(lowering, operation, values))
     return values
 
 
 def shallow(lowering: Lowering, values: list[Value]) -> list[Value]:
-    """Return values, with a name for each that nests more than `DEEPEST_VALUE` operations."""
+    """Return the values; each that nests more than `DEEPEST_VALUE` operations gets a name first."""
     return [
         lanes.Affine(value.kind, value.uniformity, shallow(lowering, [value.base])[0], value.stride)
         if isinstance(value, lanes.Affine)
@@ -158,7 +153,7 @@ def lower_operation(lowering: Lowering, node: tree.Binary, left: list[Value]) ->
         case Operator.POWER:
             return lower_power(lowering, node, left)
     if op in (Operator.FLOOR_DIVIDE, Operator.MODULO):
-        left, right = [lowering.let(value) for value in left], lowering.named(node.right)
+        left, right = [lowering.let(value) for value in left], lowering.lower_named(node.right)
     else:
         right = lowering.lower(node.right)
     size = max(len(left), len(right))
@@ -181,13 +176,13 @@ def lower_short_circuit(lowering: Lowering, node: tree.Binary, operand: list[Val
     """Lower `and` or `or`: the right operand is evaluated only where the left one doesn't decide."""
     (left,) = operand
     if is_simple(node.right):
-        return [apply("and" if is_and else "or", left, lowering.one(node.right))]
+        return [apply("and" if is_and else "or", left, lowering.lower_scalar(node.right))]
     left = lowering.let(left)
-    uniformity = max(left.uniformity, lowering.known_uniformity((lowering.frame.path, id(node))))
+    uniformity = max(left.uniformity, lowering.assume_uniformity((lowering.frame.path, id(node))))
     result = lowering.variable("condition", BOOL, uniformity)
     lowering.emit(lanes.Let(lowering.line, result, left))
     with lowering.branch(left if is_and else apply("not", left)):
-        right = lowering.one(node.right)
+        right = lowering.lower_scalar(node.right)
         mask = lowering.scope.mask if lowering.scope.owns_mask else None
         uniformity, _ = lowering.join((lowering.frame.path, id(node)), max(left.uniformity, right.uniformity))
         lowering.emit(lanes.Set(lowering.line, result, right, mask))
@@ -195,7 +190,7 @@ def lower_short_circuit(lowering: Lowering, node: tree.Binary, operand: list[Val
 
 
 def lower_matrix_product(lowering: Lowering, node: tree.Binary, left: list[Value]) -> list[Value]:
-    a, b = [lowering.let(value) for value in left], lowering.named(node.right)
+    a, b = [lowering.let(value) for value in left], lowering.lower_named(node.right)
     matrix = node.left.type if isinstance(node.left.type, MatrixType) else node.right.type
     assert isinstance(matrix, MatrixType)
     n = matrix.size
@@ -208,7 +203,7 @@ def lower_matrix_product(lowering: Lowering, node: tree.Binary, left: list[Value
 def lower_power(lowering: Lowering, node: tree.Binary, left: list[Value]) -> list[Value]:
     exponent, left = node.right, [lowering.let(value) for value in left]
     if not (isinstance(exponent, tree.Constant) and exponent.type in (INT, UINT)):
-        x, y = left, lowering.named(exponent)
+        x, y = left, lowering.lower_named(exponent)
         return by_component(lambda x, y: apply("pow", x, y))(lowering.let, x, y)
     count, results = int(exponent.value), []
     for base in left:
@@ -217,8 +212,8 @@ def lower_power(lowering: Lowering, node: tree.Binary, left: list[Value]) -> lis
             result = lowering.let(result * result)
             if bit == "1":
                 result = result * base
-        one = literal(1, base.kind)
-        results.append(one if count == 0 else one / result if count < 0 else result)
+        unit = literal(1, base.kind)
+        results.append(unit if count == 0 else unit / result if count < 0 else result)
     return results
 
 

@@ -6,7 +6,7 @@ Lowering is repeated until the uniformities that it finds no longer change (`rhi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Final
 
 from rhi.contract.layout import BOOL, INT, ScalarType
@@ -14,18 +14,13 @@ from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.faults import ENDLESS
 from rhi.shading.language import rules
 from rhi.shading.language.types import VOID, TextureType
-from rhi.shading.lowering import expressions as expressions  # what it lowers
+from rhi.shading.lowering import expressions
 from rhi.shading.lowering.builtins import lanes_from, lower_builtin
 from rhi.shading.lowering.components import all_kinds
-from rhi.shading.lowering.context import InlinedFrame, Lowering, MaskScope, lowers
+from rhi.shading.lowering.context import ExpressionLowering, InlinedFrame, Lowering, MaskScope
 from rhi.shading.lowering.lvalues import Slot
 from rhi.shading.lowering.memory import assign, assign_to, copy, declare, new_slot, read_home
 from rhi.shading.lowering.textures import binding_of
-
-
-def has_lane_code(stage: tree.StageTree) -> bool:
-    """Return whether a stage can be lowered: all its functions have a Python body."""
-    return not any(function.native and not function.body for function in stage.functions)
 
 
 def lower_compute(
@@ -39,19 +34,19 @@ def lower_compute(
     Raises:
         ShaderError: a rule that only lowering can check, such as a barrier that part of a work-group may not reach.
     """
-    lowering = Lowering(width, work_group, checked=checked)
-    lowering.settle(lambda: lower_entry(lowering, stage.entry, ()))
+    lowering = Lowering(EXPRESSIONS, width, work_group, checked=checked)
+    lowering.run_to_fixpoint(lambda: lower_entry(lowering, stage.entry, ()))
     return lowering.code(name)
 
 
 def lower_function(function: tree.Function) -> lanes.Code:
     """Lower a function of values for whole arrays. Its arguments are the scalars of the parameters."""
-    lowering = Lowering(0)
+    lowering = Lowering(EXPRESSIONS, 0)
     kinds: list[ScalarType] = []
     for parameter in function.parameters:
         kinds += all_kinds(parameter.type)  # type: ignore[arg-type]
     arguments = tuple(lanes.Argument(kind, lanes.Uniformity.VARYING, f"a{i}") for i, kind in enumerate(kinds))
-    results = lowering.settle(lambda: lower_entry(lowering, function, arguments))
+    results = lowering.run_to_fixpoint(lambda: lower_entry(lowering, function, arguments))
     return lowering.code(function.name, arguments, results)
 
 
@@ -69,7 +64,6 @@ def lower_entry(lowering: Lowering, function: tree.Function, arguments: tuple[la
 # -- calls -------------------------------------------------------------------------------------------------
 
 
-@lowers(tree.Call)
 def lower_call(lowering: Lowering, node: tree.Call) -> list[lanes.Value]:
     values: list[lanes.Value] = []
     textures: dict[tree.Local, tree.BindingRead] = {}
@@ -108,7 +102,7 @@ def inline(
     early = tree.has_early_return(function.body) or (lowering.may_discard and not path)
     discards = lowering.discards
     frame = InlinedFrame(function, path, caller, caller.return_uniformity, textures=textures or {})
-    uniformity = lowering.known_uniformity((path, "function"))
+    uniformity = lowering.assume_uniformity((path, "function"))
     if early and function.result != VOID:
         for i, kind in enumerate(all_kinds(function.result)):  # type: ignore[arg-type]
             frame.results.append(new_slot(lowering, f"{function.name}_result", kind, (path, "result", i), None))
@@ -145,7 +139,7 @@ def inline(
         results = [read_home(lowering, slot, None) for slot in frame.results]
     else:
         lowering.block.extend(block)
-    if lowering.discards > discards:  # the caller loses the same lanes
+    if lowering.discards > discards:  # these lanes leave the caller, too
         lowering.jump_pending = True
         lowering.frame.return_uniformity = max(lowering.frame.return_uniformity, lowering.discarded)
     return results
@@ -175,28 +169,28 @@ def lower_statement(lowering: Lowering, node: tree.Statement) -> None:
         case tree.Assign(target=target, value=value):
             values = lowering.lower(value)
             if tree.has_effect(target):
-                values = [lowering.let(one) for one in values]
+                values = [lowering.let(scalar) for scalar in values]
             assign_to(lowering, target, values)
         case tree.Evaluate(value=tree.BuiltinCall() as value):
             lower_builtin(lowering, value, needs_result=False)
         case tree.Evaluate(value=value):
-            for one in lowering.lower(value):
-                lowering.let(one)
+            for scalar in lowering.lower(value):
+                lowering.let(scalar)
         case tree.If():
             lower_if(lowering, node)
         case tree.For():
             lower_for(lowering, node)
         case tree.While(condition=condition, body=body):
-            lower_loop(lowering, node, lambda: lowering.one(condition), body, [])
+            lower_loop(lowering, node, lambda: lowering.lower_scalar(condition), body, [])
         case tree.Break():
             jump(lowering, "loop", lanes.Break(lowering.line))
         case tree.Continue():
             jump(lowering, "iteration", lanes.Continue(lowering.line))
         case tree.Return(value=value):
             values = lowering.lower(value) if value is not None else []
-            values = [lowering.let(one) for one in values]
-            for slot, one in zip(lowering.frame.results, values, strict=True):
-                assign(lowering, slot, one)
+            values = [lowering.let(scalar) for scalar in values]
+            for slot, scalar in zip(lowering.frame.results, values, strict=True):
+                assign(lowering, slot, scalar)
             assert lowering.frame.inlined_call is not None
             if node is lowering.frame.function.body[-1]:
                 return  # the end of the body: no jump is needed
@@ -206,12 +200,12 @@ def lower_statement(lowering: Lowering, node: tree.Statement) -> None:
 
 
 def lower_if(lowering: Lowering, node: tree.If) -> None:
-    condition = lowering.one(node.condition)
+    condition = lowering.lower_scalar(node.condition)
     if isinstance(condition, lanes.Literal):
         lower_block(lowering, node.then if condition.value else node.otherwise)
         return
     if not lowering.branches(condition.uniformity):
-        condition, opposite = lowering.two_branches(condition)
+        condition, opposite = lowering.condition_and_negation(condition)
         with lowering.branch(condition):
             lower_block(lowering, node.then)
         if node.otherwise:
@@ -230,7 +224,11 @@ def lower_if(lowering: Lowering, node: tree.If) -> None:
 
 def lower_for(lowering: Lowering, node: tree.For) -> None:
     path = lowering.frame.path
-    start, stop, step = lowering.one(node.start), lowering.one(node.stop), lowering.one(node.step)
+    start, stop, step = (
+        lowering.lower_scalar(node.start),
+        lowering.lower_scalar(node.stop),
+        lowering.lower_scalar(node.step),
+    )
     start, stop, step = lowering.let(start), copy(lowering, stop), copy(lowering, step)
     key = (path, id(node), "count")
     uniformity = max(start.uniformity, step.uniformity)
@@ -268,7 +266,7 @@ def lower_for(lowering: Lowering, node: tree.For) -> None:
 
 
 def last_count(stop: lanes.Value, step: lanes.Value) -> lanes.Value:
-    """Return the value that a loop's counter must not have reached for one more step to stay before `stop`."""
+    """Return the counter's limit: below it, one more step stays before `stop`."""
     if isinstance(stop, lanes.Literal) and isinstance(step, lanes.Literal):
         return lanes.number(min(max(int(stop.value) - int(step.value), -(2**31)), 2**31 - 1))
     least, most = lanes.number(-(2**31)), lanes.number(2**31 - 1)
@@ -279,8 +277,9 @@ def last_count(stop: lanes.Value, step: lanes.Value) -> lanes.Value:
     return lanes.apply("select", lanes.apply("greater", step, lanes.number(0)), above, below)
 
 
-MOST_TURNS: Final = 1 << 20
-"""The turns after which a `while` ends on OpenCL, whose work nobody can stop: Ctrl-C waits for it."""
+MAX_ITERATIONS: Final = 1 << 20
+"""The iterations after which a `while` ends on OpenCL, where running work can't be cancelled, not even by
+Ctrl-C."""
 
 
 def lower_loop(
@@ -288,11 +287,11 @@ def lower_loop(
 ) -> None:
     """Lower a loop, with a mask if its condition or one of its breaks varies."""
     key, outer, returns = (lowering.frame.path, id(node)), lowering.scope, lowering.returns
-    uniformity = lowering.known_uniformity((key, "loop"))
-    iteration_uniformity = lowering.known_uniformity((key, "iteration"))
+    uniformity = lowering.assume_uniformity((key, "loop"))
+    iteration_uniformity = lowering.assume_uniformity((key, "iteration"))
     mask, masked = outer.mask, not lowering.branches(uniformity)
     lowering.frame.return_uniformity = max(
-        lowering.frame.return_uniformity, lowering.known_uniformity((key, "returns"))
+        lowering.frame.return_uniformity, lowering.assume_uniformity((key, "returns"))
     )
     if masked:
         mask = lowering.new_mask(lowering.mask_value(), "looping", uniformity)
@@ -314,7 +313,7 @@ def lower_loop(
         elif not (isinstance(condition, lanes.Literal) and condition.value):
             stop: lanes.Block = [lanes.Break(lowering.line)]
             lowering.emit(lanes.If(lowering.line, lanes.apply("not", condition), stop, []))
-        if not masked and mask is not None and not lowering.branches(lowering.known_uniformity((key, "returns"))):
+        if not masked and mask is not None and not lowering.branches(lowering.assume_uniformity((key, "returns"))):
             lowering.emit(lanes.Break(lowering.line, mask))
         if not lowering.branches(iteration_uniformity):
             active = lowering.new_mask(lowering.mask_value(), "iteration", iteration_uniformity)
@@ -328,7 +327,7 @@ def lower_loop(
                     lowering.emit(lanes.Check(lowering.line, *checked))
                 lowering.emit(lanes.Break(lowering.line))
             lowering.emit(
-                lanes.If(lowering.line, lanes.apply("equal", lanes.get(turns), lanes.number(MOST_TURNS)), end, [])
+                lanes.If(lowering.line, lanes.apply("equal", lanes.get(turns), lanes.number(MAX_ITERATIONS)), end, [])
             )
         lower_block(lowering, body)
     lowering.scope = outer
@@ -338,7 +337,7 @@ def lower_loop(
 
 
 def jump(lowering: Lowering, kind: str, jump: lanes.Statement) -> None:
-    """Lower a break, continue or return: a jump if all lanes take it, otherwise the masks lose lanes."""
+    """Lower a break, continue or return: a jump if all lanes take it, otherwise an update of the masks."""
     target = next(scope for scope in lowering.scopes_up_to(None) if scope.kind == kind)
     uniformity = max([scope.uniformity for scope in lowering.scopes_up_to(target)], default=lanes.Uniformity.DISPATCH)
     uniformity, _ = lowering.join((target.key, kind), uniformity)
@@ -364,16 +363,16 @@ def discard(lowering: Lowering) -> None:
     lowering.discarded = max(lowering.discarded, uniformity)
     lowering.frame.return_uniformity = max(lowering.frame.return_uniformity, uniformity)
     assert frame.inlined_call is not None
-    assert isinstance(lowering.kept, lanes.Get)
+    assert isinstance(lowering.result_mask, lanes.Get)
     remaining = lanes.apply("not", lowering.mask_value())
-    lowering.emit(lanes.Set(lowering.line, lowering.kept.variable, lowering.kept & remaining, None))
+    lowering.emit(lanes.Set(lowering.line, lowering.result_mask.variable, lowering.result_mask & remaining, None))
     if lowering.branches(uniformity) and lowering.width:
         frame.inlined_call.returns_early = True
         lowering.emit(lanes.Return(lowering.line, frame.inlined_call))
     else:
         lowering.narrow(target)
         if lowering.has_helpers:  # helpers whose quad is discarded become inactive, too
-            needed = lowering.let(lanes.apply("quads", lowering.kept))
+            needed = lowering.let(lanes.apply("quads", lowering.result_mask))
             for scope in scopes[:-1]:
                 if scope.owns_mask and scope.mask is not None:
                     both = lanes.get(scope.mask) & needed
@@ -381,3 +380,24 @@ def discard(lowering: Lowering) -> None:
         lowering.jump_pending = True
         lowering.discards += 1
         lowering.returns += 1
+
+
+EXPRESSIONS: Final[Mapping[type[tree.Expression], ExpressionLowering]] = {
+    tree.Read: expressions.lower_access,
+    tree.BindingRead: expressions.lower_access,
+    tree.ConstantArray: expressions.lower_access,
+    tree.Member: expressions.lower_access,
+    tree.Swizzle: expressions.lower_access,
+    tree.Index: expressions.lower_access,
+    tree.Length: expressions.lower_length,
+    tree.Constant: expressions.lower_constant,
+    tree.Zeros: expressions.lower_zeros,
+    tree.Convert: expressions.lower_conversion,
+    tree.Construct: expressions.lower_construct,
+    tree.Select: expressions.lower_select,
+    tree.Unary: expressions.lower_unary,
+    tree.Binary: expressions.lower_binary,
+    tree.BuiltinCall: lower_builtin,
+    tree.Call: lower_call,
+}
+"""The function that lowers each type of expression to its scalars."""

@@ -19,7 +19,7 @@ from rhi.contract.layout import (
     MatrixType,
     StructType,
     VectorType,
-    place,
+    memory_layout,
 )
 from rhi.shading.ir.lanes import Literal, MemoryRegion, Value, Variable, apply, number
 from rhi.shading.lowering.components import leaf_kinds, words_of
@@ -76,9 +76,9 @@ def _element_words(type: HostType, layout: Layout | None) -> int:
     """Return the words from one element of an array, matrix or vector to the next."""
     match type:
         case ArrayType(element=element):
-            return place(type, layout).stride // 4 if layout is not None else words_of(element)
+            return memory_layout(type, layout).stride // 4 if layout is not None else words_of(element)
         case MatrixType(size=size):
-            return place(type, layout).stride // 4 if layout is not None else size
+            return memory_layout(type, layout).stride // 4 if layout is not None else size
         case _:
             return 1
 
@@ -109,7 +109,7 @@ def member(at: Lvalue, name: str) -> Lvalue:
             return LocalLvalue(field.type, homes, at.index)
         case MemoryLvalue(layout=layout):
             if layout is not None:
-                start = place(at.type, layout).offsets[index] // 4
+                start = memory_layout(at.type, layout).offsets[index] // 4
             else:
                 start = sum(words_of(part.type) for part in before)
             return replace(at, type=field.type, offset=at.offset + start)
@@ -130,7 +130,7 @@ def part(at: Lvalue, which: int) -> Lvalue:
             offset = at.offset + which * _element_words(at.type, at.layout)
             return replace(at, type=inner, offset=offset)
         case LvalueChoice():
-            return LvalueChoice(inner, at.index, [part(one, which) for one in at.choices])
+            return LvalueChoice(inner, at.index, [part(choice, which) for choice in at.choices])
 
 
 def element(at: Lvalue, index: Value) -> Lvalue:
@@ -150,13 +150,13 @@ def element(at: Lvalue, index: Value) -> Lvalue:
             row = at.index * number(at.scale) + index * number(words)
             return replace(at, type=inner, index=row, scale=1)
         case LvalueChoice():
-            return LvalueChoice(inner, at.index, [element(one, index) for one in at.choices])
+            return LvalueChoice(inner, at.index, [element(choice, index) for choice in at.choices])
 
 
 def select_by_index(index: Value, values: list[Value]) -> Value:
     """Return `values[index]`, or the nearest value, by a chain of selects."""
     result = values[0]
     for which, value in enumerate(values[1:], 1):
-        wanted = apply("greater_equal", index, number(which))
-        result = apply("select", wanted, value, result)
+        is_chosen = apply("greater_equal", index, number(which))
+        result = apply("select", is_chosen, value, result)
     return result

@@ -1,7 +1,8 @@
-"""The lowering of everything that lies somewhere: reads and assignments of locals, buffers, shared memory, constants.
+"""The lowering of reads and assignments: of locals, buffers, shared memory and constant arrays.
 
-Whatever an index is, nothing outside is read or written (`bound_index`): a read gets the nearest element, a write is
-under a condition. Components of vectors and rows of matrices that are variables are chosen, which needs neither.
+Nothing outside memory is read or written, whatever the index (`bound_index`): a read gets the nearest
+element, a write is under a condition. A variable index of a vector or matrix selects among its components,
+which needs neither.
 """
 
 from __future__ import annotations
@@ -40,18 +41,18 @@ from rhi.shading.lowering.expansions import convert
 
 def region_of(lowering: Lowering, declaration: Declaration) -> MemoryRegion:
     """Return the memory region of a binding."""
-    known = lowering.memories.get(declaration.name)
-    if known is None:
+    region = lowering.memories.get(declaration.name)
+    if region is None:
         type = declaration.type
         if declaration.storage_class is StorageClass.STORAGE:
             assert isinstance(type, StorageType)
             stride = stride_of(type.element, Layout.STD430) // 4
-            known = MemoryRegion(declaration.name, AddressSpace.STORAGE, stride, 0, type.writable)
+            region = MemoryRegion(declaration.name, AddressSpace.STORAGE, stride, 0, type.writable)
         elif declaration.storage_class is StorageClass.UNIFORM:
             words = stride_of(type, Layout.STD140) // 4  # type: ignore[arg-type]
-            known = MemoryRegion(declaration.name, AddressSpace.UNIFORM, length=words)
+            region = MemoryRegion(declaration.name, AddressSpace.UNIFORM, length=words)
         elif declaration.storage_class is StorageClass.SHARED:
-            known = MemoryRegion(declaration.name, AddressSpace.SHARED, 1, words_of(type), True)  # type: ignore[arg-type]
+            region = MemoryRegion(declaration.name, AddressSpace.SHARED, 1, words_of(type), True)  # type: ignore[arg-type]
         else:
             lowering.refuse(
                 rules.NATIVE,
@@ -59,15 +60,15 @@ def region_of(lowering: Lowering, declaration: Declaration) -> MemoryRegion:
                 "buffers and values",
                 "lane code accesses textures only by their methods",
             )
-        lowering.memories[declaration.name] = known
-    return known
+        lowering.memories[declaration.name] = region
+    return region
 
 
 def lvalue(lowering: Lowering, node: Expression, guards: list[Value] | None = None) -> lvalues.Lvalue | None:
     """Return an expression as an lvalue, or None if its value has to be computed.
 
     Args:
-        guards: for what is written, the list that gets the conditions under which all indices are inside.
+        guards: for a write, the list to which the conditions that all indices are inside are added.
     """
     match node:
         case tree.Read(local=local):
@@ -104,7 +105,7 @@ def lvalue(lowering: Lowering, node: Expression, guards: list[Value] | None = No
                 row, limit = choice_of(lowering, node), None
             if isinstance(row, Literal):
                 return lvalues.part(at, int(row.value))
-            at = lvalues.element(settle(lowering, at), row)
+            at = lvalues.element(bound_lvalue(lowering, at), row)
             return replace(at, limit=limit) if isinstance(at, lvalues.MemoryLvalue) else at
     return None
 
@@ -117,7 +118,7 @@ def bound_index(
     Where it isn't known to be, a read gets the nearest index, and a write adds a condition to `guards`. Consecutive
     indices of a region that `streams` stay as they are, so that vectors are loaded: the second result is their limit.
     """
-    row = lowering.let(lowering.one(node.index))
+    row = lowering.let(lowering.lower_scalar(node.index))
     if lowering.checked:
         return check_index(lowering, lowering.let(convert(row, INT)), count), None
     if node.inside and not (lowering.has_helpers and is_unchecked(node)):
@@ -127,10 +128,10 @@ def bound_index(
         return lowering.let(convert(row, INT)), None
     if streams and isinstance(row, Affine) and row.kind is INT:
         return row, count
-    return nearest(lowering, row, count), None
+    return clamp_index(lowering, row, count), None
 
 
-def nearest(lowering: Lowering, index: Value, count: Value) -> Value:
+def clamp_index(lowering: Lowering, index: Value, count: Value) -> Value:
     """Return the index of `count` elements that is nearest to an index."""
     last = count - number(1)
     if index.kind is UINT:
@@ -139,32 +140,33 @@ def nearest(lowering: Lowering, index: Value, count: Value) -> Value:
 
 
 def is_unchecked(node: tree.Index) -> bool:
-    """Return whether the author answers for an index, who doesn't know those of helper invocations."""
+    """Return whether an index is `unchecked(…)`, a promise that doesn't hold for helper invocations."""
     return isinstance(node.index, tree.BuiltinCall) and node.index.builtin.name == "unchecked"
 
 
 def is_whole(at: lvalues.Lvalue) -> bool:
-    """Return whether an array is all of a work-group's shared memory of a name."""
+    """Return whether an array is a whole declaration of shared memory."""
     if not isinstance(at, lvalues.MemoryLvalue) or at.memory.space is not AddressSpace.SHARED:
         return False
     return isinstance(at.index, Literal) and not at.offset and words_of(at.type) == at.memory.length
 
 
 def choice_of(lowering: Lowering, node: tree.Index) -> Value:
-    """Return an index that chooses among the components of a vector, or the rows of a matrix."""
-    row, size = lowering.let(lowering.one(node.index)), number(count_elements(node.base.type))
+    """Return an index that selects a component of a vector or a row of a matrix."""
+    row, size = lowering.let(lowering.lower_scalar(node.index)), number(count_elements(node.base.type))
     if lowering.checked:
         return check_index(lowering, lowering.let(convert(row, INT)), size)
     if row.kind is UINT and not node.inside:
-        return nearest(lowering, row, size + number(1))  # so that what is written at `size` and above is still dropped
+        # Writes at `size` and above are still dropped.
+        return clamp_index(lowering, row, size + number(1))
     return lowering.let(convert(row, INT))
 
 
-def settle(lowering: Lowering, at: lvalues.Lvalue) -> lvalues.Lvalue:
+def bound_lvalue(lowering: Lowering, at: lvalues.Lvalue) -> lvalues.Lvalue:
     """Return an lvalue whose index is inside, so that another can be added to it."""
     if not isinstance(at, lvalues.MemoryLvalue) or at.limit is None:
         return at
-    return replace(at, index=nearest(lowering, at.index, at.limit), limit=None)
+    return replace(at, index=clamp_index(lowering, at.index, at.limit), limit=None)
 
 
 @contextmanager
@@ -193,7 +195,7 @@ def constant_region(lowering: Lowering, node: tree.ConstantArray) -> MemoryRegio
     """Return the memory region of a constant array."""
     key = ("constant", id(node))
     if key not in lowering.memories:
-        values = [value for one in node.elements for value in lowering.lower(one)]
+        values = [value for element in node.elements for value in lowering.lower(element)]
         numbers = tuple(value.value for value in values if isinstance(value, Literal))
         name = f"constant_{len(lowering.memories)}"
         lowering.memories[key] = MemoryRegion(
@@ -217,11 +219,11 @@ def read(lowering: Lowering, at: lvalues.Lvalue) -> list[Value]:
         case lvalues.MemoryLvalue(type=type, layout=layout, offset=offset):
             offsets = word_offsets(type, layout)
             return [
-                load(lowering, at.memory, kind, at.index, at.scale, offset + place, at.limit)
-                for kind, place in zip(all_kinds(type), offsets, strict=True)
+                load(lowering, at.memory, kind, at.index, at.scale, offset + word, at.limit)
+                for kind, word in zip(all_kinds(type), offsets, strict=True)
             ]
         case lvalues.LvalueChoice(index=index, choices=choices):
-            values_of_choices = [read(lowering, one) for one in choices]
+            values_of_choices = [read(lowering, choice) for choice in choices]
             return [lvalues.select_by_index(index, list(values)) for values in zip(*values_of_choices, strict=True)]
 
 
@@ -264,7 +266,7 @@ def new_slot(lowering: Lowering, name: str, kind: ScalarType, key: object, value
     stride = value.stride if isinstance(value, Affine) else 0
     if value is not None:
         lowering.join(key, value.uniformity, stride)
-    uniformity, stride = lowering.known(key)
+    uniformity, stride = lowering.assume(key)
     variable = lowering.variable(name, kind, Uniformity.LANES if stride else uniformity)
     if stride and isinstance(value, Affine):
         value = value.base
@@ -299,8 +301,8 @@ def declare(lowering: Lowering, local: tree.Local, values: list[Value] | None, z
 
 
 def private_uniformity(lowering: Lowering, key: object) -> Uniformity:
-    """Return the uniformity known of private memory, which is shared at most by the lanes of a work-item."""
-    uniformity = lowering.known_uniformity(key)
+    """Return the uniformity of private memory so far: at best, the lanes of a work-item share it."""
+    uniformity = lowering.assume_uniformity(key)
     return max(uniformity, Uniformity.LANES) if lowering.width else uniformity
 
 
@@ -332,9 +334,9 @@ def write(lowering: Lowering, at: lvalues.Lvalue, values: list[Value]) -> None:
             store(lowering, at, values)
         case lvalues.LvalueChoice(index=index, choices=choices):
             values = [lowering.let(value) for value in values]
-            for which, one in enumerate(choices):
+            for which, choice in enumerate(choices):
                 with lowering.branch(apply("equal", index, number(which))):
-                    write(lowering, one, values)
+                    write(lowering, choice, values)
 
 
 def assign_to(lowering: Lowering, target: tree.Expression, values: list[Value]) -> None:

@@ -13,39 +13,19 @@ from __future__ import annotations
 from typing import Final
 
 from rhi.contract.descriptors import Interpolation, Stage, StageVarying
-from rhi.contract.layout import BOOL, FLOAT, INT, HostType, ScalarType, StructType
+from rhi.contract.layout import BOOL, INT, HostType, StructType
 from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.interface import Interface
 from rhi.shading.lowering.components import all_kinds
 from rhi.shading.lowering.context import InlinedFrame, Lowering
-from rhi.shading.lowering.functions import inline
+from rhi.shading.lowering.functions import EXPRESSIONS, inline
+from rhi.shading.lowering.stage_inputs import STAGE_INPUTS, stage_argument
 
 _DIFFERENCES: Final = frozenset({"ddx", "ddy", "fwidth", "sample", "sample_bias", "sample_compare"})
 """The built-ins that compare pixels of a quad, including the texture methods that compute the mip level implicitly."""
 
 _DEPTH: Final = -1
-
-
-def _argument(
-    name: str, kind: ScalarType = INT, uniformity: lanes.Uniformity = lanes.Uniformity.LANES
-) -> lanes.Argument:
-    return lanes.Argument(kind, uniformity, name)
-
-
-_MASK: Final = _argument("mask", BOOL, lanes.Uniformity.VARYING)
-_INPUTS: Final[dict[Stage, dict[str, tuple[lanes.Value, ...]]]] = {
-    Stage.VERTEX: {
-        "vertex_index": (_argument(lanes.FIRST_VERTEX, uniformity=lanes.Uniformity.VARYING),),
-        "instance_index": (_argument("instance"),),
-        "draw_index": (_argument("draw"),),
-    },
-    Stage.FRAGMENT: {
-        "fragment_coordinate": tuple(_argument(axis, FLOAT, lanes.Uniformity.VARYING) for axis in "xyzw"),
-        "front_facing": (_argument("front", BOOL),),
-        "primitive_index": (_argument("primitive"),),
-        "point_coordinate": tuple(_argument(axis, FLOAT, lanes.Uniformity.VARYING) for axis in ("across", "down")),
-    },
-}
+_MASK: Final = stage_argument("mask", BOOL, lanes.Uniformity.VARYING)
 
 
 def lower_stage(
@@ -65,28 +45,30 @@ def lower_stage(
     """
     if f"opencl{width}" in stage.entry.native:
         return lanes.StageCode(lanes.Code(interface.name, width, [], ()), (), False)
-    inputs = _INPUTS[stage.stage]
+    inputs = STAGE_INPUTS[stage.stage]
     built_in = [value for values in inputs.values() for value in values]
     if stage.stage is Stage.VERTEX and width:
         inputs = inputs | {
-            "vertex_index": (lanes.Affine(INT, lanes.Uniformity.VARYING, _argument(lanes.FIRST_VERTEX), 1),)
+            "vertex_index": (lanes.Affine(INT, lanes.Uniformity.VARYING, stage_argument(lanes.FIRST_VERTEX), 1),)
         }
     has_helpers = stage.stage is Stage.FRAGMENT and takes_differences(stage)
-    lowering = Lowering(width, checked=checked, inputs=inputs, has_helpers=has_helpers, may_discard=stage.discards)
+    lowering = Lowering(
+        EXPRESSIONS, width, checked=checked, inputs=inputs, has_helpers=has_helpers, may_discard=stage.discards
+    )
     if stage.stage is Stage.VERTEX:
         arguments, words = _vertex_arguments(stage, interface), _vertex_words(stage, interface, varyings)
     else:
         arguments, words = _fragment_arguments(stage, varyings), _fragment_words(stage, interface)
-    results = lowering.settle(lambda: _lower(lowering, stage.entry, arguments))
+    results = lowering.run_to_fixpoint(lambda: _lower(lowering, stage.entry, arguments))
     outputs = [(word, value) for word, value in zip(words, results, strict=True) if word is not None]
     depth = [value for word, value in outputs if word == _DEPTH]
     outputs = [(word, value) for word, value in outputs if word != _DEPTH]
     values = [value for _, value in outputs] + depth
     if stage.stage is Stage.FRAGMENT:
-        values.append(lowering.kept)
-    given = tuple(value for value in (*arguments, *built_in, _MASK) if isinstance(value, lanes.Argument))
+        values.append(lowering.result_mask)
+    stage_arguments = tuple(value for value in (*arguments, *built_in, _MASK) if isinstance(value, lanes.Argument))
     return lanes.StageCode(
-        lowering.code(interface.name, given, values), tuple(word for word, _ in outputs), bool(depth)
+        lowering.code(interface.name, stage_arguments, values), tuple(word for word, _ in outputs), bool(depth)
     )
 
 
@@ -99,15 +81,15 @@ def _parameter_fields(stage: tree.StageTree) -> list[tuple[str, HostType]]:
 
 
 def _vertex_arguments(stage: tree.StageTree, interface: Interface) -> list[lanes.Value]:
-    """Return the components of the parameters: the words of the attributes in order, and zeros for those that a lean
-    stage lacks, since it doesn't read them."""
-    known = {attribute.name for attribute in interface.attributes}
+    """Return the components of the parameters: the words of the attributes in order, and zeros for unread
+    attributes."""
+    attributes = {attribute.name for attribute in interface.attributes}
     values: list[lanes.Value] = []
     word = 0
     for name, type in _parameter_fields(stage):
         for kind in all_kinds(type):
-            if name in known:
-                values.append(_argument(f"inputs_{word}", kind, lanes.Uniformity.VARYING))
+            if name in attributes:
+                values.append(stage_argument(f"inputs_{word}", kind, lanes.Uniformity.VARYING))
                 word += 1
             else:
                 values.append(lanes.literal(0, kind))
@@ -115,18 +97,18 @@ def _vertex_arguments(stage: tree.StageTree, interface: Interface) -> list[lanes
 
 
 def _fragment_arguments(stage: tree.StageTree, varyings: tuple[StageVarying, ...]) -> list[lanes.Value]:
-    """Return the components of the parameter, with zeros for those that are never read."""
-    known = {varying.name: varying for varying in varyings}
+    """Return the components of the parameter, with zeros for varyings that are never read."""
+    varyings_by_name = {varying.name: varying for varying in varyings}
     values: list[lanes.Value] = []
     for name, type in _parameter_fields(stage):
-        varying = known.get(name)
+        varying = varyings_by_name.get(name)
         for i, kind in enumerate(all_kinds(type)):
             if varying is None:
                 values.append(lanes.literal(0, kind))
             elif varying.interpolation is Interpolation.FLAT:
-                values.append(_argument(f"flat_{varying.word + i}", kind))
+                values.append(stage_argument(f"flat_{varying.word + i}", kind))
             else:
-                values.append(_argument(f"inputs_{varying.word + i}", kind, lanes.Uniformity.VARYING))
+                values.append(stage_argument(f"inputs_{varying.word + i}", kind, lanes.Uniformity.VARYING))
     return values
 
 
@@ -168,7 +150,9 @@ def _lower(lowering: Lowering, entry: tree.Function, arguments: list[lanes.Value
     if lowering.has_helpers:
         present = lowering.new_mask(lanes.apply("quads", lanes.get(present)), "present")
     lowering.scope.mask, lowering.scope.owns_mask = present, True
-    lowering.kept = lanes.get(lowering.new_mask(lanes.get(lowering.covered), "kept")) if lowering.may_discard else _MASK
+    lowering.result_mask = (
+        lanes.get(lowering.new_mask(lanes.get(lowering.covered), "kept")) if lowering.may_discard else _MASK
+    )
     return inline(lowering, entry, list(arguments), ())
 
 

@@ -2,7 +2,7 @@
 
 - Coordinates always have three components. The third is 0 for a 2D texture and the layer for an array. A texture of
   several samples is an array whose layers are the samples.
-- Where GLSL computes the mip level implicitly, the access (`sample_across`) is given the differences between the pixels
+- Where GLSL computes the mip level implicitly, the access (`sample_grad`) is given the differences between the pixels
   of a quad: the sampler decides which texels a pixel covers. In vertex and compute stages there are no differences, and
   the level is 0.
 """
@@ -30,7 +30,7 @@ from rhi.shading.lowering.context import Lowering
 from rhi.shading.lowering.memory import check_index, check_race
 
 _LEVEL_AXES: Final = {TextureKind.D2: 2, TextureKind.D2_ARRAY: 2, TextureKind.D3: 3, TextureKind.CUBE: 3}
-"""The number of coordinate components that differ within a pixel: a layer doesn't."""
+"""The number of coordinates that select the level: all but a layer."""
 
 
 def lower_texture(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
@@ -38,7 +38,7 @@ def lower_texture(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
     type = source.type
     assert isinstance(type, TextureType | ImageType)
     memory = texture_region(lowering, source)
-    arguments = [lowering.named(argument) for argument in rest]
+    arguments = [lowering.lower_named(argument) for argument in rest]
     name = node.builtin.name
     if name in ("size", "levels"):
         count = len(all_kinds(node.type))  # type: ignore[arg-type]
@@ -49,8 +49,8 @@ def lower_texture(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
     if isinstance(type, ImageType):
         return lower_image(lowering, name, memory, type, at, arguments[1:])
     if type.samples:
-        place = check_texel(lowering, memory, [*at[:2], *arguments[1]], number(0))
-        return access(lowering, "load", memory, place, type.scalar, 4)
+        texel = check_texel(lowering, memory, [*at[:2], *arguments[1]], number(0))
+        return access(lowering, "load", memory, texel, type.scalar, 4)
     if name == "load":
         level = arguments[1] if len(arguments) > 1 else [number(0)]
         return access(lowering, "load", memory, check_texel(lowering, memory, at, *level), type.scalar, 4)
@@ -60,12 +60,12 @@ def lower_texture(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
         return access(lowering, name, memory, inputs, type.scalar, 4)
     if type.compare:
         operation, kind, count = "sample_compare", FLOAT, 1
-        given, more = [*at, *arguments[1]], arguments[2:]
+        coordinates, more = [*at, *arguments[1]], arguments[2:]
     else:
         operation, kind, count = "sample", type.scalar, 4
-        given, more = at, arguments[1:]
+        coordinates, more = at, arguments[1:]
     if name in ("sample_lod", "sample_compare_lod"):
-        return access(lowering, operation, memory, [*given, *more[0]], kind, count)
+        return access(lowering, operation, memory, [*coordinates, *more[0]], kind, count)
     bias: Value = literal(0.0)
     if name == "sample_grad":
         steps = more
@@ -74,9 +74,9 @@ def lower_texture(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
         steps = [[difference(along, value) for value in axes] for along in ("ddx", "ddy")]
         bias = more[0][0] if more else bias
     else:
-        return access(lowering, operation, memory, [*given, literal(0.0)], kind, count)
+        return access(lowering, operation, memory, [*coordinates, literal(0.0)], kind, count)
     across = [value for step in steps for value in (*step, literal(0.0))[:3]]
-    return access(lowering, f"{operation}_across", memory, [*given, *across, bias], kind, count)
+    return access(lowering, f"{operation}_grad", memory, [*coordinates, *across, bias], kind, count)
 
 
 def binding_of(lowering: Lowering, node: tree.Expression) -> tree.BindingRead:
@@ -90,10 +90,10 @@ def binding_of(lowering: Lowering, node: tree.Expression) -> tree.BindingRead:
 def lower_image(
     lowering: Lowering, name: str, memory: MemoryRegion, type: ImageType, at: list[Value], rest: list[list[Value]]
 ) -> list[Value]:
-    place = check_texel(lowering, memory, at, number(0))
+    texel = check_texel(lowering, memory, at, number(0))
     if name == "load":
-        return access(lowering, "load", memory, place, type.scalar, 4)
-    (values,), at = rest, place[:3]
+        return access(lowering, "load", memory, texel, type.scalar, 4)
+    (values,), at = rest, texel[:3]
     mask = lowering.effect_mask()
     if mask is None and all(value.uniformity < Uniformity.VARYING for value in at):
         check_race(lowering, memory, values)
@@ -121,14 +121,14 @@ def check_texel(lowering: Lowering, memory: MemoryRegion, at: list[Value], level
 def texture_region(lowering: Lowering, source: tree.BindingRead) -> MemoryRegion:
     """Return the memory region of a texture or image."""
     name = source.declaration.name
-    known = lowering.memories.get(name)
-    if known is None:
+    region = lowering.memories.get(name)
+    if region is None:
         assert isinstance(source.type, TextureType | ImageType)
         space = AddressSpace.IMAGE if isinstance(source.type, ImageType) else AddressSpace.TEXTURE
         shape = stored_kind(source.type)
-        known = MemoryRegion(name, space, writable=space is AddressSpace.IMAGE, shape=shape)
-        lowering.memories[name] = known
-    return known
+        region = MemoryRegion(name, space, writable=space is AddressSpace.IMAGE, shape=shape)
+        lowering.memories[name] = region
+    return region
 
 
 def access(

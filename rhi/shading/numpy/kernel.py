@@ -18,10 +18,10 @@ import numpy as np
 
 from rhi.shading.ir.lanes import AddressSpace, Code
 from rhi.shading.numpy import runtime as numpy_runtime
-from rhi.shading.numpy.writer import write_numpy_function
+from rhi.shading.numpy.numpy_writer import write_numpy_function
 
 LaneFunction = Callable[..., tuple[Any, ...]]
-"""A `run(F, M, P, arguments)` that `rhi.shading.numpy.writer` has written."""
+"""A `run(F, M, P, arguments)` that `rhi.shading.numpy.numpy_writer` has written."""
 
 INVOCATIONS: Final = 1 << 18
 """Number of invocations that run together."""

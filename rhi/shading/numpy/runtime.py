@@ -71,7 +71,7 @@ def as_integer(value: Any, dtype: Any) -> Any:
 
 
 def _divisor(a: Any, b: Any) -> Any:
-    """Return `b`, or 1 where a division by it is one by 1: 0, and -1 for the least int."""
+    """Return `b`, with 1 in place of 0, and of -1 where `a` is the least int."""
     by_one = b == 0
     if np.asarray(b).dtype.kind == "i":
         by_one |= (b == -1) & (a == np.iinfo(np.int32).min)
@@ -146,15 +146,15 @@ def quads(mask: Any) -> Any:
     return np.repeat(np.repeat(both, 2, axis=-2), 2, axis=-1)
 
 
-def check(wrong: Any, given: Any, limit: Any, mask: Any, line: tuple[str, int]) -> None:
+def check(wrong: Any, value: Any, limit: Any, mask: Any, line: tuple[str, int]) -> None:
     """Check that no index reaches its limit.
 
     Raises:
         ShaderError `shading-index`: an index is out of range; the error names `line`, which reads it.
     """
-    wrong, given = np.broadcast_arrays(wrong if mask is None else np.logical_and(wrong, mask), given)
+    wrong, value = np.broadcast_arrays(wrong if mask is None else np.logical_and(wrong, mask), value)
     if wrong.any():
-        raise make_index_error(line, int(given[wrong][0] if given.ndim else given), int(limit))
+        raise make_index_error(line, int(value[wrong][0] if value.ndim else value), int(limit))
 
 
 # -- memory ------------------------------------------------------------------------------------------------
@@ -233,8 +233,8 @@ def store_private(memory: list[Any], address: Any, value: Any, mask: Any) -> Non
             memory[index] = value if mask is None else np.where(mask, value, memory[index])
         return
     for index in np.unique(_readable(address, mask, len(memory))).tolist():
-        chosen = address == index if mask is None else (address == index) & mask
-        memory[index] = np.where(chosen, value, memory[index])
+        is_stored = address == index if mask is None else (address == index) & mask
+        memory[index] = np.where(is_stored, value, memory[index])
 
 
 def _active(address: Any, value: Any, mask: Any) -> tuple[Array, Array]:
@@ -244,8 +244,8 @@ def _active(address: Any, value: Any, mask: Any) -> tuple[Array, Array]:
     address, value = np.broadcast_to(address, shape), np.broadcast_to(value, shape)
     if mask is None:
         return address.ravel(), value.ravel()
-    chosen = np.broadcast_to(mask, shape)
-    return address[chosen], value[chosen]
+    is_active = np.broadcast_to(mask, shape)
+    return address[is_active], value[is_active]
 
 
 def _words(values: Array) -> Array:
@@ -291,11 +291,11 @@ def atomic(
     invocations: Invocations,
     shared: bool,
     dtype: Any,
-    wanted: bool,
+    returns_old: bool,
 ) -> Any:
-    """Execute an atomic operation in the order of the invocations; return the old values if they are `wanted`.
+    """Execute an atomic operation in the order of the invocations; return the old values if `returns_old`.
 
-    One outside the memory does nothing, and returns 0.
+    An operation outside the memory does nothing, and returns 0.
     """
     shape = invocations.shape
     inside = (address >= 0) & (address < memory.shape[-1])
@@ -304,19 +304,19 @@ def atomic(
         address = _flat(memory, address, invocations)
     address = np.broadcast_to(address, shape)
     mask = np.broadcast_to(inside if mask is None else inside & mask, shape)
-    chosen = address[mask]
+    addresses = address[mask]
     operands = [np.broadcast_to(value, shape)[mask] for value in values]
     flat = memory.reshape(-1)
     words = flat.astype(np.uint32).view(dtype) if shared else flat.view(dtype)
     ufunc = _UFUNCS.get(operation)
-    if ufunc is not None and not wanted:
-        ufunc.at(words, chosen, operands[0])
+    if ufunc is not None and not returns_old:
+        ufunc.at(words, addresses, operands[0])
         old = None
     elif operation == "add":
-        old = _ordered_add(words, chosen, operands[0])
+        old = _ordered_add(words, addresses, operands[0])
     else:
-        old = np.zeros(len(chosen), dtype)
-        for i, where in enumerate(chosen.tolist()):
+        old = np.zeros(len(addresses), dtype)
+        for i, where in enumerate(addresses.tolist()):
             before = words[where]
             old[i] = before
             if ufunc is not None:

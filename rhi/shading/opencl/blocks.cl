@@ -1,18 +1,20 @@
-// What 16 lanes read together if they are a block of 4 × 4 pixels, whose texels lie beside each other: four rows are a
-// few loads of whole vectors, where a load for each lane takes most of the time of a look-up. It is found out by the
-// texels themselves, so whatever shader or texture they come from. Texels are the same bits as those of the usual way.
+// What 16 lanes read together if they are a block of 4 × 4 pixels, whose texels lie beside each other: four
+// rows are a few loads of whole vectors, where a load for each lane takes most of the time of a look-up. It
+// is found out by the texels themselves, so whatever shader or texture they come from. Texels are the same
+// bits as those of the usual way.
 
 #define RHI_BLOCK rhi_block
 static RHI_INLINE void rhi_decode(int stored, int channels, uint16 *r);
 static RHI_INLINE float16 rhi_mix(float16 a, float16 b, float16 at);
 
-// Reads texels of 4 or 8 bytes if they are a block; returns whether they are. Memory is padded to whole blocks.
+// Reads texels of 4 or 8 bytes if they are a block; returns whether they are. Memory is padded to whole
+// blocks.
 static RHI_INLINE int rhi_block(
     rhi_texture p, rhi_description w, rhi_description level, int16 x, int16 y, int16 layer, uint16 *r
 ) {
     const int16 columns = (int16)(0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3);
     const int16 lines = (int16)(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3);
-    int row = level[RHI_ROW], whole = level[RHI_LAYER], left = x.s0, top = y.s0, texel = w[RHI_TEXEL];
+    int row = level[RHI_ROW], whole = level[RHI_LAYER], left = x.s0, top = y.s0, texel = w[RHI_TEXEL_BYTES];
     if ((texel != 4 && texel != 8) || left < 0 || left > row - 4) return 0;
     if (top < 0 || top >= level[RHI_HEIGHT] || (top + 4) * row > whole) return 0;
     if (rhi_any((x - columns != left) | (y - lines != top) | (layer != layer.s0))) return 0;
@@ -26,7 +28,7 @@ static RHI_INLINE int rhi_block(
         r[0] = (uint16)(upper.even, lower.even);
         r[1] = (uint16)(upper.odd, lower.odd);
     }
-    rhi_decode(w[RHI_STORED], w[RHI_CHANNELS], r);
+    rhi_decode(w[RHI_ENCODING], w[RHI_CHANNELS], r);
     return 1;
 }
 
@@ -46,9 +48,10 @@ static RHI_INLINE float16 rhi_line(rhi_texture p, int row, int16 left, float16 a
     return rhi_mix(rhi_across(p, left, at_x), rhi_across(p + 8 * row, left, at_x), at_y);
 }
 
-// Filters four half floats if the lanes are in four rows and four columns, of which the last is at most six texels from
-// the first, as they are where a picture is drawn at up to twice its size or down to half of it; returns whether they
-// are. `first` is where a lane's row begins, in texels. Reads up to six texels behind the last one, and ignores them.
+// Filters four half floats if the lanes are in four rows and four columns, of which the last is at most six
+// texels from the first, as they are where a picture is drawn at up to twice its size or down to half of it;
+// returns whether they are. `first` is where a lane's row begins, in texels. Reads up to six texels behind
+// the last one, and ignores them.
 static RHI_INLINE int rhi_grid(
     rhi_texture p, int row, int16 first, int16 x, float16 at_x, float16 at_y, uint16 *r
 ) {

@@ -22,8 +22,8 @@ _LONG: Final = (
 )  # fmt: skip
 """Functions of OpenCL that drivers inline, hundreds of instructions each.
 
-A kernel that needs one of them more than once calls a function of its own instead. So it builds several times as fast,
-and the call costs little beside what the function does.
+A kernel that needs one of them more than once calls a function of its own instead. It then builds several
+times as fast, and the call costs little beside the function's work.
 """
 
 
@@ -42,10 +42,11 @@ _VECTOR: Final = {**_SCALAR, "SELECT": "select(", "ANY": "rhi_any(", "NOT": "~("
 
 @cache
 def specialise(text: str, width: int) -> str:
-    """Return a text for a number of lanes: FLOAT and its kin are vectors or scalars, SELECT and its kin take those."""
+    """Return a text for a number of lanes: FLOAT, INT and UINT become vectors or scalars, SELECT and the like
+    theirs."""
     suffix, operations = (str(width), _VECTOR) if width > 1 else ("", _SCALAR)
-    text = _OPERATIONS.sub(lambda found: operations[found[1]], text)
-    return _TYPES.sub(lambda found: found[1].lower() + suffix, text)
+    text = _OPERATIONS.sub(lambda match: operations[match[1]], text)
+    return _TYPES.sub(lambda match: match[1].lower() + suffix, text)
 
 
 def _estimate_text(width: int) -> str:
@@ -81,7 +82,7 @@ def _tangent_text(width: int) -> str:
 
 
 def _turn_text(function: str, quarters: int) -> Callable[[int], str]:
-    """Return a writer of sin, or of cos, which is `quarters` of a turn ahead; vectors: see `_rest_text`."""
+    """Return a writer of sin, or of cos, which is `quarters` of a turn ahead; vectors: see `_range_reduction_text`."""
 
     def text(width: int) -> str:
         value = f"{function}(x)" if width == 1 else f"rhi_turn(x, {quarters})"
@@ -90,13 +91,14 @@ def _turn_text(function: str, quarters: int) -> Callable[[int], str]:
     return text
 
 
-def _rest_text(width: int) -> str:
-    """Write sine and cosine of vectors. What remains of whole quarter turns is computed in float64, for all lanes in a
-    third of the time of PoCL's own functions.
+def _range_reduction_text(width: int) -> str:
+    """Write sine and cosine of vectors, in a third of the time of PoCL's own functions.
+
+    The remainder of whole quarter turns is computed in float64, for all lanes.
 
     Results are within 1.6 ulp up to 2^50. Beyond, where a float's neighbours are millions of turns away, they are
-    numbers from -1 to 1. There is no branch, since one costs more than all this. What `clamp` makes of NaN isn't said:
-    AVX-512 makes a number of it.
+    numbers from -1 to 1. There is no branch, since a branch costs more than the computation. The result of
+    `clamp` for NaN is unspecified: with AVX-512 it is a number.
     """
     if width == 1:
         return ""
@@ -114,7 +116,7 @@ def _pow_text(width: int) -> str:
 
     The mantissa, m + 1, is in 2/3…4/3; log2(1 + m) / m and 2^f, for f in -½…½, are minimax polynomials with relative
     errors of 2^-33 and 2^-29. The product y log2 x is at most 150 where the result is a number, so the result is
-    within .66 ulp. What isn't a positive number to a finite power follows C's rules.
+    within .66 ulp. All other cases than a positive number to a finite power follow C's rules.
     """
     if width == 1:
         return "HEADfloat rhi_pow(float x, float y) { return pow(x, y); }"
@@ -215,7 +217,8 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
 #UINT rhi_max(UINT x, UINT y) { return max(x, y); }""",
         (),
     ),
-    # The nearest int, 0 for NaN. What OpenCL's conversions don't define is replaced before, and chosen after them.
+    # The nearest int, 0 for NaN. Numbers for which OpenCL's conversions are undefined are replaced before
+    # them, and their results selected after them.
     "rhi_to_int": (
         """INT rhi_to_int(FLOAT x) {
     FLOAT y = x > -0x1p31f ? x : (FLOAT)-0x1p31f;
@@ -350,7 +353,7 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
     "rhi_inversesqrt_estimate": (_estimate_text, ()),
     "rhi_uniform": (_uniform_text, ()),
     "rhi_check": (_check_text, ("rhi_uniform",)),
-    "rhi_turn": (_rest_text, ("rhi_quarter",)),
+    "rhi_turn": (_range_reduction_text, ("rhi_quarter",)),
     "rhi_sin": (_turn_text("sin", 0), ("rhi_turn",)),
     "rhi_cos": (_turn_text("cos", 1), ("rhi_turn",)),
     "rhi_tan": (_tangent_text, ()),
@@ -393,17 +396,17 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
 
 def functions_in(text: str) -> list[str]:
     """Return the names of the prelude's functions that a kernel needs, each after the functions that it calls."""
-    found: dict[str, None] = {}
+    names: dict[str, None] = {}
 
     def add(name: str) -> None:
         for inner in _FUNCTIONS[name][1]:
             add(inner)
-        found[name] = None
+        names[name] = None
 
     for name in _FUNCTIONS:
         if f"{name}(" in text:
             add(name)
-    return list(found)
+    return list(names)
 
 
 def function_text(name: str, width: int, calls: int = 1) -> str:
@@ -480,15 +483,15 @@ def load_text(
     registers = [f"*({space} const rhi_words *)(p + {start} + {width * k})" for k in range(stride)]
     declared = ", ".join(f"r{k} = {text}" for k, text in enumerate(registers))
     picks = [lane * stride + offset for lane in range(width)]
-    parts = ", ".join(f"r{place // width}.s{HEX[place % width]}" for place in picks)
+    parts = ", ".join(f"r{element // width}.s{HEX[element % width]}" for element in picks)
     fast = f"return {registers[0]};"
     if stride > 1:
         fast = f"uint{width} {declared}; return (uint{width})({parts});"
     steps = "steps" if has_steps else "RHI_LANES"
     inner, outer = ("", f" * {scale} + {offset}") if scale > 1 else (f" + {offset}", "")
     slow = f"clamp(first + {steps} * {stride // scale}{inner}, (int{width})0, (int{width})(count - 1)){outer}"
-    given, together = (f", int{width} steps", " && rhi_all(steps == RHI_LANES)") if has_steps else ("", "")
-    return f"""{_HEAD}uint{width} {name}({space} const uint *p, int first, int count{given}) {{
+    extra_parameter, together = (f", int{width} steps", " && rhi_all(steps == RHI_LANES)") if has_steps else ("", "")
+    return f"""{_HEAD}uint{width} {name}({space} const uint *p, int first, int count{extra_parameter}) {{
     if (first >= 0 && first <= count - {width * stride // scale}{together}) {{ {fast} }}
     return rhi_gather(p, {slow});
 }}"""
@@ -499,8 +502,8 @@ def store_text(name: str, space: str, width: int, count: int) -> str:
     values = ", ".join(f"uint{width} v{k}" for k in range(count))
     fast = []
     for k in range(count):
-        places = [divmod(k * width + lane, count) for lane in range(width)]
-        parts = ", ".join(f"v{word}.s{HEX[element]}" for element, word in places)
+        elements = [divmod(k * width + lane, count) for lane in range(width)]
+        parts = ", ".join(f"v{word}.s{HEX[element]}" for element, word in elements)
         vector = f"(uint{width})({parts})" if count > 1 else "v0"
         fast.append(f"*({space} rhi_words *)(p + first + {width * k}) = {vector};")
     slow = []

@@ -1,8 +1,9 @@
-// Textures and images in lane code; rhi.shading.opencl.textures describes the design.
+// Textures and images in lane code; rhi.shading.opencl.opencl_textures describes the design.
 //
-// FLOAT, INT and UINT are scalars or vectors of a kernel's width. A condition is an INT: all bits set where it holds in
-// a vector, 1 in a scalar. ANY, NOT, BOTH, EITHER and SELECT operate on conditions. Texel coordinates and addresses are
-// always clamped to the texture, so that inactive lanes can read without a mask.
+// FLOAT, INT and UINT are scalars or vectors of a kernel's width. A condition is an INT: all bits set where
+// it holds in a vector, 1 in a scalar. ANY, NOT, BOTH, EITHER and SELECT operate on conditions. Texel
+// coordinates and addresses are always clamped to the texture, so that inactive lanes can read without a
+// mask.
 //
 // A texel is four UINT words: the bits of floats, or integers. PoCL unrolls only loops with a pragma.
 
@@ -36,7 +37,7 @@ static RHI_INLINE void rhi_decode(int stored, int channels, UINT *r) {
     case RHI_UNORM8:
     case RHI_SRGB8:
     case RHI_SNORM8:
-    case RHI_WHOLE8: {
+    case RHI_INTEGER8: {
         UINT raw = r[0];
         r[0] = raw & 255u;
         r[1] = raw >> 8u & 255u;
@@ -46,7 +47,7 @@ static RHI_INLINE void rhi_decode(int stored, int channels, UINT *r) {
     }
     case RHI_UNORM16:
     case RHI_HALF:
-    case RHI_WHOLE16:
+    case RHI_INTEGER16:
         r[3] = r[1] >> 16u;
         r[2] = r[1] & 65535u;
         r[1] = r[0] >> 16u;
@@ -70,10 +71,8 @@ static RHI_INLINE void rhi_decode(int stored, int channels, UINT *r) {
     case RHI_UNORM16:
         for (int c = 0; c < 4; ++c) r[c] = as_UINT(convert_FLOAT(r[c]) * (1.0f / 65535.0f));
         break;
-    case RHI_HALF:
-        _Pragma("unroll") for (int c = 0; c < 4; ++c) r[c] = as_UINT(rhi_from_half(r[c]));
-        break;
-    case RHI_POSITIVE11: {
+    case RHI_HALF: _Pragma("unroll") for (int c = 0; c < 4; ++c) r[c] = as_UINT(rhi_from_half(r[c])); break;
+    case RHI_UFLOAT11: {
         UINT raw = r[0];
         r[0] = rhi_unsigned_float((raw & 2047u) << 4u);
         r[1] = rhi_unsigned_float((raw >> 11u & 2047u) << 4u);
@@ -81,29 +80,29 @@ static RHI_INLINE void rhi_decode(int stored, int channels, UINT *r) {
         break;
     }
     case RHI_UNORM10:
-    case RHI_WHOLE10: {
+    case RHI_INTEGER10: {
         UINT raw = r[0];
         for (int c = 0; c < 4; ++c) r[c] = raw >> (uint)(10 * c) & 1023u;
-        if (stored == RHI_WHOLE10) break;
+        if (stored == RHI_INTEGER10) break;
         for (int c = 0; c < 3; ++c) r[c] = as_UINT(convert_FLOAT(r[c]) * (1.0f / 1023.0f));
         r[3] = as_UINT(convert_FLOAT(r[3]) * (1.0f / 3.0f));
         break;
     }
     }
-    if (channels < 4) r[3] = (UINT)(stored >= RHI_WHOLE8 ? 1u : 0x3f800000u);
+    if (channels < 4) r[3] = (UINT)(stored >= RHI_INTEGER8 ? 1u : 0x3f800000u);
 }
 
 // Reads texel number `i` of each lane.
 static RHI_INLINE void rhi_texel(rhi_texture p, rhi_description w, INT i, UINT *r) {
     r[1] = r[2] = r[3] = (UINT)0u;
-    switch (w[RHI_TEXEL]) {
+    switch (w[RHI_TEXEL_BYTES]) {
     case 1: r[0] = rhi_gather8(p, i); break;
     case 2: r[0] = rhi_gather16(p, i); break;
     case 4: r[0] = rhi_gather32(p, i); break;
     case 8: rhi_pair(p, i * 2, r, r + 1); break;
     default: rhi_long_pair(p, i * 2, r, r + 2);
     }
-    rhi_decode(w[RHI_STORED], w[RHI_CHANNELS], r);
+    rhi_decode(w[RHI_ENCODING], w[RHI_CHANNELS], r);
 }
 
 // The same, not inlined: for callers that read several texels.
@@ -136,7 +135,8 @@ static RHI_INLINE INT rhi_nearest(int wrap, int size, FLOAT u) {
 
 // Finds the texel before a coordinate; returns the weight of the next one. Far outside, both lie outside.
 static RHI_INLINE FLOAT rhi_before(int wrap, int size, FLOAT u, INT *i) {
-    FLOAT x = rhi_near(fma(rhi_wrap(wrap, u), (FLOAT)(float)size, (FLOAT)-0.5f), -2.0f, size), whole = rhi_floor(x);
+    FLOAT x = rhi_near(fma(rhi_wrap(wrap, u), (FLOAT)(float)size, (FLOAT)-0.5f), -2.0f, size),
+          whole = rhi_floor(x);
     *i = convert_INT(whole);
     return x - whole;
 }
@@ -165,8 +165,9 @@ static RHI_INLINE FLOAT rhi_around(int wrap, int size, FLOAT u, INT *i0, INT *i1
     return at;
 }
 
-// Projects a direction on a cube's face: (s, t), and m along the face's axis. OpenGL 4.3, table 8.19, with t down.
-static RHI_INLINE void rhi_turn(
+// Projects a direction on a cube's face: (s, t), and m along the face's axis. OpenGL 4.3, table 8.19, with t
+// down.
+static RHI_INLINE void rhi_project(
     INT is_y, INT is_z, INT negative, FLOAT x, FLOAT y, FLOAT z, FLOAT *s, FLOAT *t, FLOAT *m
 ) {
     FLOAT along = SELECT(SELECT(x, y, is_y), z, is_z);
@@ -188,13 +189,14 @@ static RHI_INLINE INT rhi_face(FLOAT *u, FLOAT *v, FLOAT z) {
     INT is_y, is_z, negative;
     FLOAT s, t, m;
     rhi_axis(*u, *v, z, &is_y, &is_z, &negative);
-    rhi_turn(is_y, is_z, negative, *u, *v, z, &s, &t, &m);
+    rhi_project(is_y, is_z, negative, *u, *v, z, &s, &t, &m);
     *u = s / m * 0.5f + 0.5f;
     *v = t / m * 0.5f + 0.5f;
     return SELECT(SELECT((INT)0, (INT)2, is_y), (INT)4, is_z) + SELECT((INT)0, (INT)1, negative);
 }
 
-// Replaces texels beyond an edge of their face by those of the next face that the direction of their center hits.
+// Replaces texels beyond an edge of their face by those of the next face that the direction of their center
+// hits.
 static RHI_CALLED void rhi_cross(int size, INT *face, INT *i, INT *j) {
     float texel = 1.0f / size;
     FLOAT s = convert_FLOAT(*i * 2 + 1 - size) * texel, t = convert_FLOAT(*j * 2 + 1 - size) * texel;
@@ -236,7 +238,7 @@ static RHI_CALLED void rhi_tap(
 
 // Compares a reference with a depth: 1 or 0, or the depth itself without a comparison.
 static RHI_INLINE FLOAT rhi_passes(rhi_description w, FLOAT reference, FLOAT depth) {
-    if (w[RHI_CLAMPED]) {
+    if (w[RHI_CLAMPS_REFERENCE]) {
         reference = SELECT((FLOAT)1.0f, reference, reference < 1.0f);
         reference = SELECT((FLOAT)0.0f, reference, reference > 0.0f);
     }
@@ -254,14 +256,16 @@ static RHI_INLINE FLOAT rhi_passes(rhi_description w, FLOAT reference, FLOAT dep
     return depth;
 }
 
-// Reads the four texels around a point in one layer: (0, 0), (1, 0), (0, 1), (1, 1), or compares them with the reference;
-// `near` gets the weights of the second column and row. Inside the layer, adjacent texels of 4 or 8 bytes are one load.
+// Reads the four texels around a point in one layer: (0, 0), (1, 0), (0, 1), (1, 1), or compares them with
+// the reference; `near` gets the weights of the second column and row. Inside the layer, adjacent texels of 4
+// or 8 bytes are one load.
 static RHI_CALLED void rhi_taps(
     rhi_texture t, rhi_description w, rhi_description level, FLOAT u, FLOAT v, INT layer, int compared,
     FLOAT reference, UINT *taps, FLOAT *near
 ) {
     INT x[2], y[2];
-    int width = level[RHI_WIDTH], height = level[RHI_HEIGHT], row = level[RHI_ROW], texel = w[RHI_TEXEL];
+    int width = level[RHI_WIDTH], height = level[RHI_HEIGHT], row = level[RHI_ROW],
+        texel = w[RHI_TEXEL_BYTES];
     near[0] = rhi_before(w[RHI_WRAP_U], width, u, x);
     near[1] = rhi_before(w[RHI_WRAP_V], height, v, y);
     rhi_texture p = rhi_start(t, level);
@@ -289,7 +293,7 @@ static RHI_CALLED void rhi_taps(
                 rhi_long_pair(q + 16 * right, first * 2, taps + 4 * right + 8, taps + 4 * right + 10);
             }
         }
-        for (int tap = 0; tap < 4; ++tap) rhi_decode(w[RHI_STORED], w[RHI_CHANNELS], taps + 4 * tap);
+        for (int tap = 0; tap < 4; ++tap) rhi_decode(w[RHI_ENCODING], w[RHI_CHANNELS], taps + 4 * tap);
     } else {
         rhi_edge(w[RHI_WRAP_U], width, x, x + 1);
         rhi_edge(w[RHI_WRAP_V], height, y, y + 1);
@@ -351,7 +355,7 @@ static RHI_INLINE void rhi_bilinear8(
             d = rhi_gather32(p, below + right);
         }
     }
-    int curved = w[RHI_STORED] == RHI_SRGB8;
+    int curved = w[RHI_ENCODING] == RHI_SRGB8;
     _Pragma("unroll") for (uint k = 0; k < 4; ++k) {
         uint shift = 8u * k;
         FLOAT e = convert_FLOAT(as_INT(a >> shift & 255u)), f = convert_FLOAT(as_INT(b >> shift & 255u));
@@ -407,12 +411,13 @@ static RHI_INLINE void rhi_bilinear_half(
 
 // Filters one level, or comparisons of its texels. In 2D and arrays `z` is the layer, in a cube the face.
 static RHI_CALLED void rhi_filter(
-    rhi_texture t, rhi_description w, rhi_description level, int linear, int compared, FLOAT u, FLOAT v, FLOAT z,
-    FLOAT reference, UINT *r
+    rhi_texture t, rhi_description w, rhi_description level, int linear, int compared, FLOAT u, FLOAT v,
+    FLOAT z, FLOAT reference, UINT *r
 ) {
     int solid = RHI_SOLIDS && w[RHI_SHAPE] == RHI_SOLID;
     if (!linear) {
-        INT i = rhi_nearest(w[RHI_WRAP_U], level[RHI_WIDTH], u), j = rhi_nearest(w[RHI_WRAP_V], level[RHI_HEIGHT], v);
+        INT i = rhi_nearest(w[RHI_WRAP_U], level[RHI_WIDTH], u),
+            j = rhi_nearest(w[RHI_WRAP_V], level[RHI_HEIGHT], v);
         INT k = solid ? rhi_nearest(w[RHI_WRAP_W], level[RHI_DEPTH], z) : rhi_layer(w, level, z);
         if (w[RHI_HAS_BORDER]) rhi_tap(t, w, level, i, j, k, r);
         else rhi_texel(rhi_start(t, level), w, k * level[RHI_LAYER] + j * level[RHI_ROW] + i, r);
@@ -447,10 +452,11 @@ static RHI_CALLED void rhi_filter(
 
 // -- levels ------------------------------------------------------------------------------------------------
 
-// Filters each level that any lane needs, for all lanes; a lane mixes two. A weight of 1 copies, so that integers and
-// infinities are kept.
+// Filters each level that any lane needs, for all lanes; a lane mixes two. A weight of 1 copies, so that
+// integers and infinities are kept.
 static RHI_CALLED void rhi_walk(
-    rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT lod, UINT *r
+    rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT lod,
+    UINT *r
 ) {
     rhi_description level = w + RHI_LEVELS;
     int minify = w[RHI_MINIFY], magnify = w[RHI_MAGNIFY], mip = w[RHI_MIP], last = w[RHI_LEVEL_COUNT] - 1;
@@ -461,7 +467,7 @@ static RHI_CALLED void rhi_walk(
     FLOAT first = mip == RHI_LINEAR_MIP ? rhi_floor(at) : rhi_round(at);
     FLOAT part = mip == RHI_LINEAR_MIP ? at - first : (FLOAT)0.0f;
     UINT one[4];
-    int number = rhi_least(convert_INT(first));
+    int number = rhi_reduce_min(convert_INT(first));
     level += number * RHI_LEVEL_WORDS;
     if (minify == magnify && !ANY(first > (float)number)) {  // all lanes are between the same two levels
         rhi_filter(t, w, level, minify, compared, u, v, z, reference, r);
@@ -496,13 +502,16 @@ static RHI_CALLED void rhi_walk(
 }
 
 static RHI_INLINE void rhi_sampled(
-    rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT lod, UINT *r
+    rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT lod,
+    UINT *r
 ) {
     if (w[RHI_ONE_FILTER]) rhi_filter(t, w, w + RHI_LEVELS, w[RHI_MINIFY], compared, u, v, z, reference, r);
     else rhi_walk(t, w, compared, u, v, z, reference, lod, r);
 }
 
-static RHI_INLINE void rhi_sample(rhi_texture t, rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT lod, UINT *r) {
+static RHI_INLINE void rhi_sample(
+    rhi_texture t, rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT lod, UINT *r
+) {
     rhi_sampled(t, w, 0, u, v, z, u, lod, r);
 }
 
@@ -524,7 +533,8 @@ static RHI_INLINE FLOAT rhi_level_log2(FLOAT x) {
 
 // Replaces the steps to the next pixels, in coordinates, by those in texels of the largest level.
 static RHI_INLINE void rhi_in_texels(
-    rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT *ux, FLOAT *vx, FLOAT *zx, FLOAT *uy, FLOAT *vy, FLOAT *zy
+    rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT *ux, FLOAT *vx, FLOAT *zx, FLOAT *uy, FLOAT *vy,
+    FLOAT *zy
 ) {
     rhi_description level = w + RHI_LEVELS;
     float width = level[RHI_WIDTH], height = level[RHI_HEIGHT];
@@ -533,14 +543,14 @@ static RHI_INLINE void rhi_in_texels(
         INT is_y, is_z, negative;
         FLOAT s, t, m, ds, dt, dm;
         rhi_axis(u, v, z, &is_y, &is_z, &negative);
-        rhi_turn(is_y, is_z, negative, u, v, z, &s, &t, &m);
+        rhi_project(is_y, is_z, negative, u, v, z, &s, &t, &m);
         FLOAT half_ = 0.5f / m;
         s /= m;
         t /= m;
-        rhi_turn(is_y, is_z, negative, *ux, *vx, *zx, &ds, &dt, &dm);
+        rhi_project(is_y, is_z, negative, *ux, *vx, *zx, &ds, &dt, &dm);
         *ux = (ds - s * dm) * half_;
         *vx = (dt - t * dm) * half_;
-        rhi_turn(is_y, is_z, negative, *uy, *vy, *zy, &ds, &dt, &dm);
+        rhi_project(is_y, is_z, negative, *uy, *vy, *zy, &ds, &dt, &dm);
         *uy = (ds - s * dm) * half_;
         *vy = (dt - t * dm) * half_;
     }
@@ -551,7 +561,8 @@ static RHI_INLINE void rhi_in_texels(
 
 // Returns the level at which the longer of the steps to the next pixels is one texel.
 static RHI_CALLED FLOAT rhi_level_of_detail(
-    rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT ux, FLOAT vx, FLOAT zx, FLOAT uy, FLOAT vy, FLOAT zy, FLOAT bias
+    rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT ux, FLOAT vx, FLOAT zx, FLOAT uy, FLOAT vy, FLOAT zy,
+    FLOAT bias
 ) {
     if (w[RHI_ONE_FILTER]) return (FLOAT)0.0f;  // the level is not used
     rhi_in_texels(w, u, v, z, &ux, &vx, &zx, &uy, &vy, &zy);
@@ -560,23 +571,25 @@ static RHI_CALLED FLOAT rhi_level_of_detail(
     return 0.5f * rhi_level_log2(SELECT(across, down, down > across)) + bias;
 }
 
-// Averages samples along the longer axis of the ellipse that a pixel covers, at the level of the shorter one. Each stands
-// for a cell as long as the shorter axis. Cells are laid from both ends, and what is left in the middle is one or two
-// cells of less weight; so nothing jumps where one cell more is covered. The axes are the singular vectors of the matrix
-// of both steps.
+// Averages samples along the longer axis of the ellipse that a pixel covers, at the level of the shorter one.
+// Each stands for a cell as long as the shorter axis. Cells are laid from both ends, and what is left in the
+// middle is one or two cells of less weight; so nothing jumps where one cell more is covered. The axes are
+// the singular vectors of the matrix of both steps.
 static RHI_CALLED void rhi_average(
-    rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference,
-    FLOAT ux, FLOAT vx, FLOAT zx, FLOAT uy, FLOAT vy, FLOAT zy, FLOAT bias, UINT *r
+    rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT ux,
+    FLOAT vx, FLOAT zx, FLOAT uy, FLOAT vy, FLOAT zy, FLOAT bias, UINT *r
 ) {
     FLOAT ax = ux, ay = vx, az = zx, bx = uy, by = vy, bz = zy;
     rhi_in_texels(w, u, v, z, &ax, &ay, &az, &bx, &by, &bz);
     FLOAT across = ax * ax + ay * ay + az * az, down = bx * bx + by * by + bz * bz;
     FLOAT step = SELECT(across, down, down > across);
-    INT regular = BOTH(step > 0x1p-100f, across + down < 0x1p100f);  // else one sample, at the level of the longer step
+    INT regular =
+        BOTH(step > 0x1p-100f, across + down < 0x1p100f);  // else one sample, at the level of the longer step
     FLOAT scale = 1.0f / SELECT((FLOAT)1.0f, step, regular);
     FLOAT half_ = (across - down) * 0.5f * scale, product = (ax * bx + ay * by + az * bz) * scale;
     FLOAT spread = sqrt(half_ * half_ + product * product), longest = (across + down) * 0.5f * scale + spread;
-    FLOAT ox = (ay * bz - az * by) * scale, oy = (az * bx - ax * bz) * scale, oz = (ax * by - ay * bx) * scale;
+    FLOAT ox = (ay * bz - az * by) * scale, oy = (az * bx - ax * bz) * scale,
+          oz = (ax * by - ay * bx) * scale;
     FLOAT most = (FLOAT)as_float(w[RHI_ANISOTROPY]), ratio = longest / sqrt(ox * ox + oy * oy + oz * oz);
     ratio = SELECT(most, ratio, ratio < most);
     longest *= step;  // the squares of the longer axis and of a cell; less than a texel shows nothing more
@@ -584,7 +597,8 @@ static RHI_CALLED void rhi_average(
     cell = SELECT(least, cell, cell > least);
     ratio = SELECT((FLOAT)1.0f, sqrt(longest / cell), BOTH(regular, longest > cell));
     FLOAT lod = 0.5f * rhi_level_log2(SELECT(step, cell, regular)) + bias;
-    FLOAT right = SELECT(product, half_ + spread, half_ > 0.0f), below = SELECT(spread - half_, product, half_ > 0.0f);
+    FLOAT right = SELECT(product, half_ + spread, half_ > 0.0f),
+          below = SELECT(spread - half_, product, half_ > 0.0f);
     FLOAT length_ = sqrt(right * right + below * below) * ratio;
     INT turned = BOTH(regular, length_ > 0.0f);
     right = SELECT((FLOAT)0.0f, right / length_, turned);
@@ -610,10 +624,11 @@ static RHI_CALLED void rhi_average(
     for (int c = 0; c < 4; ++c) r[c] = as_UINT(as_FLOAT(r[c]) / ratio);
 }
 
-// Samples what a pixel covers, by the steps to the next pixels: as the sampler says, an ellipse or a square around it.
+// Samples what a pixel covers, by the steps to the next pixels: as the sampler says, an ellipse or a square
+// around it.
 static RHI_INLINE void rhi_covered(
-    rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference,
-    FLOAT ux, FLOAT vx, FLOAT zx, FLOAT uy, FLOAT vy, FLOAT zy, FLOAT bias, UINT *r
+    rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT ux,
+    FLOAT vx, FLOAT zx, FLOAT uy, FLOAT vy, FLOAT zy, FLOAT bias, UINT *r
 ) {
     if (w[RHI_ANISOTROPY]) {
         rhi_average(t, w, compared, u, v, z, reference, ux, vx, zx, uy, vy, zy, bias, r);
@@ -623,16 +638,16 @@ static RHI_INLINE void rhi_covered(
     rhi_sampled(t, w, compared, u, v, z, reference, lod, r);
 }
 
-static RHI_INLINE void rhi_sample_across(
-    rhi_texture t, rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT ux, FLOAT vx, FLOAT zx, FLOAT uy, FLOAT vy,
-    FLOAT zy, FLOAT bias, UINT *r
+static RHI_INLINE void rhi_sample_grad(
+    rhi_texture t, rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT ux, FLOAT vx, FLOAT zx, FLOAT uy,
+    FLOAT vy, FLOAT zy, FLOAT bias, UINT *r
 ) {
     rhi_covered(t, w, 0, u, v, z, u, ux, vx, zx, uy, vy, zy, bias, r);
 }
 
-static RHI_INLINE void rhi_sample_compare_across(
-    rhi_texture t, rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT ux, FLOAT vx, FLOAT zx,
-    FLOAT uy, FLOAT vy, FLOAT zy, FLOAT bias, UINT *r
+static RHI_INLINE void rhi_sample_compare_grad(
+    rhi_texture t, rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT ux, FLOAT vx,
+    FLOAT zx, FLOAT uy, FLOAT vy, FLOAT zy, FLOAT bias, UINT *r
 ) {
     rhi_covered(t, w, 1, u, v, z, reference, ux, vx, zx, uy, vy, zy, bias, r);
 }
@@ -641,7 +656,8 @@ static RHI_INLINE void rhi_sample_compare_across(
 
 // Reads one component of the four texels around a point: counterclockwise from the lower left, with v up.
 static RHI_CALLED void rhi_square(
-    rhi_texture t, rhi_description w, int component, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, UINT *r
+    rhi_texture t, rhi_description w, int component, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference,
+    UINT *r
 ) {
     UINT taps[16];
     FLOAT near[2];
@@ -667,17 +683,20 @@ static RHI_INLINE void rhi_gather_compare(
 }
 
 // Reads a texel; zeros outside the texture.
-static RHI_CALLED void rhi_load_any(rhi_texture t, rhi_description w, INT x, INT y, INT z, int number, UINT *r) {
+static RHI_CALLED void rhi_load_any(
+    rhi_texture t, rhi_description w, INT x, INT y, INT z, int number, UINT *r
+) {
     int count = w[RHI_LEVEL_COUNT];
     rhi_description level = w + RHI_LEVELS + RHI_LEVEL_WORDS * clamp(number, 0, count - 1);
-    INT i = rhi_within(x, level[RHI_WIDTH]), j = rhi_within(y, level[RHI_HEIGHT]), k = rhi_within(z, level[RHI_DEPTH]);
+    INT i = rhi_within(x, level[RHI_WIDTH]), j = rhi_within(y, level[RHI_HEIGHT]),
+        k = rhi_within(z, level[RHI_DEPTH]);
     INT inside = BOTH(BOTH(i == x, j == y), k == z);
     if (number < 0 || number >= count) inside = (INT)0;
     rhi_texture p = rhi_start(t, level);
 #ifdef RHI_BLOCK
     if (!RHI_BLOCK(p, w, level, x, y, k, r))
 #endif
-    rhi_texel(p, w, k * level[RHI_LAYER] + j * level[RHI_ROW] + i, r);
+        rhi_texel(p, w, k * level[RHI_LAYER] + j * level[RHI_ROW] + i, r);
     _Pragma("unroll") for (int c = 0; c < 4; ++c) r[c] = SELECT((UINT)0u, r[c], inside);
 }
 
@@ -692,13 +711,16 @@ static RHI_INLINE UINT rhi_row32(rhi_texture p, INT i) {
 // The same, inline for texels of one float, such as depth: a call takes as long as the read.
 static RHI_INLINE void rhi_load(rhi_texture t, rhi_description w, INT x, INT y, INT z, int number, UINT *r) {
 #ifndef RHI_BLOCK
-    if (w[RHI_TEXEL] == 4 && w[RHI_STORED] == RHI_SINGLE) {
+    if (w[RHI_TEXEL_BYTES] == 4 && w[RHI_ENCODING] == RHI_SINGLE) {
         int count = w[RHI_LEVEL_COUNT];
         rhi_description level = w + RHI_LEVELS + RHI_LEVEL_WORDS * clamp(number, 0, count - 1);
-        INT i = rhi_within(x, level[RHI_WIDTH]), j = rhi_within(y, level[RHI_HEIGHT]), k = rhi_within(z, level[RHI_DEPTH]);
+        INT i = rhi_within(x, level[RHI_WIDTH]), j = rhi_within(y, level[RHI_HEIGHT]),
+            k = rhi_within(z, level[RHI_DEPTH]);
         INT inside = BOTH(BOTH(i == x, j == y), k == z);
         if (number < 0 || number >= count) inside = (INT)0;
-        r[0] = SELECT((UINT)0u, rhi_row32(rhi_start(t, level), k * level[RHI_LAYER] + j * level[RHI_ROW] + i), inside);
+        r[0] = SELECT(
+            (UINT)0u, rhi_row32(rhi_start(t, level), k * level[RHI_LAYER] + j * level[RHI_ROW] + i), inside
+        );
         r[1] = r[2] = (UINT)0u;
         r[3] = SELECT((UINT)0u, (UINT)0x3f800000u, inside);
         return;
@@ -708,7 +730,9 @@ static RHI_INLINE void rhi_load(rhi_texture t, rhi_description w, INT x, INT y, 
 }
 
 // Reads a texel from a different level in each lane.
-static RHI_CALLED void rhi_load_each(rhi_texture t, rhi_description w, INT x, INT y, INT z, INT number, UINT *r) {
+static RHI_CALLED void rhi_load_each(
+    rhi_texture t, rhi_description w, INT x, INT y, INT z, INT number, UINT *r
+) {
     UINT one[4];
     for (int c = 0; c < 4; ++c) r[c] = (UINT)0u;
     for (int level = 0; level < w[RHI_LEVEL_COUNT]; ++level) {
@@ -732,7 +756,8 @@ static RHI_INLINE UINT rhi_scaled(UINT value, float low, float scale) {
     return as_UINT(convert_INT(rhi_round(x * scale)));
 }
 
-// Returns the bits of an unsigned float with 5 bits of exponent and `fraction` bits behind it, rounded to nearest even.
+// Returns the bits of an unsigned float with 5 bits of exponent and `fraction` bits behind it, rounded to
+// nearest even.
 static RHI_INLINE UINT rhi_unsigned_bits(UINT bits, uint fraction) {
     uint shift = 23u - fraction, endless = 31u << fraction;
     UINT size = bits & 0x7fffffffu;
@@ -751,26 +776,29 @@ static RHI_CALLED void rhi_store(
     rhi_image t, INT mask, rhi_description w, INT x, INT y, INT z, UINT r0, UINT r1, UINT r2, UINT r3
 ) {
     rhi_description level = w + RHI_LEVELS;
-    rhi_image p = t + (size_t)(uint)level[RHI_START] * RHI_GRAIN;
-    INT i = rhi_within(x, level[RHI_WIDTH]), j = rhi_within(y, level[RHI_HEIGHT]), k = rhi_within(z, level[RHI_DEPTH]);
+    rhi_image p = t + (size_t)(uint)level[RHI_START] * RHI_LEVEL_ALIGNMENT;
+    INT i = rhi_within(x, level[RHI_WIDTH]), j = rhi_within(y, level[RHI_HEIGHT]),
+        k = rhi_within(z, level[RHI_DEPTH]);
     mask = BOTH(mask, BOTH(BOTH(i == x, j == y), k == z));
     i += k * level[RHI_LAYER] + j * level[RHI_ROW];
     UINT r[4] = {r0, r1, r2, r3};
     for (int c = 0; c < 4; ++c) {
-        switch (w[RHI_STORED]) {
+        switch (w[RHI_ENCODING]) {
         case RHI_UNORM8: r[c] = rhi_scaled(r[c], 0.0f, 255.0f); break;
         case RHI_SNORM8: r[c] = rhi_scaled(r[c], -1.0f, 127.0f) & 255u; break;
         case RHI_UNORM16: r[c] = rhi_scaled(r[c], 0.0f, 65535.0f); break;
         case RHI_HALF: r[c] = rhi_half_bits(as_FLOAT(r[c])); break;
         case RHI_UNORM10: r[c] = rhi_scaled(r[c], 0.0f, c < 3 ? 1023.0f : 3.0f) << (uint)(10 * c); break;
-        case RHI_POSITIVE11: r[c] = c < 3 ? rhi_unsigned_bits(r[c], c < 2 ? 6u : 5u) << (uint)(11 * c) : (UINT)0u; break;
-        case RHI_WHOLE10: r[c] = (r[c] & (c < 3 ? 1023u : 3u)) << (uint)(10 * c); break;
-        case RHI_WHOLE8: r[c] &= 255u; break;
-        case RHI_WHOLE16: r[c] &= 65535u; break;
+        case RHI_UFLOAT11:
+            r[c] = c < 3 ? rhi_unsigned_bits(r[c], c < 2 ? 6u : 5u) << (uint)(11 * c) : (UINT)0u;
+            break;
+        case RHI_INTEGER10: r[c] = (r[c] & (c < 3 ? 1023u : 3u)) << (uint)(10 * c); break;
+        case RHI_INTEGER8: r[c] &= 255u; break;
+        case RHI_INTEGER16: r[c] &= 65535u; break;
         }
     }
-    int texel = w[RHI_TEXEL], channel = texel / w[RHI_CHANNELS], stored = w[RHI_STORED];
-    if (stored == RHI_UNORM10 || stored == RHI_POSITIVE11 || stored == RHI_WHOLE10) {
+    int texel = w[RHI_TEXEL_BYTES], channel = texel / w[RHI_CHANNELS], stored = w[RHI_ENCODING];
+    if (stored == RHI_UNORM10 || stored == RHI_UFLOAT11 || stored == RHI_INTEGER10) {
         r[0] |= r[1] | r[2] | r[3];
         channel = 4;
     }
@@ -780,6 +808,7 @@ static RHI_CALLED void rhi_store(
     case 1: rhi_scatter8(p, i, mask, r[0]); break;
     case 2: rhi_scatter16(p, i, mask, r[0]); break;
     default:
-        for (int word = 0; word < texel / 4; ++word) rhi_scatter32(p + 4 * word, i * (texel / 4), mask, r[word]);
+        for (int word = 0; word < texel / 4; ++word)
+            rhi_scatter32(p + 4 * word, i * (texel / 4), mask, r[word]);
     }
 }

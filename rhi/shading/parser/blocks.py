@@ -1,4 +1,4 @@
-"""Blocks under construction: where a variable is declared is known at the end of the function.
+"""Blocks under construction, in which declarations of variables are placed at the end of the function.
 
 Python's variables belong to the function; in the tree each is declared in the innermost block that contains all its
 uses.
@@ -29,14 +29,15 @@ class BlockBuilder(list[tree.Statement]):
 
 @dataclass(slots=True, eq=False)
 class Splice(tree.Statement):
-    """A block whose statements are inserted into its parent: the branch of a condition known at compile time."""
+    """The taken branch of a condition that is known at compile time; its statements are inserted into the
+    parent."""
 
     block: BlockBuilder
 
 
 @dataclass(slots=True, eq=False)
 class TrackedLocal:
-    """A local under observation: its first assignment, and the innermost block that contains all uses found so far.
+    """The uses of a local found so far: its first assignment, and the innermost block that contains all uses.
 
     Attributes:
         path: the blocks around all uses, from the function's body inwards.
@@ -71,10 +72,10 @@ def place_declaration(variable: TrackedLocal) -> None:
             assert isinstance(loop.body, BlockBuilder)
             loop.body.prologue.append(
                 tree.Declare(loop.span, variable.local, count)
-                if own
+                if home is loop.body
                 else tree.Assign(loop.span, tree.Read(INT, loop.span, variable.local), count)
             )
-        if own:
+        if any(home is loop.body for loop in variable.loops):
             return
     if variable.first is not None and variable.first_block is home:
         assert isinstance(variable.first, tree.Assign)
@@ -98,5 +99,5 @@ def finish(block: BlockBuilder) -> tree.Block:
         if not isinstance(statement, Splice):
             result.append(statement)
         if result and isinstance(result[-1], tree.Return | tree.Break | tree.Continue):
-            break  # what follows is never reached
+            break  # the statements behind it are unreachable
     return result

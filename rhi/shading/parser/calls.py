@@ -20,7 +20,7 @@ from rhi.shading.language.textures import methods_of
 from rhi.shading.language.tips import FOREIGN, METHODS
 from rhi.shading.language.types import VECTORS, ImageType, StorageType, TextureType, Type, with_scalar
 from rhi.shading.language.vectors import array
-from rhi.shading.parser.context import FunctionParser, parses
+from rhi.shading.parser.context import FunctionParser
 from rhi.shading.parser.expressions import cast, check_memory, check_size, member_tip
 from rhi.shading.parser.signatures import Callee, Signature, UnsizedArray, find_method, fits
 
@@ -31,7 +31,6 @@ _PYTHON_BUILTINS: Final[dict[Any, Builtin]] = {
 }
 
 
-@parses(ast.Call)
 def parse_call(parser: FunctionParser, node: ast.Call) -> Expression:
     for part in node.args:
         if isinstance(part, ast.Starred):
@@ -45,33 +44,33 @@ def parse_call(parser: FunctionParser, node: ast.Call) -> Expression:
         value = callee.value
         if isinstance(value, ast.Call) and isinstance(value.func, ast.Name) and value.func.id == "super":
             return _call_method(parser, node, callee.attr, parser.owner)
-    found = parser.static(callee)
-    if found is MISSING:
+    called = parser.static(callee)
+    if called is MISSING:
         return _call_on_value(parser, node)
-    return _call_object(parser, node, found)
+    return _call_object(parser, node, called)
 
 
 def _call_method(parser: FunctionParser, node: ast.Call, name: str, after: type | None) -> Expression:
-    found = find_method(parser.stage.shader, name, after)
-    if found is None:
+    method = find_method(parser.stage.shader, name, after)
+    if method is None:
         shader = parser.stage.shader
         if name in shader._declared:
             parser.refuse(rules.WRONG_ARGUMENTS, node, f"{name} is a binding, not a method")
         parser.refuse(rules.UNKNOWN_MEMBER, node.func, f"{shader.__name__}.{name}", tip=suggest(name, dir(shader)))
-    return _call_python(parser, node, found)
+    return _call_python(parser, node, method)
 
 
 def _call_python(parser: FunctionParser, node: ast.Call, callee: Callee) -> tree.Call:
     signature = callee.signature
     names = [parameter.name for parameter in signature.parameters]
-    given: dict[str, ast.expr] = {}
+    nodes_by_name: dict[str, ast.expr] = {}
     if len(node.args) > len(names):
         parser.refuse(rules.WRONG_ARGUMENTS, node, f"{len(node.args)} arguments", ", ".join(names) or "none")
-    given.update(zip(names, node.args, strict=False))
+    nodes_by_name.update(zip(names, node.args, strict=False))
     for keyword in node.keywords:
         name = keyword.arg or ""
-        if name not in names or name in given:
-            what = "twice" if name in given else "unknown"
+        if name not in names or name in nodes_by_name:
+            what = "twice" if name in nodes_by_name else "unknown"
             parser.refuse(
                 rules.WRONG_ARGUMENTS,
                 keyword,
@@ -79,10 +78,12 @@ def _call_python(parser: FunctionParser, node: ast.Call, callee: Callee) -> tree
                 ", ".join(names),
                 suggest(name, names),
             )
-        given[name] = keyword.value
-    # Python evaluates arguments in the order in which they are written, which is the order of `given`.
-    values = {name: _argument(parser, signature, name, at) for name, at in given.items()}
-    if [name for name in names if name in given] != list(given) and any(map(tree.has_effect, values.values())):
+        nodes_by_name[name] = keyword.value
+    # Python evaluates arguments in the order in which they are written, which is the order of `nodes_by_name`.
+    values = {name: _argument(parser, signature, name, at) for name, at in nodes_by_name.items()}
+    if [name for name in names if name in nodes_by_name] != list(nodes_by_name) and any(
+        map(tree.has_effect, values.values())
+    ):
         parser.refuse(rules.EVALUATED_TWICE, node, "side effects in arguments out of order")
     for parameter in signature.parameters:
         if parameter.name not in values:
@@ -105,12 +106,12 @@ def _call_python(parser: FunctionParser, node: ast.Call, callee: Callee) -> tree
 
 
 def _argument(parser: FunctionParser, signature: Signature, name: str, at: ast.expr) -> Expression:
-    wanted = next(parameter.type for parameter in signature.parameters if parameter.name == name)
-    if not isinstance(wanted, UnsizedArray):
-        return parser.converted(at, wanted, name)
+    parameter_type = next(parameter.type for parameter in signature.parameters if parameter.name == name)
+    if not isinstance(parameter_type, UnsizedArray):
+        return parser.converted(at, parameter_type, name)
     value = parser.expression(at)
-    if not fits(wanted, value.type):
-        parser.refuse(rules.WRONG_TYPE, at, f"{name}: {value.type}", str(wanted))
+    if not fits(parameter_type, value.type):
+        parser.refuse(rules.WRONG_TYPE, at, f"{name}: {value.type}", str(parameter_type))
     return value
 
 
@@ -130,29 +131,29 @@ def _call_on_value(parser: FunctionParser, node: ast.Call) -> Expression:
     return _call_builtin(parser, node, methods[name], [base])
 
 
-def _call_object(parser: FunctionParser, node: ast.Call, found: Any) -> Expression:
-    if isinstance(found, BuiltinFunctionType):
-        found = _PYTHON_BUILTINS.get(found, found)
-    if isinstance(found, Builtin):
-        return _call_builtin(parser, node, found, [])
-    if isinstance(found, ShadingFunction):
-        return _call_python(parser, node, Callee(source_of(found.python), None, False))
-    if found is builtins.len:
+def _call_object(parser: FunctionParser, node: ast.Call, called: Any) -> Expression:
+    if isinstance(called, BuiltinFunctionType):
+        called = _PYTHON_BUILTINS.get(called, called)
+    if isinstance(called, Builtin):
+        return _call_builtin(parser, node, called, [])
+    if isinstance(called, ShadingFunction):
+        return _call_python(parser, node, Callee(source_of(called.python), None, False))
+    if called is builtins.len:
         return _length(parser, node)
-    if found is array:
+    if called is array:
         return _zeros(parser, node)
-    if isinstance(found, type) and issubclass(found, Struct):
-        return _construct_struct(parser, node, found)
-    type_ = value_type(found)
+    if isinstance(called, type) and issubclass(called, Struct):
+        return _construct_struct(parser, node, called)
+    type_ = value_type(called)
     if type_ is not None:
         return _construct(parser, node, type_)
     name = ast.unparse(node.func)
-    if isinstance(found, FunctionType):
+    if isinstance(called, FunctionType):
         parser.refuse(rules.NOT_SHADING, node.func, name, tip="decorate it with @function of rhi.shading")
-    if found is builtins.range:
+    if called is builtins.range:
         parser.refuse(rules.SYNTAX, node, "range(…) outside a for loop")
-    known = getattr(found, "__name__", "")
-    tip = f"use rhi.shading.{known}" if known in BUILTINS else FOREIGN.get(known, "")
+    called_name = getattr(called, "__name__", "")
+    tip = f"use rhi.shading.{called_name}" if called_name in BUILTINS else FOREIGN.get(called_name, "")
     parser.refuse(rules.NOT_SHADING, node.func, name, tip=tip)
 
 
@@ -168,8 +169,8 @@ def _call_builtin(parser: FunctionParser, node: ast.Call, row: Builtin, first: l
     literals = [isinstance(a, Constant) and a.literal and a.value >= 0 for a in arguments]
     overload = row.choose(types, literals)
     if overload is None:
-        given = f"{row.name}({', '.join(str(type) for type in types)})"
-        parser.refuse(rules.WRONG_ARGUMENTS, node, given, row.signatures())
+        actual = f"{row.name}({', '.join(str(type) for type in types)})"
+        parser.refuse(rules.WRONG_ARGUMENTS, node, actual, row.signatures())
     _check_stage(parser, row, node)
     converted = []
     for argument, parameter, at in zip(
@@ -195,8 +196,8 @@ def _check_stage(parser: FunctionParser, builtin: Builtin, at: ast.Call) -> None
     stage = parser.stage.stage
     if stage not in builtin.stages:
         allowed = ", ".join(sorted(stage.value for stage in builtin.stages))
-        given = f"{builtin.name} in the {stage.value} stage of {parser.stage.shader.__name__}"
-        parser.refuse(rules.STAGE, at, given, allowed)
+        actual = f"{builtin.name} in the {stage.value} stage of {parser.stage.shader.__name__}"
+        parser.refuse(rules.STAGE, at, actual, allowed)
 
 
 def _length(parser: FunctionParser, node: ast.Call) -> Expression:
@@ -229,17 +230,17 @@ def _construct_struct(parser: FunctionParser, node: ast.Call, cls: type[Struct])
     names = [field.name for field in type.fields]
     if node.args:
         parser.refuse(rules.WRONG_ARGUMENTS, node, "fields by position", f"by name: {', '.join(names)}")
-    given = {keyword.arg: keyword for keyword in node.keywords}
-    for name, keyword in given.items():
+    keywords = {keyword.arg: keyword for keyword in node.keywords}
+    for name, keyword in keywords.items():
         if name not in names:
             tip = suggest(name or "", names)
             parser.refuse(rules.UNKNOWN_MEMBER, keyword, f"{type}.{name}", ", ".join(names), tip)
     parts = {}
-    for name, keyword in given.items():
+    for name, keyword in keywords.items():
         field = type.field(name or "")
         assert field is not None
         parts[name] = parser.converted(keyword.value, field.type, f"{type}.{name}")
-    if list(given) != [name for name in names if name in given] and any(map(tree.has_effect, parts.values())):
+    if list(keywords) != [name for name in names if name in keywords] and any(map(tree.has_effect, parts.values())):
         # Python evaluates arguments in the order written, a constructor in the order of the fields.
         parser.refuse(rules.EVALUATED_TWICE, node, "side effects in fields out of order")
     for field in type.fields:
@@ -283,16 +284,16 @@ def _construct(parser: FunctionParser, node: ast.Call, type: Type) -> Expression
 
 def _component(parser: FunctionParser, part: Expression, type: VectorType, at: ast.AST) -> Expression:
     if isinstance(part.type, ScalarType) and part.type is not BOOL:
-        wanted: Type = type.scalar
+        target_type: Type = type.scalar
     elif isinstance(part.type, ScalarType | VectorType):
-        wanted = with_scalar(part.type, type.scalar)
+        target_type = with_scalar(part.type, type.scalar)
     else:
-        wanted = type
-    return parser.convert(part, wanted, at)
+        target_type = type
+    return parser.convert(part, target_type, at)
 
 
 def _method_tip(name: str) -> str:
-    """Return a tip for a call of a value's method: the values of the language have none."""
+    """Return a tip for a method call on a value; values of the language have no methods."""
     if name in BUILTINS:
         return f"write {name}(…) with the value as an argument"
     return FOREIGN.get(name, "")

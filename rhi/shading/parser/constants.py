@@ -1,7 +1,7 @@
 """Python values as constants of the typed tree: numbers, vectors, structs, and tuples and NumPy arrays of them.
 
-A NumPy array is a constant array of numbers, or of vectors if its rows have 2 to 4 numbers. An array that could as well
-be a vector or a matrix is none of these, and `tip_for` says what to write instead.
+A NumPy array is a constant array of numbers, or of vectors if its rows have 2 to 4 numbers. An array that
+might as well be a vector or a matrix is refused, and `tip_for` says what to write instead.
 """
 
 from __future__ import annotations
@@ -93,12 +93,12 @@ def _numpy_constant(value: np.ndarray[Any, Any], span: SourceSpan, name: str, so
 
 def _check_size(scalars: int, span: SourceSpan, name: str, source: Source) -> None:
     if scalars > MAX_CONSTANTS:
-        given, allowed = f"{name}, {scalars} numbers", f"up to {MAX_CONSTANTS} numbers"
-        source.refuse(rules.TOO_LARGE, span, given, allowed, "pass it in a buffer: Storage[…], or in a texture")
+        actual, allowed = f"{name}, {scalars} numbers", f"up to {MAX_CONSTANTS} numbers"
+        source.refuse(rules.TOO_LARGE, span, actual, allowed, "pass it in a buffer: Storage[…], or in a texture")
 
 
 def _typed(type: layout.HostType, value: Any, span: SourceSpan) -> Expression:
-    """Return a value of a struct, converted to the types of its fields when it was set, as a constant."""
+    """Return a struct's value as a constant. Its fields were converted to their types when they were set."""
     match type:
         case layout.StructType(fields=fields):
             parts = tuple(_typed(field.type, getattr(value, field.name), span) for field in fields)
@@ -114,7 +114,7 @@ def _typed(type: layout.HostType, value: Any, span: SourceSpan) -> Expression:
 
 
 def tip_for(value: Any, name: str) -> str:
-    """Return what to write instead of a Python value that isn't a constant of the language."""
+    """Return a tip: what to write instead of a Python value that can't be a constant."""
     if isinstance(value, np.ndarray):
         if value.dtype.kind not in _KINDS or not value.size or value.ndim > 2:
             return "pass it in a buffer: Storage[…], or in a texture"
@@ -127,7 +127,7 @@ def tip_for(value: Any, name: str) -> str:
 
 
 def _alternatives(value: np.ndarray[Any, Any]) -> list[str]:
-    """Return what an array may stand for, as Python with {} for its name, if its shape doesn't decide that."""
+    """Return the Python expressions that an ambiguous array may stand for, with {} for its name."""
     prefix = {"f": "", "i": "i", "u": "u", "b": "b"}.get(value.dtype.kind, "")
     size = value.shape[-1] if value.ndim else 0
     if value.ndim == 1 and 2 <= size <= 4:

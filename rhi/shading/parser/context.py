@@ -1,7 +1,7 @@
-"""The parsers of a stage and of a function: what the modules beside this one share.
+"""The state of parsing a stage and a function, which the modules beside this one share.
 
-- Each of them has functions of a `FunctionParser` and a node of Python's syntax tree, chosen by the node's type
-  (`parses`).
+- Each of them has functions of a `FunctionParser` and a node of Python's syntax tree.
+  `rhi.shading.parser.dispatch` has the table that selects one by the node's type.
 - A variable has the type of its first value.
 - Definite assignment is tracked while parsing: a read that some path reaches without an assignment is refused.
   Otherwise Python's UnboundLocalError would go unnoticed on a device.
@@ -10,11 +10,11 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from types import FunctionType, ModuleType
-from typing import Any, Final, NoReturn, TypeVar
+from typing import Any, Final, NamedTuple, NoReturn, TypeAlias
 
 from rhi.contract.descriptors import Stage
 from rhi.contract.layout import BOOL, ScalarType, VectorType
@@ -33,7 +33,7 @@ from rhi.shading.parser.operators import convert
 from rhi.shading.parser.signatures import Callee
 
 MAX_NESTING: Final = 64
-"""The most expressions, blocks and calls, counted together, that may lie around each other in a stage."""
+"""The maximum nesting of expressions, blocks and calls in a stage, counted together."""
 _STATEMENT_TIPS: Final = {
     "With": "",
     "Try": "devices have no exceptions",
@@ -49,23 +49,21 @@ _STATEMENT_TIPS: Final = {
     "ImportFrom": "import at the top of the module",
 }
 
-Parse = TypeVar("Parse", bound=Callable[..., Any])
-_PARSERS: Final[dict[type[ast.AST], Callable[..., Any]]] = {}
+ExpressionParser: TypeAlias = Callable[["FunctionParser", Any], Expression]
+"""A function that returns the typed tree of an expression; its second argument is the node."""
+StatementParser: TypeAlias = Callable[["FunctionParser", Any], None]
+"""A function that appends a statement to the parser's current block; its second argument is the node."""
 
 
-def parses(node: type[ast.AST]) -> Callable[[Parse], Parse]:
-    """Decorate the function that parses nodes of this type: an expression to its typed tree, a statement into the
-    current block."""
+class Parsers(NamedTuple):
+    """The functions that parse expressions and statements, by the type of the node in Python's syntax tree."""
 
-    def register(function: Parse) -> Parse:
-        _PARSERS[node] = function
-        return function
-
-    return register
+    expressions: Mapping[type[ast.expr], ExpressionParser]
+    statements: Mapping[type[ast.stmt], StatementParser]
 
 
 class UnknownValueError(Exception):
-    """A statement reads a variable whose value was refused: nothing can be said about it."""
+    """Raised for a read of a variable whose value was refused, so that its type is unknown."""
 
 
 class StageParser:
@@ -76,9 +74,10 @@ class StageParser:
     - A statement that is refused doesn't end the parsing: `errors` collects what is wrong in all of them.
     """
 
-    def __init__(self, shader: type[Shader], stage: Stage) -> None:
+    def __init__(self, shader: type[Shader], stage: Stage, parsers: Parsers) -> None:
         self.shader = shader
         self.stage = stage
+        self.parsers = parsers
         self.instances: dict[tuple[FunctionType, tuple[Type, ...]], tree.Function] = {}
         self.finished: list[tree.Function] = []
         self.nesting = 0
@@ -93,12 +92,12 @@ class StageParser:
 
     def instance(self, callee: Callee, types: tuple[Type, ...], at: ast.Call, caller: Source) -> tree.Function:
         """Return the function compiled for arguments of these types."""
-        known = self.instances.get((callee.source.function, types))
-        if known is None:
+        function = self.instances.get((callee.source.function, types))
+        if function is None:
             return self.parse_function(callee, types)
-        if known not in self.finished:
+        if function not in self.finished:
             caller.refuse(rules.RECURSION, at, f"{caller.name} calls {callee.source.name}")
-        return known
+        return function
 
     def parse_function(self, callee: Callee, types: tuple[Type, ...]) -> tree.Function:
         """Parse a function for arguments of these types, and the functions that it calls."""
@@ -120,9 +119,10 @@ class FunctionParser:
     """Parses one function into a `tree.Function`.
 
     Attributes:
-        untaken: the number of conditions around this place that are constant and false.
+        untaken: the number of enclosing conditions that are constant and false.
         breaks: for each enclosing loop, the sets of assigned locals at its breaks.
-        unknown: the variables whose only values were refused. What reads them is left out, without an error.
+        unknown: the variables whose only values were refused. Statements that read them are skipped, without
+            an error.
         failed: whether a statement was refused.
     """
 
@@ -159,10 +159,10 @@ class FunctionParser:
         self.statements(body)
         self.stage.nesting -= 1
         if self.function.result != VOID and self.reachable and not self.failed:
-            wanted = str(self.function.result)
+            result = str(self.function.result)
             with self.stage.errors.collect():
-                self.refuse(rules.MISSING_RETURN, header_of(self.source.node), "the end is reached", wanted)
-        if self.stage.errors.found:  # there will be no tree
+                self.refuse(rules.MISSING_RETURN, header_of(self.source.node), "the end is reached", result)
+        if self.stage.errors:  # the stage is refused, so its tree is never read
             self.function.has_effect = True
             return
         for variable in (*self.superseded, *self.variables.values()):
@@ -171,19 +171,19 @@ class FunctionParser:
 
     # -- expressions
 
-    def expression(self, node: ast.expr, wanted: Type | None = None) -> Expression:
-        """Return the typed expression. `wanted` gives a tuple its type; it isn't enforced otherwise."""
-        if isinstance(node, ast.Tuple) and isinstance(wanted, VectorType):
-            parts = tuple(self.converted(part, wanted.scalar) for part in node.elts)
-            if len(parts) != wanted.size:
-                self.refuse(rules.WRONG_TYPE, node, f"{len(parts)} components", str(wanted))
-            return tree.Construct(wanted, span_of(node), parts)
-        parse = _PARSERS.get(type(node))
+    def expression(self, node: ast.expr, expected_type: Type | None = None) -> Expression:
+        """Return the typed expression. `expected_type` gives a tuple its type; it isn't enforced otherwise."""
+        if isinstance(node, ast.Tuple) and isinstance(expected_type, VectorType):
+            parts = tuple(self.converted(part, expected_type.scalar) for part in node.elts)
+            if len(parts) != expected_type.size:
+                self.refuse(rules.WRONG_TYPE, node, f"{len(parts)} components", str(expected_type))
+            return tree.Construct(expected_type, span_of(node), parts)
+        parse = self.stage.parsers.expressions.get(type(node))
         if parse is None:
             tip = "array(float, 4) makes an array of zeros; a constant array is a tuple defined in the module or class"
             self.unsupported(node, tip if isinstance(node, ast.List) else "")
         self.nest(node)
-        result: Expression = parse(self, node)
+        result = parse(self, node)
         self.stage.nesting -= 1
         return result
 
@@ -191,20 +191,20 @@ class FunctionParser:
         """Count one more level of nesting, or refuse it."""
         self.stage.nesting += 1
         if self.stage.nesting > MAX_NESTING:
-            given = f"more than {MAX_NESTING} levels of expressions, blocks and calls in each other"
-            self.refuse(rules.TOO_DEEP, at, given, f"up to {MAX_NESTING}")
+            actual = f"more than {MAX_NESTING} levels of expressions, blocks and calls in each other"
+            self.refuse(rules.TOO_DEEP, at, actual, f"up to {MAX_NESTING}")
 
-    def converted(self, node: ast.expr, wanted: Type, what: str = "") -> Expression:
-        """Return the expression converted to `wanted`, or refuse it."""
-        value = self.expression(node, wanted)
-        return self.convert(value, wanted, node, what)
+    def converted(self, node: ast.expr, target_type: Type, what: str = "") -> Expression:
+        """Return the expression converted to `target_type`, or refuse it."""
+        value = self.expression(node, target_type)
+        return self.convert(value, target_type, node, what)
 
-    def convert(self, value: Expression, wanted: Type, at: ast.AST, what: str = "") -> Expression:
-        """Return `value` converted to `wanted`, or refuse it at `at`."""
-        result = convert(value, wanted)
+    def convert(self, value: Expression, target_type: Type, at: ast.AST, what: str = "") -> Expression:
+        """Return `value` converted to `target_type`, or refuse it at `at`."""
+        result = convert(value, target_type)
         if result is None:
-            given = f"{what}: {value.type}" if what else str(value.type)
-            self.refuse(rules.WRONG_TYPE, at, given, str(wanted), _conversion_tip(value.type, wanted))
+            actual = f"{what}: {value.type}" if what else str(value.type)
+            self.refuse(rules.WRONG_TYPE, at, actual, str(target_type), _conversion_tip(value.type, target_type))
         return result
 
     def condition(self, node: ast.expr) -> Expression:
@@ -219,16 +219,16 @@ class FunctionParser:
 
     def python_value(self, value: Any, at: ast.expr, name: str) -> Expression:
         """Return a Python value as a constant, or refuse it at `at`."""
-        found = constant(value, span_of(at), name, self.source)
-        if found is None:
+        result = constant(value, span_of(at), name, self.source)
+        if result is None:
             allowed = "numbers, vectors, and tuples of them"
             self.refuse(rules.NOT_SHADING, at, f"{name}, a {type(value).__name__}", allowed, tip_for(value, name))
-        return found
+        return result
 
     def refuse(
-        self, rule: Any, at: ast.AST | SourceSpan, given: str = "", allowed: str = "", tip: str = ""
+        self, rule: Any, at: ast.AST | SourceSpan, actual: str = "", allowed: str = "", tip: str = ""
     ) -> NoReturn:
-        self.source.refuse(rule, at, given, allowed, tip)
+        self.source.refuse(rule, at, actual, allowed, tip)
 
     def unsupported(self, node: ast.AST, tip: str = "") -> NoReturn:
         self.refuse(rules.SYNTAX, node, f"a {type(node).__name__} expression", tip=tip)
@@ -239,11 +239,11 @@ class FunctionParser:
         return isinstance(node, ast.Name) and node.id == self.self_name
 
     def static_name(self, node: ast.Name) -> Any:
-        found = self.source.scope.find(node.id)
-        if found is MISSING:
+        value = self.source.scope.find(node.id)
+        if value is MISSING:
             tip = suggest_name(node.id, [*self.variables, *self.source.scope.names()])
             self.refuse(rules.UNKNOWN_NAME, node, repr(node.id), tip=tip)
-        return found
+        return value
 
     def static(self, node: ast.expr) -> Any:
         """Return the Python object that a dotted name refers to outside the shader, or `MISSING`."""
@@ -254,11 +254,11 @@ class FunctionParser:
         if isinstance(node, ast.Attribute):
             base = self.static(node.value)
             if isinstance(base, ModuleType | type):
-                found = getattr(base, node.attr, MISSING)
-                if found is MISSING:
+                value = getattr(base, node.attr, MISSING)
+                if value is MISSING:
                     tip = FOREIGN.get(node.attr, "") or suggest(node.attr, dir(base))
                     self.refuse(rules.UNKNOWN_NAME, node, repr(ast.unparse(node)), tip=tip)
-                return found
+                return value
         return MISSING
 
     def read(self, name: str, at: ast.Name) -> Expression | None:
@@ -301,7 +301,7 @@ class FunctionParser:
         for node in nodes:
             if self.is_lean and not self.reachable:
                 return
-            parse = _PARSERS.get(type(node))
+            parse = self.stage.parsers.statements.get(type(node))
             if parse is None:
                 name = type(node).__name__
                 tip = _STATEMENT_TIPS.get(name, "")
@@ -309,12 +309,12 @@ class FunctionParser:
                     self.refuse(rules.SYNTAX, header_of(node), f"`{_first_word(node)}`", tip=tip)
                 self._skip(node)
                 continue
-            place = len(self.blocks), len(self.breaks), self.stage.nesting, self.untaken
+            depths = len(self.blocks), len(self.breaks), self.stage.nesting, self.untaken
             try:
                 parse(self, node)
             except (ShaderError, UnknownValueError) as error:
-                del self.blocks[place[0] :], self.breaks[place[1] :]
-                self.stage.nesting, self.untaken = place[2:]
+                del self.blocks[depths[0] :], self.breaks[depths[1] :]
+                self.stage.nesting, self.untaken = depths[2:]
                 too_deep = False
                 if isinstance(error, ShaderError):
                     self.stage.errors.add(error.with_traceback(None))
@@ -322,7 +322,8 @@ class FunctionParser:
                 self._skip(node, enter=not too_deep)
 
     def _skip(self, node: ast.stmt, enter: bool = True) -> None:
-        """Go on behind a statement that was refused. Of an `if` or a loop with a wrong head, the body is parsed."""
+        """Continue after a refused statement. The body of an `if` or a loop with a wrong head is still
+        parsed."""
         self.failed = True
         for name in _stored_names(node):
             if name in self.variables:
@@ -386,7 +387,8 @@ def _is_empty(body: list[ast.stmt]) -> bool:
 
 
 def _native_line(node: ast.FunctionDef, body: str) -> int:
-    """Return the file's line of a native body that is a single string with a source line per line; otherwise 0."""
+    """Return the Python line where a native body's literal starts, or 0 if its lines aren't lines of the
+    file."""
     for decorator in node.decorator_list:
         for argument in decorator.args if isinstance(decorator, ast.Call) else ():
             if isinstance(argument, ast.Constant) and argument.value == body:

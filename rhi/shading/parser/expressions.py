@@ -14,7 +14,7 @@ from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.source import MISSING, SourceSpan, span_of, suggest
 from rhi.shading.language.textures import methods_of
 from rhi.shading.parser.constants import constant
-from rhi.shading.parser.context import FunctionParser, parses
+from rhi.shading.parser.context import FunctionParser
 from rhi.shading.parser.operators import binary, convert, typed, unary
 
 _ORDER_FUNCTIONS: Final = {
@@ -25,12 +25,11 @@ _ORDER_FUNCTIONS: Final = {
 }
 _AXES: Final = ("xyzw", "rgba")
 MAX_LOCAL: Final = 4096
-"""The greatest number of scalars in a local array: 16 KiB for each invocation."""
+"""The maximum number of scalars in a local array: 16 KiB for each invocation."""
 _WIDEST: Final = 8
-"""The most conditions of an `and` or `or` that nest in each other in the tree; more are grouped."""
+"""The maximum nesting of an `and` or `or` in the tree; more conditions are grouped."""
 
 
-@parses(ast.Constant)
 def parse_constant(parser: FunctionParser, node: ast.Constant) -> Expression:
     value = constant(node.value, span_of(node), "", parser.source)
     if value is None:
@@ -38,7 +37,6 @@ def parse_constant(parser: FunctionParser, node: ast.Constant) -> Expression:
     return value
 
 
-@parses(ast.Name)
 def parse_name(parser: FunctionParser, node: ast.Name) -> Expression:
     variable = parser.read(node.id, node)
     if variable is not None:
@@ -49,7 +47,6 @@ def parse_name(parser: FunctionParser, node: ast.Name) -> Expression:
 # -- operators
 
 
-@parses(ast.UnaryOp)
 def parse_unary(parser: FunctionParser, node: ast.UnaryOp) -> Expression:
     operand = parser.expression(node.operand)
     if isinstance(node.op, ast.UAdd):
@@ -62,14 +59,13 @@ def parse_unary(parser: FunctionParser, node: ast.UnaryOp) -> Expression:
     return result
 
 
-@parses(ast.BinOp)
 def parse_binary(parser: FunctionParser, node: ast.BinOp) -> Expression:
     chain = [node]  # a + b + c nests to the left, and may be longer than Python's recursion limit
     while isinstance(chain[-1].left, ast.BinOp):
         chain.append(chain[-1].left)
     result = parser.expression(chain[-1].left)
-    for one in reversed(chain):
-        result = combine(parser, tree.OPERATORS[type(one.op)], result, parser.expression(one.right), one)
+    for link in reversed(chain):
+        result = combine(parser, tree.OPERATORS[type(link.op)], result, parser.expression(link.right), link)
     return result
 
 
@@ -91,7 +87,6 @@ def combine(parser: FunctionParser, op: Operator, left: Expression, right: Expre
     return result
 
 
-@parses(ast.BoolOp)
 def parse_condition(parser: FunctionParser, node: ast.BoolOp) -> Expression:
     is_and, operands = isinstance(node.op, ast.And), []
     decided: Constant | None = None
@@ -114,14 +109,13 @@ def parse_condition(parser: FunctionParser, node: ast.BoolOp) -> Expression:
 
 
 def _join(parser: FunctionParser, op: Operator, operands: list[Expression], at: ast.AST) -> Expression | None:
-    """Return the conjunction or disjunction of conditions, None without any. Many are grouped: a flat tree."""
+    """Return the conjunction or disjunction of conditions, as a flat tree; None if there are none."""
     while len(operands) > 1:
         groups = [operands[i : i + _WIDEST] for i in range(0, len(operands), _WIDEST)]
         operands = [reduce(lambda a, b: combine(parser, op, a, b, at), group) for group in groups]
     return operands[0] if operands else None
 
 
-@parses(ast.Compare)
 def parse_comparison(parser: FunctionParser, node: ast.Compare) -> Expression:
     left = parser.expression(node.left)
     results = []
@@ -138,17 +132,16 @@ def parse_comparison(parser: FunctionParser, node: ast.Compare) -> Expression:
     return result
 
 
-@parses(ast.IfExp)
 def parse_selection(parser: FunctionParser, node: ast.IfExp) -> Expression:
     condition = parser.condition(node.test)
-    known = bool(condition.value) if isinstance(condition, Constant) else None
-    parser.untaken += known is False
+    constant_condition = bool(condition.value) if isinstance(condition, Constant) else None
+    parser.untaken += constant_condition is False
     then = parser.expression(node.body)
-    parser.untaken += (known is True) - (known is False)
+    parser.untaken += (constant_condition is True) - (constant_condition is False)
     otherwise = parser.expression(node.orelse)
-    parser.untaken -= known is True
-    if known is not None:
-        return then if known else otherwise
+    parser.untaken -= constant_condition is True
+    if constant_condition is not None:
+        return then if constant_condition else otherwise
     for value, other in ((then, otherwise), (otherwise, then)):
         converted = convert(value, other.type)
         if converted is not None:
@@ -160,13 +153,12 @@ def parse_selection(parser: FunctionParser, node: ast.IfExp) -> Expression:
 # -- members and elements
 
 
-@parses(ast.Attribute)
 def parse_attribute(parser: FunctionParser, node: ast.Attribute) -> Expression:
     if parser.is_self(node.value):
         return _field_of_shader(parser, node)
-    found = parser.static(node)
-    if found is not MISSING:
-        return parser.python_value(found, node, node.attr)
+    value = parser.static(node)
+    if value is not MISSING:
+        return parser.python_value(value, node, node.attr)
     base = parser.expression(node.value)
     span = span_of(node)
     if isinstance(base.type, layout.StructType):
@@ -197,14 +189,13 @@ def _field_of_shader(parser: FunctionParser, node: ast.Attribute) -> Expression:
     declared: Declaration | None = shader._declared.get(node.attr)
     if declared is not None:
         return tree.BindingRead(declared.type, span, declared)
-    found = getattr(shader, node.attr, MISSING)
-    if found is not MISSING:
-        return parser.python_value(found, node, node.attr)
+    value = getattr(shader, node.attr, MISSING)
+    if value is not MISSING:
+        return parser.python_value(value, node, node.attr)
     names = [*shader._declared, *(name for name in dir(shader) if not name.startswith("_"))]
     parser.refuse(rules.UNKNOWN_MEMBER, node, f"{shader.__name__}.{node.attr}", tip=suggest(node.attr, names))
 
 
-@parses(ast.Subscript)
 def parse_subscript(parser: FunctionParser, node: ast.Subscript) -> Expression:
     base = parser.expression(node.value)
     type, span = base.type, span_of(node)
@@ -269,11 +260,11 @@ def check_size(parser: FunctionParser, type: types.Type, at: ast.AST, what: str)
     if isinstance(type, layout.ArrayType | layout.StructType) and types.has_array(type):
         scalars = types.count_scalars(type)
         if scalars > MAX_LOCAL:
-            given, tip = (
+            actual, tip = (
                 f"{what}, {scalars} numbers",
                 "use a buffer, StorageRW[…], or memory of the work-group, shared(…)",
             )
-            parser.refuse(rules.TOO_LARGE, at, given, f"up to {MAX_LOCAL} numbers for each invocation", tip)
+            parser.refuse(rules.TOO_LARGE, at, actual, f"up to {MAX_LOCAL} numbers for each invocation", tip)
 
 
 def check_value(parser: FunctionParser, value: Expression, at: ast.AST) -> None:
@@ -342,7 +333,7 @@ def _operator_tip(op: Operator, left: Expression, right: Expression) -> str:
 
 
 def member_tip(type: types.Type) -> str:
-    """Return a tip for the use of a value that has no fields."""
+    """Return a tip for an attribute of a value that has no fields."""
     if isinstance(type, types.StorageType):
         return "storage is an array: index it first"
     if isinstance(type, types.TextureType | types.ImageType):

@@ -55,21 +55,21 @@ def varyings_of(vertex: Callee) -> tuple[str, tuple[Varying, ...]]:
     cls = struct_class(described.result_host)
     fields = cls.shading_type.fields if cls is not None else ()
     if cls is None or not fields or fields[0].type != VEC4:
-        given = str(described.result)
+        actual = str(described.result)
         if fields:
-            given += f" with {fields[0].name}: {fields[0].type} first"
+            actual += f" with {fields[0].name}: {fields[0].type} first"
         source.refuse(
             rules.INTERFACE,
             source.node.returns or source.node,
-            given,
+            actual,
             "a vec4, or a Struct whose first field is one",
         )
     varyings, location = [], 0
     for field in (*fields[1:], fields[0]):
         role = cls._roles.get(field.name)
         if isinstance(field.type, layout.StructType | layout.ArrayType) or scalar_of(field.type) is layout.BOOL:
-            given = f"varying {field.name}: {field.type}"
-            source.refuse(rules.INTERFACE, source.node, given, "numbers, vectors, matrices")
+            actual = f"varying {field.name}: {field.type}"
+            source.refuse(rules.INTERFACE, source.node, actual, "numbers, vectors, matrices")
         if scalar_of(field.type) not in (layout.FLOAT, None) or role is Role.POINT_SIZE:
             role = Role.FLAT
         varyings.append(Varying(field.name, field.type, role, location))
@@ -95,16 +95,16 @@ def check_fragment_input(fragment: Callee, varyings: tuple[Varying, ...]) -> Non
     for parameter in described.parameters:
         if not isinstance(parameter.type, layout.StructType):
             source.refuse(rules.INTERFACE, source.node, f"{parameter.name}: {parameter.type}", "a struct")
-        known = {varying.name: varying.type for varying in varyings}
+        types = {varying.name: varying.type for varying in varyings}
         for field in parameter.type.fields:
-            if known.get(field.name) != field.type:
-                given = f"{parameter.type}.{field.name}: {field.type}"
-                allowed = ", ".join(f"{name}: {type}" for name, type in known.items()) or "no varyings"
-                source.refuse(rules.STAGES, source.node, given, allowed, suggest(field.name, known))
+            if types.get(field.name) != field.type:
+                actual = f"{parameter.type}.{field.name}: {field.type}"
+                allowed = ", ".join(f"{name}: {type}" for name, type in types.items()) or "no varyings"
+                source.refuse(rules.STAGES, source.node, actual, allowed, suggest(field.name, types))
 
 
 def attributes_read(vertex: tree.StageTree, attributes: tuple[Attribute, ...]) -> tuple[Attribute, ...]:
-    """Return those of the attributes that the vertex stage reads, at locations from 0."""
+    """Return the attributes that the vertex stage reads, with new locations from 0 on."""
     names = _fields_read(vertex.entry)
     read = [attribute for attribute in attributes if attribute.name in names]
     return tuple(replace(attribute, location=location) for location, attribute in enumerate(read))
@@ -127,19 +127,19 @@ def varyings_read(
 
 def words_of_varyings(varyings: tuple[Varying, ...], names: set[str]) -> tuple[StageVarying, ...]:
     """Return the varyings that have these names, with their words."""
-    found, word = [], 0
+    stage_varyings, word = [], 0
     for varying in varyings:
         if varying.name in names:
             scalar, words = scalar_of(varying.type) or layout.FLOAT, math.prod(layout.shape_of(varying.type))
             interpolation = _INTERPOLATIONS[varying.role]
-            found.append(StageVarying(varying.name, word, words, scalar.name, interpolation))
+            stage_varyings.append(StageVarying(varying.name, word, words, scalar.name, interpolation))
             word += words
-    return tuple(found)
+    return tuple(stage_varyings)
 
 
 def _fields_read(entry: tree.Function) -> set[str]:
-    """Return the fields of its parameters that an entry reads, itself or in what it passes them to; all if it needs a
-    parameter as a whole."""
+    """Return the fields of an entry's parameters that it or its callees read; all if one needs a whole
+    parameter."""
     names: set[str] = set()
     pending = [(entry, frozenset(entry.parameters))]
     seen: set[tuple[int, frozenset[int]]] = set()

@@ -22,7 +22,7 @@ EQUALITY: Final = frozenset({Operator.EQUAL, Operator.NOT_EQUAL})
 ORDER: Final = frozenset({Operator.LESS, Operator.LESS_EQUAL, Operator.GREATER, Operator.GREATER_EQUAL})
 
 MAX_POWER: Final = 16
-"""The greatest constant integer exponent that is expanded to multiplications."""
+"""The maximum constant integer exponent that is expanded to multiplications."""
 
 
 def convert(value: Expression, type: Type) -> Expression | None:
@@ -57,7 +57,7 @@ def binary(op: Operator, left: Expression, right: Expression, span: SourceSpan) 
     """Return a typed `left op right`, folded if both are constants; None if the types don't fit.
 
     Raises:
-        ZeroDivisionError: a division by a constant that is zero or has a component that is.
+        ZeroDivisionError: the divisor is a constant that is zero or has a zero component.
         OverflowError, ValueError: another constant operation without a valid result.
     """
     node = typed(op, left, right, span)
@@ -81,7 +81,7 @@ def binary(op: Operator, left: Expression, right: Expression, span: SourceSpan) 
 
 
 def _constants_of(value: Expression) -> list[bool | int | float]:
-    """Return the numbers of a constant, or of those components of a vector that are constants."""
+    """Return the numbers of a constant, or of a vector's constant components."""
     match value:
         case Constant(value=number):
             return [number]
@@ -160,8 +160,13 @@ def _common_scalar(left: Expression, right: Expression) -> ScalarType | None:
         return a
     if {a, b} == {INT, FLOAT}:
         return FLOAT
-    for one, other in ((left, right), (right, left)):
-        if isinstance(one, Constant) and one.literal and one.value >= 0 and scalar_of(other.type) is UINT:
+    for constant, other in ((left, right), (right, left)):
+        if (
+            isinstance(constant, Constant)
+            and constant.literal
+            and constant.value >= 0
+            and scalar_of(other.type) is UINT
+        ):
             return UINT
     return None
 

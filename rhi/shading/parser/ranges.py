@@ -1,10 +1,11 @@
-"""Which indices of a stage are known to be inside: the others are bounded where code is written (`tree.Index.inside`).
+"""Proofs that indices are inside. Writers of code bound all other indices (`tree.Index.inside`).
 
-- Each int has a range: constants, counters of loops, `% n`, masks, `min`, `clamp`, the place in a work-group. A range
-  that leaves 32 bits is all of them, since ints wrap.
-- A condition narrows what has one value while it holds (a variable that is assigned once, an input of the stage): in
-  the branches of `if`, of `x if c else y`, of `and` and `or`, and behind a branch that leaves the block.
-- The length of a buffer isn't known, but what is less than `len(…)` is inside.
+- Each int has a range: constants, counters of loops, `% n`, masks, `min`, `clamp`, the index in a work-group.
+  A range that leaves 32 bits becomes the full range, since ints wrap.
+- A condition narrows the range of a value that stays the same while it holds (a variable that is assigned
+  once, an input of the stage): in the branches of `if`, of `x if c else y`, of `and` and `or`, and behind a
+  branch that leaves the block.
+- The length of a buffer isn't known, but an index less than `len(…)` is inside.
 - Callers come before what they call, so the range of a parameter is that of all its arguments.
 """
 
@@ -20,13 +21,15 @@ from rhi.shading.ir.tree import Expression, Local, Operator
 from rhi.shading.language.types import StorageType, Type, count_elements
 
 Range: TypeAlias = tuple[int, int]
-"""The least and the greatest number that a value may be."""
+"""The minimum and maximum of a value."""
 
-_MOST: Final = 2**31 - 1
-_ALL: Final[dict[Type, Range]] = {INT: (-(2**31), _MOST), UINT: (0, 2**32 - 1), BOOL: (0, 1)}
-_COUNTED: Final = frozenset({"global_id", "group_id", "group_count", "instance_index", "draw_index", "primitive_index"})
-_SAME: Final = frozenset({"uniform", "unchecked"})
-_LEAVES: Final = (tree.Return, tree.Break, tree.Continue, tree.Discard)
+_MAX_INT: Final = 2**31 - 1
+_ALL: Final[dict[Type, Range]] = {INT: (-(2**31), _MAX_INT), UINT: (0, 2**32 - 1), BOOL: (0, 1)}
+_INDEX_BUILTINS: Final = frozenset(
+    {"global_id", "group_id", "group_count", "instance_index", "draw_index", "primitive_index"}
+)
+_IDENTITIES: Final = frozenset({"uniform", "unchecked"})
+_JUMPS: Final = (tree.Return, tree.Break, tree.Continue, tree.Discard)
 _NEGATED: Final = {
     Operator.LESS: Operator.GREATER_EQUAL,
     Operator.LESS_EQUAL: Operator.GREATER,
@@ -38,20 +41,20 @@ _NEGATED: Final = {
 
 
 def prove_indices(functions: Sequence[tree.Function], work_group: tuple[int, int, int] = (1, 1, 1)) -> None:
-    """Mark the indices of functions that are known to be inside; callees come first."""
+    """Mark the indices of functions that are proven to be inside; callees come first."""
     prover = _Prover(work_group)
     for function in reversed(functions):
         prover.block(function.body)
 
 
 class _Prover:
-    """Walks through functions with what is known of the current place.
+    """Visits functions with the facts that hold at the current statement.
 
     Attributes:
-        values: of a variable that is assigned once, its value.
-        ranges: its range, and that of counters and parameters.
-        narrowed: what conditions say of values, by key.
-        below: the buffers that values are less than the length of, by key.
+        values: the value of each variable that is assigned once.
+        ranges: the ranges of these variables, of counters and of parameters.
+        narrowed: the ranges that conditions imply, by the value's key.
+        below: the buffers whose length a value is less than, by the value's key.
     """
 
     def __init__(self, work_group: tuple[int, int, int]) -> None:
@@ -60,16 +63,16 @@ class _Prover:
         self.ranges: dict[Local, Range] = {}
         self.narrowed: dict[Hashable, Range] = {}
         self.below: dict[Hashable, frozenset[str]] = {}
-        self.met: set[tree.Index] = set()
+        self.visited: set[tree.Index] = set()
 
     # -- statements
 
     @contextmanager
     def scope(self) -> Iterator[None]:
-        """Forget afterwards what conditions said inside."""
-        known = dict(self.narrowed), dict(self.below)
+        """Drop the facts that conditions imply inside, at the end."""
+        outer = dict(self.narrowed), dict(self.below)
         yield
-        self.narrowed, self.below = known
+        self.narrowed, self.below = outer
 
     def block(self, block: tree.Block) -> None:
         with self.scope():
@@ -80,10 +83,10 @@ class _Prover:
         match node:
             case tree.Declare(local=local, value=value) | tree.Assign(target=tree.Read(local=local), value=value):
                 if value is not None:
-                    found = self.range(value)
+                    values = self.range(value)
                     if local.writes == 1 and not local.is_parameter:
                         self.values[local] = value
-                        self.ranges[local] = found
+                        self.ranges[local] = values
             case tree.If(condition=condition, then=then, otherwise=otherwise):
                 self.range(condition)
                 for holds, branch in ((True, then), (False, otherwise)):
@@ -91,7 +94,7 @@ class _Prover:
                         self.assume(condition, holds)
                         self.block(branch)
                 for holds, branch in ((True, then), (False, otherwise)):
-                    if branch and isinstance(branch[-1], _LEAVES):
+                    if branch and isinstance(branch[-1], _JUMPS):
                         self.assume(condition, not holds)
             case tree.While(condition=condition, body=body):
                 self.range(condition)
@@ -117,7 +120,7 @@ class _Prover:
     # -- conditions
 
     def assume(self, node: Expression, holds: bool) -> None:
-        """Note what a condition says of values if it holds, or if it doesn't."""
+        """Record the ranges that a condition implies if it holds, or if it doesn't."""
         match node:
             case tree.Unary(operator=Operator.NOT, operand=operand):
                 self.assume(operand, not holds)
@@ -152,7 +155,7 @@ class _Prover:
             self.narrowed[key] = max(low, range[0]), min(high, range[1])
 
     def key(self, node: Expression) -> Hashable | None:
-        """Return what names a value that stays the same while the current place is left for no other statement."""
+        """Return a key for a value that can't change within the current block, or None for other values."""
         match node:
             case tree.Read(local=local) if local in self.ranges or (local.is_parameter and not local.writes):
                 return local
@@ -164,7 +167,7 @@ class _Prover:
         return None
 
     def lengths(self, node: Expression) -> frozenset[str]:
-        """Return the buffers whose lengths a value isn't above."""
+        """Return the buffers whose length is at least this value."""
         match node:
             case tree.Length(base=tree.BindingRead(declaration=declaration)):
                 return frozenset({declaration.name})
@@ -175,38 +178,39 @@ class _Prover:
         return self.shorter(node)
 
     def shorter(self, node: Expression) -> frozenset[str]:
-        """Return the buffers that a value is less than the length of, unless they are empty."""
-        found: frozenset[str] = self.below.get(self.key(node), frozenset())
+        """Return the buffers whose length exceeds this value, unless they are empty."""
+        buffers: frozenset[str] = self.below.get(self.key(node), frozenset())
         match node:
             case tree.Binary(operator=Operator.SUBTRACT, left=left, right=right) if self.range(right)[0] > 0:
-                return self.lengths(left) if isinstance(left, tree.Length) else found
-            case tree.BuiltinCall(builtin=builtin, arguments=(value,)) if builtin.name in _SAME:
+                return self.lengths(left) if isinstance(left, tree.Length) else buffers
+            case tree.BuiltinCall(builtin=builtin, arguments=(value,)) if builtin.name in _IDENTITIES:
                 return self.shorter(value)
             case tree.BuiltinCall(builtin=builtin, arguments=arguments) if builtin.name in ("min", "clamp"):
-                return found.union(
-                    *(self.shorter(one) for one in (arguments[0], arguments[-1])[builtin.name == "clamp" :])
+                return buffers.union(
+                    *(self.shorter(argument) for argument in (arguments[0], arguments[-1])[builtin.name == "clamp" :])
                 )
             case tree.Convert(type=type, value=value) if {type, value.type} == {INT, UINT} and self.range(value)[
                 0
             ] >= 0:
                 return self.shorter(value)
             case tree.Read(local=local) if local in self.values and isinstance(self.values[local], tree.BuiltinCall):
-                return found | self.shorter(self.values[local])
-        return found
+                return buffers | self.shorter(self.values[local])
+        return buffers
 
     # -- values
 
     def range(self, node: Expression) -> Range:
-        """Return the range of a value, and mark the indices in it; a value that is no int has none that matters."""
-        found = self.visit(node)
+        """Return the range of an int value, and mark the indices in it. Ranges of other values are
+        meaningless."""
+        values = self.visit(node)
         low, high = _ALL.get(node.type, (0, 0))
-        if found is None or found[0] < low or found[1] > high:
-            found = low, high
+        if values is None or values[0] < low or values[1] > high:
+            values = low, high
         key = self.key(node)
         if key in self.narrowed:
             low, high = self.narrowed[key]
-            found = max(low, found[0]), min(high, found[1])
-        return found if found[0] <= found[1] else (low, high)  # unreachable
+            values = max(low, values[0]), min(high, values[1])
+        return values if values[0] <= values[1] else (low, high)  # unreachable
 
     def visit(self, node: Expression) -> Range | None:
         match node:
@@ -215,7 +219,7 @@ class _Prover:
             case tree.Read(local=local):
                 return self.ranges.get(local)
             case tree.Length():
-                return 1, _MOST  # no buffer is empty
+                return 1, _MAX_INT  # no buffer is empty
             case tree.Index():
                 self.index(node)
                 return None
@@ -233,13 +237,13 @@ class _Prover:
                         ranges.append(self.range(branch))
                 return _join(*ranges)
             case tree.Convert(value=value):
-                found = self.range(value)
-                return found if value.type in _ALL else None
+                values = self.range(value)
+                return values if value.type in _ALL else None
             case tree.Call(function=function, arguments=arguments):
                 for parameter, argument in zip(function.parameters, arguments, strict=True):
-                    found = self.range(argument)
+                    values = self.range(argument)
                     if not parameter.writes:
-                        self.ranges[parameter] = _join(found, self.ranges.get(parameter, found))
+                        self.ranges[parameter] = _join(values, self.ranges.get(parameter, values))
                 return None
             case tree.BuiltinCall(builtin=builtin, arguments=arguments):
                 return self.builtin(builtin.name, [self.range(argument) for argument in arguments])
@@ -257,8 +261,8 @@ class _Prover:
         else:
             inside = low >= 0 and high < count_elements(base.type)
         # An expression may be in several places (`a[i] += 1`, `0 < a[i] < 5`), and must be inside in each.
-        node.inside = inside and (node.inside or node not in self.met)
-        self.met.add(node)
+        node.inside = inside and (node.inside or node not in self.visited)
+        self.visited.add(node)
 
     def component(self, base: Expression, which: int) -> Range | None:
         """Return the range of a component of an input of the stage."""
@@ -266,16 +270,16 @@ class _Prover:
             base = self.values[base.local]
         if isinstance(base, tree.BuiltinCall) and base.builtin.name == "local_id":
             return 0, self.work_group[which] - 1
-        return (0, _MOST) if isinstance(base, tree.BuiltinCall) and base.builtin.name in _COUNTED else None
+        return (0, _MAX_INT) if isinstance(base, tree.BuiltinCall) and base.builtin.name in _INDEX_BUILTINS else None
 
-    def builtin(self, name: str, given: list[Range]) -> Range | None:
-        if name in _COUNTED:
-            return 0, _MOST
-        match name, given:
+    def builtin(self, name: str, arguments: list[Range]) -> Range | None:
+        if name in _INDEX_BUILTINS:
+            return 0, _MAX_INT
+        match name, arguments:
             case "local_index", _:
                 return 0, self.work_group[0] * self.work_group[1] * self.work_group[2] - 1
-            case (("uniform" | "unchecked"), [one]):
-                return one
+            case (("uniform" | "unchecked"), [argument]):
+                return argument
             case "min", [a, b]:
                 return min(a[0], b[0]), min(a[1], b[1])
             case "max", [a, b]:
@@ -292,21 +296,21 @@ class _Prover:
 
     def binary(self, node: tree.Binary) -> Range | None:
         chain = tree.left_chain(node)  # may be longer than Python's recursion limit
-        found = self.range(chain[0].left)
-        for one in chain:
-            if one.operator in (Operator.AND, Operator.OR):
+        left = self.range(chain[0].left)
+        for link in chain:
+            if link.operator in (Operator.AND, Operator.OR):
                 with self.scope():
-                    self.assume(one.left, one.operator is Operator.AND)
-                    self.range(one.right)
+                    self.assume(link.left, link.operator is Operator.AND)
+                    self.range(link.right)
                 continue
-            result = _operate(one.operator, found, self.range(one.right))
-            low, high = _ALL.get(one.type, (0, 0))
-            found = (low, high) if result is None or result[0] < low or result[1] > high else result
-        return found
+            result = _operate(link.operator, left, self.range(link.right))
+            low, high = _ALL.get(link.type, (0, 0))
+            left = (low, high) if result is None or result[0] < low or result[1] > high else result
+        return left
 
 
-def _join(one: Range, other: Range) -> Range:
-    return min(one[0], other[0]), max(one[1], other[1])
+def _join(first: Range, second: Range) -> Range:
+    return min(first[0], second[0]), max(first[1], second[1])
 
 
 def _operate(operator: Operator, a: Range, b: Range) -> Range | None:
@@ -325,7 +329,7 @@ def _operate(operator: Operator, a: Range, b: Range) -> Range | None:
         case Operator.MODULO if b[0] >= 0:
             return 0, min(max(b[1] - 1, 0), a[1] if a[0] >= 0 else b[1])
         case Operator.BIT_AND if a[0] >= 0 or b[0] >= 0:
-            return 0, min(one[1] for one in (a, b) if one[0] >= 0)
+            return 0, min(factor[1] for factor in (a, b) if factor[0] >= 0)
         case Operator.BIT_OR | Operator.BIT_XOR if a[0] >= 0 and b[0] >= 0:
             return 0, 2 ** max(a[1].bit_length(), b[1].bit_length()) - 1
         case Operator.SHIFT_LEFT if 0 <= b[0] == b[1] < 32:

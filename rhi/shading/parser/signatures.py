@@ -21,7 +21,7 @@ from rhi.shading.language.vectors import Array, ReadOnlyArray
 
 @dataclass(frozen=True, slots=True)
 class UnsizedArray:
-    """The type of an array parameter. It accepts arrays of any length; the function is compiled for each."""
+    """The type of an array parameter without a length; the function is compiled for each length."""
 
     element: Type
 
@@ -50,14 +50,14 @@ class Signature:
 
 
 def signature_of(source: Source, is_method: bool) -> Signature:
-    """Return the signature of a function, or refuse the parameter that is wrong."""
+    """Return the signature of a function, or refuse its first invalid parameter."""
     arguments = source.node.args
     for extra in (arguments.vararg, arguments.kwarg):
         if extra is not None:
             source.refuse(rules.SYNTAX, extra, f"*{extra.arg}", "named parameters")
     positional = [*arguments.posonlyargs, *arguments.args]
-    given = source.function.__defaults__ or ()
-    defaults: list[Any] = [*[MISSING] * (len(positional) - len(given)), *given]
+    own_defaults = source.function.__defaults__ or ()
+    defaults: list[Any] = [*[MISSING] * (len(positional) - len(own_defaults)), *own_defaults]
     named = [*positional, *arguments.kwonlyargs]
     by_name = source.function.__kwdefaults__ or {}
     defaults += [by_name.get(argument.arg, MISSING) for argument in arguments.kwonlyargs]
@@ -69,10 +69,10 @@ def signature_of(source: Source, is_method: bool) -> Signature:
     parameters = []
     for argument, default in zip(named, defaults, strict=True):
         host = _annotation(source, argument.arg, argument, argument.annotation)
-        wanted = _parameter_type(host)
-        if wanted is None:
+        parameter_type = _parameter_type(host)
+        if parameter_type is None:
             _refuse(source, argument.annotation or argument, host)
-        parameters.append(FunctionParameter(argument.arg, wanted, host, default))
+        parameters.append(FunctionParameter(argument.arg, parameter_type, host, default))
     node = source.node
     host = _annotation(source, "return", node, node.returns)
     result: Type | None = VOID if host is None or host is type(None) else value_type(host)
@@ -88,12 +88,12 @@ def _annotation(source: Source, name: str, at: ast.AST, node: ast.expr | None) -
     return evaluate_annotation(source, node, source.function.__annotations__.get(name, MISSING))
 
 
-def evaluate_annotation(source: Source, node: ast.expr, known: Any = MISSING) -> Any:
-    """Return the object that an annotation names: `known` unless that is a string or missing."""
-    if known is not MISSING and not isinstance(known, str):
-        return known
+def evaluate_annotation(source: Source, node: ast.expr, annotation: Any = MISSING) -> Any:
+    """Return the object that an annotation names: `annotation` unless that is a string or missing."""
+    if annotation is not MISSING and not isinstance(annotation, str):
+        return annotation
     try:
-        return source.scope.evaluate(known if isinstance(known, str) else ast.unparse(node))
+        return source.scope.evaluate(annotation if isinstance(annotation, str) else ast.unparse(node))
     except NameError as error:
         source.refuse(
             rules.UNKNOWN_NAME,
@@ -124,9 +124,13 @@ def _refuse(source: Source, at: ast.AST, host: Any) -> NoReturn:
     source.refuse(rules.ANNOTATION, at, getattr(host, "__name__", repr(host)), allowed, tip)
 
 
-def fits(parameter: Type | UnsizedArray, given: Type) -> bool:
+def fits(parameter: Type | UnsizedArray, argument: Type) -> bool:
     """Return whether an array parameter accepts an argument of this type."""
-    return isinstance(parameter, UnsizedArray) and isinstance(given, ArrayType) and given.element == parameter.element
+    return (
+        isinstance(parameter, UnsizedArray)
+        and isinstance(argument, ArrayType)
+        and argument.element == parameter.element
+    )
 
 
 def struct_class(host: Any) -> type[Struct] | None:
@@ -146,20 +150,20 @@ class Callee:
     def signature(self) -> Signature:
         """The function's signature. Its annotations are read once, unless a struct changes."""
         source = self.source
-        if source.signature is None or source.signature[1] != source.reading:
-            source.signature = signature_of(source, self.owner is not None and self.has_self), source.reading
-        known: Signature = source.signature[0]
-        return known
+        if source.signature is None or source.signature[1] != source.generation:
+            source.signature = signature_of(source, self.owner is not None and self.has_self), source.generation
+        cached: Signature = source.signature[0]
+        return cached
 
 
 def find_method(shader: type[Shader], name: str, after: type | None = None) -> Callee | None:
-    """Return a method from the first class of the shader's MRO, behind `after`, that defines it; None if none does."""
+    """Return a method from the first class of the shader's MRO (after `after`) that defines it, or None."""
     classes = shader.__mro__
     start = classes.index(after) + 1 if after is not None else 0
     for cls in classes[start:]:
-        found = cls.__dict__.get(name)
-        has_self = not isinstance(found, staticmethod)
-        python = found.__func__ if isinstance(found, staticmethod) else found
+        method = cls.__dict__.get(name)
+        has_self = not isinstance(method, staticmethod)
+        python = method.__func__ if isinstance(method, staticmethod) else method
         if isinstance(python, FunctionType) and cls is not Shader:
             return Callee(source_of(python), cls, has_self)
     return None

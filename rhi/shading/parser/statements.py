@@ -23,21 +23,19 @@ from rhi.shading.language.builtins import SideEffect
 from rhi.shading.language.source import header_of, span_of
 from rhi.shading.language.types import VOID, Type, converts
 from rhi.shading.parser.blocks import BlockBuilder, Splice
-from rhi.shading.parser.context import FunctionParser, parses
+from rhi.shading.parser.context import FunctionParser
 from rhi.shading.parser.expressions import cast, check_size, check_target, check_value, combine
 from rhi.shading.parser.operators import convert
 from rhi.shading.parser.signatures import evaluate_annotation
 
 _LONGEST_CHAIN: Final = 8
-"""The most branches of an `if` that nest in each other in the tree."""
+"""The maximum nesting of `elif` branches in the tree."""
 
 
-@parses(ast.Pass)
 def parse_pass(parser: FunctionParser, node: ast.Pass) -> None:
     pass
 
 
-@parses(ast.Expr)
 def parse_expr(parser: FunctionParser, node: ast.Expr) -> None:
     if isinstance(node.value, ast.Constant) and (node.value.value is ... or isinstance(node.value.value, str)):
         return
@@ -54,37 +52,36 @@ def parse_expr(parser: FunctionParser, node: ast.Expr) -> None:
     parser.append(tree.Evaluate(span_of(node), value))
 
 
-@parses(ast.Assign)
 def parse_assignment(parser: FunctionParser, node: ast.Assign) -> None:
     if len(node.targets) != 1:
         parser.refuse(rules.SYNTAX, node, "several targets", "one target", "write one assignment for each")
     target = node.targets[0]
     if isinstance(target, ast.Tuple | ast.List):
-        _assign_together(parser, target, node)
+        _assign_tuple(parser, target, node)
         return
     if isinstance(target, ast.Name):
-        _assign_name(parser, target, parser.expression(node.value, _known_type(parser, target)), node)
+        _assign_name(parser, target, parser.expression(node.value, _current_type(parser, target)), node)
         return
     lvalue = _assignment_target(parser, target)
     parser.append(tree.Assign(span_of(node), lvalue, parser.converted(node.value, lvalue.type)))
 
 
-def _assign_together(parser: FunctionParser, target: ast.Tuple | ast.List, node: ast.Assign) -> None:
+def _assign_tuple(parser: FunctionParser, target: ast.Tuple | ast.List, node: ast.Assign) -> None:
     """Parse `a, b = b, a`: as in Python, all values are evaluated before the first target is assigned."""
     values = node.value.elts if isinstance(node.value, ast.Tuple | ast.List) else []
     if len(values) != len(target.elts) or any(isinstance(part, ast.Starred) for part in (*values, *target.elts)):
         allowed = f"{len(target.elts)} values, as in `a, b = b, a`"
         parser.refuse(rules.SYNTAX, node, ast.unparse(node.value), allowed, "write one assignment for each")
-    held: list[Expression] = []
+    parts: list[Expression] = []
     for part, source in zip(target.elts, values, strict=True):
-        value = parser.expression(source, _known_type(parser, part))
+        value = parser.expression(source, _current_type(parser, part))
         if not isinstance(value, Constant | tree.Zeros):
             check_value(parser, value, source)
             local = Local("value", value.type, writes=1)
             parser.append(tree.Declare(span_of(source), local, value))
             value = tree.Read(value.type, span_of(source), local)
-        held.append(value)
-    for part, value in zip(target.elts, held, strict=True):
+        parts.append(value)
+    for part, value in zip(target.elts, parts, strict=True):
         if isinstance(part, ast.Name):
             _assign_name(parser, part, value, node)
         elif isinstance(part, ast.Tuple | ast.List):
@@ -94,23 +91,22 @@ def _assign_together(parser: FunctionParser, target: ast.Tuple | ast.List, node:
             parser.append(tree.Assign(span_of(node), lvalue, parser.convert(value, lvalue.type, part)))
 
 
-def _known_type(parser: FunctionParser, target: ast.expr) -> Type | None:
-    """Return the type of the variable that a target names, None if it is new or no variable."""
-    known = parser.variables.get(target.id) if isinstance(target, ast.Name) else None
-    return known.local.type if known is not None else None
+def _current_type(parser: FunctionParser, target: ast.expr) -> Type | None:
+    """Return the type of the variable that a target names; None if it is new or isn't a variable."""
+    variable = parser.variables.get(target.id) if isinstance(target, ast.Name) else None
+    return variable.local.type if variable is not None else None
 
 
-@parses(ast.AnnAssign)
 def parse_annotated(parser: FunctionParser, node: ast.AnnAssign) -> None:
     if not isinstance(node.target, ast.Name) or node.value is None:
         parser.refuse(rules.SYNTAX, node, "an annotation without a value", "name: type = value")
-    wanted = value_type(evaluate_annotation(parser.source, node.annotation))
-    if wanted is None:
+    type = value_type(evaluate_annotation(parser.source, node.annotation))
+    if type is None:
         value = parser.expression(node.value)
         if not isinstance(value, tree.Zeros):
             parser.refuse(rules.ANNOTATION, node.annotation, ast.unparse(node.annotation), "a value type")
     else:
-        value = parser.converted(node.value, wanted)
+        value = parser.converted(node.value, type)
     _assign_name(parser, node.target, value, node)
 
 
@@ -142,7 +138,6 @@ def _assign_name(parser: FunctionParser, target: ast.Name, value: Expression, no
     parser.append(statement)
 
 
-@parses(ast.AugAssign)
 def parse_augmented(parser: FunctionParser, node: ast.AugAssign) -> None:
     target = _assignment_target(parser, node.target)
     if tree.has_effect(target):
@@ -168,17 +163,18 @@ def _assignment_target(parser: FunctionParser, node: ast.expr) -> Expression:
 # -- control flow
 
 
-@parses(ast.If)
 def parse_if(parser: FunctionParser, node: ast.If) -> None:
-    """Parse a chain of `if`, `elif` and `else`, however long: after `_LONGEST_CHAIN` branches it goes on behind the
-    statement, under a condition that says that no branch was taken."""
+    """Parse a chain of `if`, `elif` and `else` of any length.
+
+    After `_LONGEST_CHAIN` branches the chain continues in a new statement, under the condition that no branch
+    was taken."""
     before, reachable, depth = set(parser.assigned), parser.reachable, len(parser.blocks)
     chain = [node]
     while len(chain[-1].orelse) == 1 and isinstance(chain[-1].orelse[0], ast.If):
         chain.append(chain[-1].orelse[0])
     pending = Local("pending", BOOL, writes=2) if len(chain) > _LONGEST_CHAIN else None
-    ends: list[set[Local]] = []  # the assigned locals wherever a branch is left at its end
-    decided = False  # by a condition that is constant and true
+    ends: list[set[Local]] = []  # the assigned locals at each branch's end that is reached
+    decided = False  # a condition is constant and true
 
     def branch(statements: list[ast.stmt], taken: bool) -> None:
         if parser.is_lean and not taken:
@@ -222,7 +218,7 @@ def parse_if(parser: FunctionParser, node: ast.If) -> None:
 
 
 def _continue_chain(parser: FunctionParser, arm: ast.If, pending: Local, depth: int) -> None:
-    """Begin the next part of a long chain of branches: inside an `if` for its own part, behind those before."""
+    """Begin the next part of a long chain: an `if` of its own after the parts before it."""
     read, span = tree.Read(BOOL, span_of(arm), pending), header_of(arm)
     if len(parser.blocks) == depth:
         parser.append(tree.Declare(span, pending, Constant(BOOL, span, False)))
@@ -235,7 +231,6 @@ def _continue_chain(parser: FunctionParser, arm: ast.If, pending: Local, depth: 
     parser.append(tree.Assign(span, tree.Read(BOOL, span, pending), Constant(BOOL, span, False)))
 
 
-@parses(ast.While)
 def parse_while(parser: FunctionParser, node: ast.While) -> None:
     _no_else(parser, node)
     condition = parser.condition(node.test)
@@ -253,7 +248,6 @@ def parse_while(parser: FunctionParser, node: ast.While) -> None:
     parser.append(tree.While(header_of(node), condition, body))
 
 
-@parses(ast.For)
 def parse_for(parser: FunctionParser, node: ast.For) -> None:
     _no_else(parser, node)
     if not isinstance(node.target, ast.Name):
@@ -306,7 +300,6 @@ def _no_else(parser: FunctionParser, node: ast.For | ast.While) -> None:
         parser.refuse(rules.SYNTAX, node.orelse[0], "else of a loop", tip="set a flag before break")
 
 
-@parses(ast.Break)
 def parse_break(parser: FunctionParser, node: ast.Break) -> None:
     if parser.reachable and not parser.untaken:
         parser.breaks[-1].append(set(parser.assigned))
@@ -314,13 +307,11 @@ def parse_break(parser: FunctionParser, node: ast.Break) -> None:
     parser.append(tree.Break(span_of(node)))
 
 
-@parses(ast.Continue)
 def parse_continue(parser: FunctionParser, node: ast.Continue) -> None:
     parser.reachable = False
     parser.append(tree.Continue(span_of(node)))
 
 
-@parses(ast.Return)
 def parse_return(parser: FunctionParser, node: ast.Return) -> None:
     result = parser.function.result
     value = None

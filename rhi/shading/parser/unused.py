@@ -1,7 +1,7 @@
-"""A check for unused bindings: every draw has to bind them, and each occupies a slot of the device.
+"""The check for unused bindings, which every draw would have to bind and which occupy slots of the device.
 
 It warns, since a line that is commented out for a moment must not stop a program whose shaders are reloaded; a test
-asks for a refusal (`compile_shader(…, strict=True)`).
+requests a refusal (`compile_shader(…, strict=True)`).
 
 A binding counts as used if any method of the shader or of its bases names it, even in a branch that a constant
 condition removes: a variant of a shader keeps the bindings of the whole. Only bindings that the class itself declares
@@ -16,19 +16,22 @@ from collections.abc import Iterable
 from types import FunctionType
 from typing import Any
 
-from rhi.errors import CallSite, ShaderError, ShaderWarning
+from rhi.errors import ShaderError, ShaderWarning
+from rhi.errors.call_sites import CallSite
 from rhi.shading.language import rules
 from rhi.shading.language.function import NATIVE
 from rhi.shading.language.shader import Shader
 from rhi.shading.language.source import SourceSpan, show, source_of, span_of
 
 _warned: dict[Any, Any] = {}
-"""What `warnings` keeps of the lines that it has warned of."""
+"""The registry in which `warnings` records the lines that it has warned of."""
 
 
-def find_unused(shader: type[Shader], used: frozenset[str]) -> tuple[ShaderError, ...]:
-    """Return `shading-unused-binding`, with the line of the declaration, for each binding that no method names; `used`
-    are the bindings that the shader's stages read or write."""
+def collect_unused_bindings(shader: type[Shader], used: frozenset[str]) -> tuple[ShaderError, ...]:
+    """Return an error `shading-unused-binding`, with the line of the declaration, for each binding that no
+    method names.
+
+    `used` are the bindings that the shader's stages read or write."""
     own = [name for name in shader._declared if name in vars(shader).get("__annotations__", {}) or name in vars(shader)]
     unused = [name for name in own if name not in used]
     if not unused:
@@ -40,25 +43,25 @@ def find_unused(shader: type[Shader], used: frozenset[str]) -> tuple[ShaderError
     if any(hasattr(method, NATIVE) for method in methods):
         return ()  # the bindings that a native text uses aren't known
     named = {name for method in methods for name in _named(method)}
-    found = []
+    errors = []
     for name in unused:
         if name not in named:
             file, span = _declaration(shader, methods[0], name)
             call = f"class {shader.__name__}: {name}\n{show(file, span)}"
             site = CallSite(str(file), span.line, shader.__qualname__)
-            found.append(ShaderError(rules.UNUSED_BINDING, call, f"{name} is never used", site=site))
-    return tuple(found)
+            errors.append(ShaderError(rules.UNUSED_BINDING, call, f"{name} is never used", site=site))
+    return tuple(errors)
 
 
 def warn_of_unused(unused: Iterable[ShaderError]) -> None:
-    """Warn of each, once for a line."""
+    """Warn of each unused binding, once for each line."""
     for error in unused:
         assert error.site is not None
         warnings.warn_explicit(str(error), ShaderWarning, error.site.file, error.site.line, registry=_warned)
 
 
 def _named(method: FunctionType) -> set[str]:
-    """Return the attributes of its first parameter that a method names."""
+    """Return the names of the attributes that a method reads from its first parameter."""
     node = source_of(method).node
     own = node.args.args[0].arg if node.args.args else "self"
     return {

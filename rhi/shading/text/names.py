@@ -16,23 +16,23 @@ class Names:
         self._taken: set[str] = set()
         self._parent = parent
 
-    def get(self, key: Hashable, wanted: str) -> str:
-        """Return the name of `key`. If it has none yet, derive one from `wanted`, made legal and unique."""
-        known = self.find(key)
-        if known is None:
-            base = self.legal(wanted)
-            known, count = base, 1
-            while self._is_taken(known):
+    def get(self, key: Hashable, preferred: str) -> str:
+        """Return the name of `key`. If it has none yet, derive one from `preferred`, made legal and unique."""
+        name = self.find(key)
+        if name is None:
+            base = self.legal(preferred)
+            name, count = base, 1
+            while self._is_taken(name):
                 count += 1
-                known = f"{base.rstrip('_')}_{count}"
-            self._by_key[key] = known
-            self._taken.add(known)
-        return known
+                name = f"{base.rstrip('_')}_{count}"
+            self._by_key[key] = name
+            self._taken.add(name)
+        return name
 
     def find(self, key: Hashable) -> str | None:
         """Return the name of `key`, or None."""
-        known = self._by_key.get(key)
-        return known if known is not None or self._parent is None else self._parent.find(key)
+        name = self._by_key.get(key)
+        return name if name is not None or self._parent is None else self._parent.find(key)
 
     def _is_taken(self, name: str) -> bool:
         return name in self._taken or (self._parent is not None and self._parent._is_taken(name))

@@ -52,19 +52,19 @@ def _lines() -> Iterator[str]:
             yield f"| `{name}` | of floats{_domain(error)} | {' | '.join(_numbers(error))} |"
 
 
-def _form(row: Builtin) -> str:
+def _form(builtin: Builtin) -> str:
     """Return the row's signatures in the form `name(F, F) -> F`, separated by line breaks."""
     forms = []
-    for signature in row.form.split(";"):
+    for signature in builtin.form.split(";"):
         result, _, rest = signature.strip().partition("(")
         parameters = ", ".join(part.strip().rstrip("&") for part in rest.rstrip(")").split(","))
-        forms.append(f"{row.name}({parameters})" + (f" -> {result}" if result != "None" else ""))
+        forms.append(f"{builtin.name}({parameters})" + (f" -> {result}" if result != "None" else ""))
     return "`<br>`".join(forms)
 
 
-def _errors(row: Builtin) -> list[str]:
-    no_error = not row.overloads[0].parameters or row.effect is not SideEffect.NONE or len(row.stages) == 1
-    return ["", "", "", ""] if no_error else _numbers(row.error)
+def _errors(builtin: Builtin) -> list[str]:
+    no_error = not builtin.overloads[0].parameters or builtin.effect is not SideEffect.NONE or len(builtin.stages) == 1
+    return ["", "", "", ""] if no_error else _numbers(builtin.error)
 
 
 def _numbers(error: ErrorBound) -> list[str]:

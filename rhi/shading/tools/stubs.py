@@ -278,6 +278,7 @@ def _textures() -> Iterator[str]:
     vectors = sorted(str(VECTORS[scalar, size]) for scalar in (FLOAT, INT, UINT) for size in (2, 3, 4))
     yield f"from rhi.shading.language.vectors import {', '.join(vectors)}\n"
     yield f"__all__ = {sorted(textures.__all__)!r}\n"
+    yield "METHOD_NAMES: frozenset[str]"
     yield "def methods_of(type: TextureType | ImageType) -> dict[str, Builtin]: ...\n"
     yield "class SampledTexture:\n    shading_type: TextureType\n"
     yield "class StorageImage:\n    kind: TextureKind\n    scalar: ScalarType\n"

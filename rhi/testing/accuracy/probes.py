@@ -1,7 +1,7 @@
 """Probes: single built-ins and operators, as functions on arrays and as compute shaders, with their arguments.
 
 - A probe's shaders read the words of its arguments from a buffer and write the words of its result to another, so that
-  all languages compute from the same bits. `sample` and `hard` generate the arguments.
+  all languages compute from the same bits. `sample` and `hard_inputs` generate the arguments.
 - Float64 is the reference. It has 29 bits more than float32, so its own error of one or two units in the last place is
   1e-8 of a float32's unit.
 """
@@ -31,7 +31,7 @@ BoundName = Literal["glsl", "exact", "fast", "numpy"]
 
 WORK_GROUP: Final = 64
 PASSES: Final = 32
-"""Number of times that a probe's `Often` reads its arguments."""
+"""Number of times that a probe's `Repeated` reads its arguments."""
 
 _FROM_WORD: Final = {FLOAT: "uint_bits_to_float({})", INT: "int({})", UINT: "{}", BOOL: "({} != 0)"}
 _TO_WORD: Final = {
@@ -106,13 +106,13 @@ class Probe:
     def _namespace(self) -> dict[str, Any]:
         names = "abcd"[: len(self.parameters)]
         declared = ", ".join(f"{name}: {type}" for name, type in zip(names, self.parameters, strict=True))
-        total, at, given = len(self.kinds), 0, []
+        total, at, inputs = len(self.kinds), 0, []
         for type in self.parameters:
-            words = [f"self.given[row * {total} + {at + k}]" for k in range(_size(type))]
+            words = [f"self.inputs[row * {total} + {at + k}]" for k in range(_size(type))]
             texts = [_FROM_WORD[scalar_kind(type)].format(word) for word in words]
-            given.append(texts[0] if isinstance(type, ScalarType) else f"{type}({', '.join(texts)})")
+            inputs.append(texts[0] if isinstance(type, ScalarType) else f"{type}({', '.join(texts)})")
             at += len(words)
-        loads = [f"{name} = {text}" for name, text in zip(names, given, strict=True)]
+        loads = [f"{name} = {text}" for name, text in zip(names, inputs, strict=True)]
         kind, results = scalar_kind(self.result), _parts(self.result, "r")
         stores = [
             f"self.results[row * {len(results)} + {k}] = {_TO_WORD[kind].format(part)}"
@@ -132,14 +132,14 @@ class Probe:
                 f"    return {self.expression}",
                 "class Buffers(Shader):",
                 f"    work_group = ({WORK_GROUP},)",
-                "    given: Storage[uint]",
+                "    inputs: Storage[uint]",
                 "    results: StorageRW[uint]",
-                "class Once(Buffers):",
+                "class Single(Buffers):",
                 "    def compute(self) -> None:",
                 "        row = global_id().x",
                 *(f"        {line}" for line in [*loads, *call, *stores]),
-                *_repeat("Often", total, [*loads, *call, f"total += {summed}"]),
-                *_repeat("Idle", total, [*loads, f"total += {idle}"]),
+                *_repeat("Repeated", total, [*loads, *call, f"total += {summed}"]),
+                *_repeat("Baseline", total, [*loads, f"total += {idle}"]),
             ]
         )
         space = {**vars(rhi.shading), "__name__": __name__}
@@ -148,22 +148,22 @@ class Probe:
         exec(compile(source, name, "exec", dont_inherit=True), space)
         return space
 
-    def shader(self, variant: str = "Once", precision: Precision = Precision.EXACT) -> type[Shader]:
+    def shader(self, variant: str = "Single", precision: Precision = Precision.EXACT) -> type[Shader]:
         """Return one of the probe's compute shaders.
 
         Args:
-            variant: `Once` computes a result for each row of `given`. `Often` sums many results and `Idle` only their
-                arguments, so that the difference of their times is the time of the calls.
+            variant: `Single` computes a result for each row of `inputs`. `Repeated` sums many results and `Baseline`
+                only their arguments, so that the difference of their times is the time of the calls.
             precision: the precision of the shader.
         """
         shader: type[Shader] = self._namespace[variant]
         return with_precision(shader, precision)
 
-    def evaluate(self, given: Array, dtype: Any) -> Array:
+    def evaluate(self, inputs: Array, dtype: Any) -> Array:
         """Evaluate words (n, words) on NumPy; returns numbers (n, components)."""
-        columns = self.columns(given).values()
+        columns = self.columns(inputs).values()
         values = [part.reshape(-1, *shape_of(type)) for part, type in zip(columns, self.parameters, strict=True)]
-        return np.asarray(evaluate(self._namespace["probe"], *values, dtype=dtype)).reshape(len(given), -1)
+        return np.asarray(evaluate(self._namespace["probe"], *values, dtype=dtype)).reshape(len(inputs), -1)
 
     def numbers(self, words: Array) -> Array:
         """Return the words of results, (n, components), as numbers."""
@@ -172,7 +172,7 @@ class Probe:
 
     # -- arguments
 
-    def columns(self, given: Array) -> dict[str, Array]:
+    def columns(self, inputs: Array) -> dict[str, Array]:
         """Return the arguments as numbers by name.
 
         A scalar is (n,), a vector (n, components), a matrix (n, rows · columns).
@@ -180,31 +180,31 @@ class Probe:
         result, at = {}, 0
         for name, type in zip("abcd", self.parameters, strict=False):
             size, kind = _size(type), scalar_kind(type)
-            part = np.ascontiguousarray(given[:, at : at + size])
+            part = np.ascontiguousarray(inputs[:, at : at + size])
             numbers = part != 0 if kind is BOOL else part.view(_DTYPES[kind])
             result[name] = numbers[:, 0] if isinstance(type, ScalarType) else numbers
             at += size
         return result
 
-    def is_defined(self, given: Array) -> Array:
+    def is_defined(self, inputs: Array) -> Array:
         """Whether the result is defined, for each row of words."""
         if not self.error.defined:
-            return np.ones(len(given), bool)
+            return np.ones(len(inputs), bool)
         with np.errstate(all="ignore"):
-            columns = {name: values.astype(np.float64) for name, values in self.columns(given).items()}
+            columns = {name: values.astype(np.float64) for name, values in self.columns(inputs).items()}
             defined: Array = eval(self.error.defined, {"np": np}, columns)
         return defined
 
-    def is_in_domain(self, given: Array) -> Array:
+    def is_in_domain(self, inputs: Array) -> Array:
         """Whether all floats of a row lie within the domain of the stated error; a NaN does not."""
-        inside = np.ones(len(given), bool)
-        for number, values in enumerate(self.columns(given).values()):
+        inside = np.ones(len(inputs), bool)
+        for number, values in enumerate(self.columns(inputs).values()):
             if values.dtype == np.float32:
                 low, high = self.error.domain[min(number, len(self.error.domain) - 1)]
                 fits = (values >= low) & (values <= high)
                 if self.error.of_arguments:
                     fits &= (values == 0) | (np.abs(values) >= SMALLEST)
-                inside &= fits.reshape(len(given), -1).all(axis=1)
+                inside &= fits.reshape(len(inputs), -1).all(axis=1)
         return inside
 
     def sample(self, count: int, seed: int = 0) -> Array:
@@ -227,14 +227,14 @@ class Probe:
                 columns.append(_sample(scalar_kind(type), low, high, count, rng))
         return np.stack(columns, axis=1)
 
-    def hard(self) -> Array:
+    def hard_inputs(self) -> Array:
         """Generate words (n, words) of hard numbers: all combinations for up to two words, random ones for more."""
-        hard = [_hard(kind) for kind in self.kinds]
-        if len(hard) <= 2:
-            rows = list(itertools.product(*hard))
-            return np.array(rows, np.uint32).reshape(len(rows), len(hard))
-        rng = np.random.default_rng(len(hard))
-        return np.stack([rng.choice(column, 4096) for column in hard], axis=1)
+        hard_inputs = [_hard(kind) for kind in self.kinds]
+        if len(hard_inputs) <= 2:
+            rows = list(itertools.product(*hard_inputs))
+            return np.array(rows, np.uint32).reshape(len(rows), len(hard_inputs))
+        rng = np.random.default_rng(len(hard_inputs))
+        return np.stack([rng.choice(column, 4096) for column in hard_inputs], axis=1)
 
 
 def with_precision(shader: type[Shader], precision: Precision) -> type[Shader]:
@@ -253,7 +253,7 @@ def _repeat(name: str, words: int, lines: Sequence[str]) -> list[str]:
         "        count = len(self.results)",
         *(f"        total{k} = 0.0" for k in range(4)),
         f"        for _ in range({PASSES}):",
-        f"            for turn in range(0, len(self.given) // (count * {words}), 4):",
+        f"            for turn in range(0, len(self.inputs) // (count * {words}), 4):",
         *(
             f"                {line.replace('total', f'total{k}')}"
             for k in range(4)
@@ -290,7 +290,7 @@ def _sample(kind: ScalarType, low: float, high: float, count: int, rng: np.rando
 # -- errors ------------------------------------------------------------------------------------------------
 
 
-def count_units(probe: Probe, given: Array, results: Array) -> Array:
+def count_units(probe: Probe, inputs: Array, results: Array) -> Array:
     """Return the errors of results, (n, components), in the units of the error bound.
 
     - A unit is one unit in the last place (ulp) of the exact float32. For a built-in that is made from others it is the
@@ -300,19 +300,19 @@ def count_units(probe: Probe, given: Array, results: Array) -> Array:
       may also equal the result of float32: a pack rounds a product.
     """
     if scalar_kind(probe.result) is not FLOAT:
-        same = [results == probe.evaluate(given, dtype) for dtype in (np.float64, np.float32)]
+        same = [results == probe.evaluate(inputs, dtype) for dtype in (np.float64, np.float32)]
         return np.where(same[0] | same[1], 0.0, np.inf)
-    off = _distance(probe, given, results)
-    flushed = _flush(probe, given)
+    off = _distance(probe, inputs, results)
+    flushed = _flush(probe, inputs)
     return off if flushed is None else np.minimum(off, _distance(probe, flushed, results))
 
 
-def _distance(probe: Probe, given: Array, results: Array) -> Array:
+def _distance(probe: Probe, inputs: Array, results: Array) -> Array:
     with np.errstate(all="ignore"):
-        exact, got = probe.evaluate(given, np.float64), results.astype(np.float64)
+        exact, got = probe.evaluate(inputs, np.float64), results.astype(np.float64)
         unit = np.spacing(np.clip(np.abs(exact), _SMALLEST_NORMAL, _LARGEST).astype(np.float32)).astype(np.float64)
         if probe.error.of_arguments:
-            unit = np.maximum(unit, _spread(probe, given, exact))
+            unit = np.maximum(unit, _spread(probe, inputs, exact))
         off = np.abs(got - exact)
         off = np.where(np.abs(exact) < _SMALLEST_NORMAL, np.minimum(off, np.abs(got)), off) / unit
         rounded = exact.astype(np.float32)
@@ -324,41 +324,41 @@ def _distance(probe: Probe, given: Array, results: Array) -> Array:
         )
 
 
-def _spread(probe: Probe, given: Array, exact: Array) -> Array:
+def _spread(probe: Probe, inputs: Array, exact: Array) -> Array:
     """Return the change of the result by a unit in the last place of each argument, summed over the arguments."""
     total = np.zeros_like(exact)
     for column, kind in enumerate(probe.kinds):
         if kind is FLOAT:
             changes = []
             for step in (1, -1):
-                moved = given.copy()
+                moved = inputs.copy()
                 moved[:, column] += np.uint32(step & 0xFFFFFFFF)
                 changes.append(np.nan_to_num(np.abs(probe.evaluate(moved, np.float64) - exact)))
             total += np.maximum(*changes)
     return total
 
 
-def _flush(probe: Probe, given: Array) -> Array | None:
+def _flush(probe: Probe, inputs: Array) -> Array | None:
     """Return the arguments with numbers below 2^-126 replaced by zeros; None if there are none."""
     floats = np.array([kind is FLOAT for kind in probe.kinds])
-    small = floats & ((given & 0x7F800000) == 0) & ((given & 0x7FFFFFFF) != 0)
-    return np.where(small, given & 0x80000000, given).astype(np.uint32) if small.any() else None
+    small = floats & ((inputs & 0x7F800000) == 0) & ((inputs & 0x7FFFFFFF) != 0)
+    return np.where(small, inputs & 0x80000000, inputs).astype(np.uint32) if small.any() else None
 
 
-def worst_units(probe: Probe, given: Array, results: Array, bound: BoundName) -> Array:
+def worst_units(probe: Probe, inputs: Array, results: Array, bound: BoundName) -> Array:
     """Return the largest error of each row's components, (n,), for comparison with `getattr(probe.error, bound)`.
 
     It is 0 for rows that the bound doesn't cover: without a defined result, or outside the domain.
     """
     error = probe.error
-    units = count_units(probe, given, results)
+    units = count_units(probe, inputs, results)
     if bound == "glsl" and error.glsl_absolute:
         with np.errstate(all="ignore"):
-            off = np.abs(results - probe.evaluate(given, np.float64))
+            off = np.abs(results - probe.evaluate(inputs, np.float64))
         units = np.where(off <= error.glsl_absolute, 0, units)
-    covered = probe.is_defined(given)
+    covered = probe.is_defined(inputs)
     if error.of_arguments or bound in ("glsl", "fast"):
-        covered &= probe.is_in_domain(given)
+        covered &= probe.is_in_domain(inputs)
     worst: Array = np.where(covered, units.max(axis=1), 0.0)
     return worst
 
@@ -378,15 +378,15 @@ def builtin_probes(row: Builtin) -> Iterator[Probe]:
     """
     if row.effect is not SideEffect.NONE or len(row.stages) == 1 or row.name in ("uniform", "broadcast_first"):
         return  # they return their argument only where all lanes have the same
-    chosen: dict[tuple[ScalarType, ...], tuple[tuple[HostType, ...], HostType]] = {}
+    signatures: dict[tuple[ScalarType, ...], tuple[tuple[HostType, ...], HostType]] = {}
     for overload in row.overloads:
         types: tuple[Any, ...] = tuple(parameter.type for parameter in overload.parameters)
         kinds = tuple(map(scalar_kind, types))
-        if kinds not in chosen or all(3 in shape_of(type) for type in types):
-            if kinds in chosen and not shape_of(chosen[kinds][0][0]):
+        if kinds not in signatures or all(3 in shape_of(type) for type in types):
+            if kinds in signatures and not shape_of(signatures[kinds][0][0]):
                 continue
-            chosen[kinds] = types, overload.result  # type: ignore[assignment]
-    for types, result in chosen.values():
+            signatures[kinds] = types, overload.result  # type: ignore[assignment]
+    for types, result in signatures.values():
         yield Probe(row.name, f"{row.name}({', '.join('abcd'[: len(types)])})", types, result, row.error)
 
 

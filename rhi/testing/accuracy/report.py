@@ -31,13 +31,13 @@ from rhi.errors import RhiError
 from rhi.shading import Precision
 from rhi.shading.language.builtins import BUILTINS
 from rhi.testing.accuracy.probes import PASSES, WORK_GROUP, BoundName, Probe, all_probes, count_units, worst_units
-from rhi.testing.accuracy.sample_probes import SAMPLE_PROBES, SHADERS, TURNS, SampleProbe
+from rhi.testing.accuracy.sample_probes import ITERATIONS, SAMPLE_PROBES, SHADERS, SampleProbe
 
 Array = NDArray[Any]
 
 SAMPLES: Final = 1 << 16
 REPEATS: Final = 15
-LEAST_NANOSECONDS: Final = 0.01
+MIN_NANOSECONDS: Final = 0.01
 _BOUNDS: Final[dict[tuple[str, Precision], BoundName]] = {
     ("gl", Precision.EXACT): "glsl",
     ("cl", Precision.EXACT): "exact",
@@ -66,7 +66,7 @@ class BuiltinAccuracy:
     median_ulp: float
     max_ulp: float
     bound_ulp: float
-    keeps: bool
+    is_within_bound: bool
     worst_input: list[float]
     nanoseconds: float
 
@@ -103,16 +103,19 @@ def _is_inexact(probe: Probe) -> bool:
 
 
 def _accuracy_of(
-    probe: Probe | SampleProbe, backend: str, precision: Precision, given: Array, results: Array, seconds: float
+    probe: Probe | SampleProbe, backend: str, precision: Precision, inputs: Array, results: Array, seconds: float
 ) -> BuiltinAccuracy:  # fmt: skip
     name = _BOUNDS[backend, precision]
     bound = getattr(probe.error, name)
     if isinstance(probe, SampleProbe):
-        units = probe.count_units(given, results)
-        keeps, columns = units <= bound, [given[:, :3]]
+        units = probe.count_units(inputs, results)
+        is_within_bound, columns = units <= bound, [inputs[:, :3]]
     else:
-        units = count_units(probe, given, results).max(axis=1)
-        keeps, columns = worst_units(probe, given, results, name) <= bound, list(probe.columns(given).values())
+        units = count_units(probe, inputs, results).max(axis=1)
+        is_within_bound, columns = (
+            worst_units(probe, inputs, results, name) <= bound,
+            list(probe.columns(inputs).values()),
+        )
     worst = int(units.argmax())
     return BuiltinAccuracy(
         str(probe),
@@ -121,7 +124,7 @@ def _accuracy_of(
         float(np.median(units)),
         float(units[worst]),
         float(bound),
-        bool(keeps.all()),
+        bool(is_within_bound.all()),
         [float(number) for column in columns for number in np.ravel(column[worst])],
         1e9 * max(seconds, 0.0) / SAMPLES,
     )
@@ -131,42 +134,42 @@ def _accuracy_of(
 
 
 def _on_numpy(probe: Probe | SampleProbe) -> tuple[Array, Array, float]:
-    given = probe.sample(SAMPLES)
-    (seconds,) = _shortest_times([lambda: probe.evaluate(given, np.float32)])
-    return given, probe.evaluate(given, np.float32), seconds
+    inputs = probe.sample(SAMPLES)
+    (seconds,) = _shortest_times([lambda: probe.evaluate(inputs, np.float32)])
+    return inputs, probe.evaluate(inputs, np.float32), seconds
 
 
 def _on_device(device: Device, probe: Probe | SampleProbe, precision: Precision) -> tuple[Array, Array, float]:
     if isinstance(probe, SampleProbe):
         return _sample_on_device(device, probe, precision)
-    given = probe.sample(SAMPLES)
+    inputs = probe.sample(SAMPLES)
     uint: Any = rhi.shading.uint
-    buffer = device.storage(uint, given.ravel())
-    size = probe.evaluate(given[:1], np.float32).shape[1]
+    buffer = device.storage(uint, inputs.ravel())
+    size = probe.evaluate(inputs[:1], np.float32).shape[1]
     results = device.storage(uint, SAMPLES * size)
-    once: Program[...] = device.program(probe.shader("Once", precision))
-    device.dispatch(once, SAMPLES // WORK_GROUP, given=buffer, results=results)
+    once: Program[...] = device.program(probe.shader("Single", precision))
+    device.dispatch(once, SAMPLES // WORK_GROUP, inputs=buffer, results=results)
     words = results.read().reshape(SAMPLES, size)
-    sums = device.storage(uint, SAMPLES // TURNS)
+    sums = device.storage(uint, SAMPLES // ITERATIONS)
     runs = []
-    for variant in ("Often", "Idle"):
+    for variant in ("Repeated", "Baseline"):
         program: Program[...] = device.program(probe.shader(variant, precision))
 
         def run(program: Program[...] = program) -> None:
-            device.dispatch(program, SAMPLES // TURNS // WORK_GROUP, given=buffer, results=sums)
+            device.dispatch(program, SAMPLES // ITERATIONS // WORK_GROUP, inputs=buffer, results=sums)
             device.finish()
 
         runs.append(run)
     often, idle = _shortest_times(runs)
-    return given, probe.numbers(words), (often - idle) / PASSES
+    return inputs, probe.numbers(words), (often - idle) / PASSES
 
 
 def _sample_on_device(device: Device, probe: SampleProbe, precision: Precision) -> tuple[Array, Array, float]:
-    given, levels, four = probe.sample(SAMPLES), probe.texture.levels, rhi.shading.vec4
+    inputs, levels, four = probe.sample(SAMPLES), probe.texture.levels, rhi.shading.vec4
     height, width = levels[0].shape[1:3]
     with (
         device.texture((width, height), probe.format, levels=len(levels)) as image,
-        device.storage(four, given) as at,
+        device.storage(four, inputs) as at,
         device.storage(four, SAMPLES) as results,
     ):
         for level, texels in enumerate(levels):
@@ -177,11 +180,11 @@ def _sample_on_device(device: Device, probe: SampleProbe, precision: Precision) 
         once_results = results.read()
 
         def run(program: Program[...]) -> None:
-            device.dispatch(program, SAMPLES // TURNS // WORK_GROUP, image=image, at=at, results=results)
+            device.dispatch(program, SAMPLES // ITERATIONS // WORK_GROUP, image=image, at=at, results=results)
             device.finish()
 
         sampled, read = _shortest_times([partial(run, often), partial(run, idle)])
-    return given, once_results, sampled - read
+    return inputs, once_results, sampled - read
 
 
 def _shortest_times(runs: Sequence[Callable[[], object]]) -> list[float]:
@@ -206,9 +209,9 @@ def write_table(rows: Sequence[BuiltinAccuracy]) -> str:
             " …" if len(row.worst_input) > 4 else ""
         )
         backend = f"{row.backend} {row.precision}".strip()
-        kept = "" if row.keeps else " **broken**"
+        mark = "" if row.is_within_bound else " **broken**"
         lines.append(
-            f"| `{row.builtin}` | {backend} | {row.median_ulp:.2g} | {row.max_ulp:.3g} | {row.bound_ulp:g}{kept} "
+            f"| `{row.builtin}` | {backend} | {row.median_ulp:.2g} | {row.max_ulp:.3g} | {row.bound_ulp:g}{mark} "
             f"| {worst} | {row.nanoseconds:.2f} |"
         )
     return "\n".join(lines)
@@ -222,7 +225,7 @@ def plot(rows: Sequence[BuiltinAccuracy], path: str | Path) -> None:
     from matplotlib.figure import Figure
 
     fast_names = {name for name, row in BUILTINS.items() if row.fast}
-    shown = [row for row in rows if row.builtin.partition("(")[0] in fast_names] or list(rows)
+    plotted = [row for row in rows if row.builtin.partition("(")[0] in fast_names] or list(rows)
     figure = Figure(figsize=(10, 6.5), layout="constrained")
     axes: Any = figure.add_subplot()
     styles = {
@@ -233,10 +236,10 @@ def plot(rows: Sequence[BuiltinAccuracy], path: str | Path) -> None:
     }
 
     def point(row: BuiltinAccuracy) -> tuple[float, float]:
-        return max(row.nanoseconds, LEAST_NANOSECONDS), max(row.max_ulp, 0.1)
+        return max(row.nanoseconds, MIN_NANOSECONDS), max(row.max_ulp, 0.1)
 
-    for number, name in enumerate(dict.fromkeys(row.builtin for row in shown)):
-        points = {(row.backend, row.precision): point(row) for row in shown if row.builtin == name}
+    for number, name in enumerate(dict.fromkeys(row.builtin for row in plotted)):
+        points = {(row.backend, row.precision): point(row) for row in plotted if row.builtin == name}
         if ("cl", "exact") in points and ("cl", "fast") in points:
             arrow = {"arrowstyle": "->", "color": "0.6", "shrinkA": 5, "shrinkB": 5}
             axes.annotate("", points["cl", "fast"], points["cl", "exact"], arrowprops=arrow, zorder=2)
@@ -244,11 +247,11 @@ def plot(rows: Sequence[BuiltinAccuracy], path: str | Path) -> None:
             text, offset = name.partition("(")[0], (5, -9 if number % 2 else 4)
             axes.annotate(text, at, offset, textcoords="offset points", fontsize=7, color="0.3")
     for key, (color, marker, label) in styles.items():
-        drawn = [point(row) for row in shown if (row.backend, row.precision) == key]
+        drawn = [point(row) for row in plotted if (row.backend, row.precision) == key]
         if drawn:
             axes.scatter(*zip(*drawn, strict=True), s=30, color=color, marker=marker, label=label, zorder=3)
     axes.set(xscale="log", yscale="log", ylabel="greatest error, units in the last place")
-    hidden = f"{LEAST_NANOSECONDS} and less: hidden behind reading the arguments"
+    hidden = f"{MIN_NANOSECONDS} and less: hidden behind reading the arguments"
     axes.set_xlabel(f"nanoseconds a call, all cores ({hidden})")
     axes.grid(True, which="major", alpha=0.3)
     axes.legend(loc="upper right")
@@ -288,4 +291,4 @@ def main(arguments: Sequence[str]) -> int:
         print(json.dumps({"rows": [dataclasses.asdict(row) for row in rows]}, indent=2))
     else:
         print(write_table(rows))
-    return 0 if all(row.keeps for row in rows) else 1
+    return 0 if all(row.is_within_bound for row in rows) else 1

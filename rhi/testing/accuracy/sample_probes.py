@@ -20,54 +20,55 @@ from rhi.testing.accuracy.probes import WORK_GROUP, with_precision
 
 Array = NDArray[Any]
 
-TURNS: Final = 64
+ITERATIONS: Final = 64
 """Number of samples per invocation in the timed shaders."""
 UNIT: Final = 2.0**-23
 """The unit of errors."""
 _SIZE: Final = 64  # texels along an edge
 
 
-class Once(Shader):
+class Single(Shader):
     """A shader that takes one sample per invocation."""
 
     work_group = (WORK_GROUP,)
     image: Texture2D
-    at: Storage[vec4]
+    coordinates: Storage[vec4]
     results: StorageRW[vec4]
 
     def compute(self) -> None:
         row = global_id().x
-        at = self.at[row]
-        self.results[row] = self.image.sample_lod(at.xy, at.z)
+        coordinates = self.coordinates[row]
+        self.results[row] = self.image.sample_lod(coordinates.xy, coordinates.z)
 
 
-class Often(Once):
-    """A shader that sums `TURNS` samples per invocation."""
+class Repeated(Single):
+    """A shader that sums `ITERATIONS` samples per invocation."""
 
     def compute(self) -> None:
         row = global_id().x
         total = vec4(0.0)
-        for turn in range(TURNS):
-            at = self.at[row * TURNS + turn]
-            total += self.image.sample_lod(at.xy, at.z)
+        for turn in range(ITERATIONS):
+            coordinates = self.coordinates[row * ITERATIONS + turn]
+            total += self.image.sample_lod(coordinates.xy, coordinates.z)
         self.results[row] = total
 
 
-class Idle(Once):
-    """A shader that sums the coordinates of `TURNS` samples instead, to measure the time of reading them."""
+class Baseline(Single):
+    """A shader that sums the coordinates of `ITERATIONS` samples instead, to measure the time of reading them."""
 
     def compute(self) -> None:
         row = global_id().x
         total = self.image.sample_lod(vec4(0.0).xy, 0.0)
-        for turn in range(TURNS):
-            total += self.at[row * TURNS + turn]
+        for turn in range(ITERATIONS):
+            total += self.coordinates[row * ITERATIONS + turn]
         self.results[row] = total
 
 
 SHADERS: Final = {
-    precision: tuple(with_precision(shader, precision) for shader in (Once, Often, Idle)) for precision in Precision
+    precision: tuple(with_precision(shader, precision) for shader in (Single, Repeated, Baseline))
+    for precision in Precision
 }
-"""`Once`, `Often` and `Idle` by their precision."""
+"""`Single`, `Repeated` and `Baseline` by their precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,29 +98,29 @@ class SampleProbe:
     def sample(self, count: int) -> Array:
         """Generate coordinates (count, 4) float32: u, v, level, and an unused one; every other level is whole."""
         rng = np.random.default_rng(1)
-        given = np.zeros((count, 4), np.float32)
-        given[:, :2] = rng.uniform(-1, 2, (count, 2))
-        given[:, 2] = rng.uniform(0, _SIZE.bit_length() - 1, count)
-        given[::2, 2] = np.rint(given[::2, 2])
-        return given
+        inputs = np.zeros((count, 4), np.float32)
+        inputs[:, :2] = rng.uniform(-1, 2, (count, 2))
+        inputs[:, 2] = rng.uniform(0, _SIZE.bit_length() - 1, count)
+        inputs[::2, 2] = np.rint(inputs[::2, 2])
+        return inputs
 
-    def evaluate(self, given: Array, dtype: type[np.floating[Any]]) -> Array:
+    def evaluate(self, inputs: Array, dtype: type[np.floating[Any]]) -> Array:
         """Sample on NumPy in float32 or float64; returns (n, 4)."""
-        u, v, lod, _ = given.T.astype(dtype)
+        u, v, lod, _ = inputs.T.astype(dtype)
         return np.stack(np.broadcast_arrays(*self.texture.sample(dtype, u, v, dtype(0), lod)), axis=1)
 
-    def count_units(self, given: Array, results: Array) -> Array:
+    def count_units(self, inputs: Array, results: Array) -> Array:
         """Return the largest error of each sample's components, (n,), relative to float64."""
-        worst: Array = np.abs(results - self.evaluate(given, np.float64)).max(axis=1)
+        worst: Array = np.abs(results - self.evaluate(inputs, np.float64)).max(axis=1)
         return worst / UNIT
 
 
-_WHOLE: Final = ErrorBound(glsl=32, exact=32, fast=32, numpy=32)  # mostly the rounding of the coordinates
+_FILTER_BOUND: Final = ErrorBound(glsl=32, exact=32, fast=32, numpy=32)  # mostly the rounding of the coordinates
 _SRGB_CURVE: Final = 11_000  # within 1.3e-3, a third of a stored step
 
 SAMPLE_PROBES: Final = (
-    SampleProbe(Format.RGBA8, replace(_WHOLE, glsl=1 << 16)),  # weights of 8 bits: 2/256
-    SampleProbe(Format.RGBA8_SRGB, replace(_WHOLE, glsl=_SRGB_CURVE, fast=_SRGB_CURVE)),
-    SampleProbe(Format.RGBA16F, _WHOLE),
-    SampleProbe(Format.R32F, _WHOLE),
+    SampleProbe(Format.RGBA8, replace(_FILTER_BOUND, glsl=1 << 16)),  # weights of 8 bits: 2/256
+    SampleProbe(Format.RGBA8_SRGB, replace(_FILTER_BOUND, glsl=_SRGB_CURVE, fast=_SRGB_CURVE)),
+    SampleProbe(Format.RGBA16F, _FILTER_BOUND),
+    SampleProbe(Format.R32F, _FILTER_BOUND),
 )

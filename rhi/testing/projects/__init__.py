@@ -18,7 +18,7 @@ from rhi.errors.rules import DEVICE_ARGUMENT
 KINDS: Final = {
     "game": ("a window, a camera that flies, fixed time steps, and a score", "rhi[viewer]"),
     "tool": ("a window, a camera that orbits, and a panel of widgets", "rhi[viewer]"),
-    "tests": ("pictures without a window, and tests of their commands and pixels", "rhi[images]"),
+    "tests": ("images without a window, and tests of their commands and pixels", "rhi[images]"),
 }
 """By name: what is written, and what it needs."""
 

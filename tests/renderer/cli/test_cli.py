@@ -24,7 +24,7 @@ from renderer.cli import main
 from renderer.cli.compare_light_culling import plot_tests
 
 KEYS = [
-    "backend", "device", "scene", "size", "frames", "technique", "because", "milliseconds", "triangles",
+    "backend", "device", "scene", "size", "frames", "technique", "reason", "milliseconds", "triangles",
     "draws", "queries",
     "software_state_changes", "hardware_state_changes", "simulation_steps", "skipped_simulations",
     "uploads_bytes", "image_bytes", "image",
@@ -73,16 +73,16 @@ def test_elsewhere_nothing_is_shown_of_building_kernels(capsys: pytest.CaptureFi
 
 @pytest.mark.usefixtures("gl")
 def test_render_writes_an_image_and_reports_it(capsys: pytest.CaptureFixture[str], here: Path) -> None:
-    report = run_json(capsys, CITY, "--size", "80x60", "--backend", "gl", "--output", "new/picture.png")
+    report = run_json(capsys, CITY, "--size", "80x60", "--backend", "gl", "--output", "new/image.png")
     assert list(report) == KEYS
     assert report["backend"] == "gl"
     assert report["size"] == [80, 60]
     assert report["frames"] == 1
     assert report["milliseconds"]["min"] == report["milliseconds"]["median"] > 0
-    assert report["image"] == str(Path("new/picture.png"))
-    picture = np.asarray(Image.open(here / "new/picture.png"))
-    assert picture.shape == (60, 80, 3)
-    assert picture.std() > 10
+    assert report["image"] == str(Path("new/image.png"))
+    image = np.asarray(Image.open(here / "new/image.png"))
+    assert image.shape == (60, 80, 3)
+    assert image.std() > 10
 
 
 @pytest.mark.usefixtures("gl")
@@ -126,8 +126,8 @@ def test_the_memory_of_images_is_said(capsys: pytest.CaptureFixture[str]) -> Non
 def test_without_json_the_same_is_said_in_lines(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["render", CITY, "--backend", "null"]) == 0
     names = [line.partition(":")[0].replace(" ", "_") for line in capsys.readouterr().out.splitlines()]
-    said = {"uploads_bytes": "bytes_uploaded", "image_bytes": "bytes_of_images"}
-    assert names == [said.get(key, key) for key in KEYS]
+    printed_names = {"uploads_bytes": "bytes_uploaded", "image_bytes": "bytes_of_images"}
+    assert names == [printed_names.get(key, key) for key in KEYS]
 
 
 def test_the_environment_names_the_backend(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,7 +182,10 @@ def test_what_a_file_has_and_the_scene_has_not_is_listed_once(
 
 @pytest.mark.usefixtures("gl")
 def test_accuracy_lists_it_and_charts_are_drawings(capsys: pytest.CaptureFixture[str], here: Path) -> None:
-    command = "accuracy dusty.gltf --backend gl --size 32x18 --knob normal_bits --views 1 --rounds 1 --plot errors.svg"
+    command = (
+        "accuracy dusty.gltf --backend gl --size 32x18 --quality-setting normal_bits --views 1 --rounds 1"
+        " --plot errors.svg"
+    )
     test_what_a_file_has_and_the_scene_has_not_is_listed_once(capsys, here, command)
     assert (here / "errors.svg").read_text().startswith("<?xml")
 
@@ -201,10 +204,10 @@ def test_pairs_and_times_of_lights_are_charted_with_a_line_for_each_test() -> No
 def test_a_plan_lists_it_beside_the_effects_that_a_frame_lacks(capsys: pytest.CaptureFixture[str], here: Path) -> None:
     write_dusty(here / "dusty.gltf")
     main(["plan", "dusty.gltf", "--json"])
-    because = {one["name"]: one["because"] for one in json.loads(capsys.readouterr().out)["left_out"]}
-    what, place = LEFT_OUT.removeprefix("left out: ").split(" (")
-    assert because[what] == f"the file has it, the scene hasn't: {what} ({place}"
-    assert because["haze"] == "the scene has no haze"
+    reason = {entry["name"]: entry["reason"] for entry in json.loads(capsys.readouterr().out)["left_out"]}
+    what, path = LEFT_OUT.removeprefix("left out: ").split(" (")
+    assert reason[what] == f"the file has it, the scene hasn't: {what} ({path}"
+    assert reason["haze"] == "the scene has no haze"
 
 
 def test_a_report_about_a_whole_scene_lists_nothing(capsys: pytest.CaptureFixture[str]) -> None:
@@ -213,8 +216,8 @@ def test_a_report_about_a_whole_scene_lists_nothing(capsys: pytest.CaptureFixtur
 
 def test_a_scene_is_converted_and_looks_the_same(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_json(capsys, CITY, "new/city.glb", command="convert")["left_out"] == []
-    one, other = (run_json(capsys, scene, "--backend", "null") for scene in (CITY, "new/city.glb"))
-    assert {key for key in one if one[key] != other[key]} <= {"scene", "milliseconds", "image"}
+    original, converted = (run_json(capsys, scene, "--backend", "null") for scene in (CITY, "new/city.glb"))
+    assert {key for key in original if original[key] != converted[key]} <= {"scene", "milliseconds", "image"}
 
 
 def test_what_a_file_cannot_hold_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -261,7 +264,7 @@ def test_demo_without_a_drawing_device_prints_the_null_rows(
 
 def run_demo(capsys: pytest.CaptureFixture[str]) -> tuple[list[list[str]], str]:
     """Return the path, the way and the backend of each row that `demo` prints, and what it says besides."""
-    assert main(["demo", CITY, "--frames", "1", "--size", "64x36", "--output", "pictures"]) == 0
+    assert main(["demo", CITY, "--frames", "1", "--size", "64x36", "--output", "images"]) == 0
     output = capsys.readouterr()
     return [line.split()[:3] for line in output.out.splitlines()[2:]], output.err
 
@@ -271,9 +274,9 @@ def test_demo_takes_the_backend_that_the_environment_names(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("RHI_BACKEND", "gl")
-    rows, said = run_demo(capsys)
+    rows, stderr = run_demo(capsys)
     assert {backend for *_, backend in rows} - {"wgpu"} == {"gl", "null"}
-    assert said.count("drawn by gl") == 2
+    assert stderr.count("drawn by gl") == 2
 
 
 @pytest.mark.usefixtures("gl")
@@ -288,14 +291,14 @@ def test_demo_leaves_out_what_does_not_work_and_says_why(
         return create(name, **options)
 
     monkeypatch.setattr(rhi, "create_device", fail_on_cl)
-    rows, said = run_demo(capsys)
-    assert "cl is left out: no OpenCL device" in said
+    rows, stderr = run_demo(capsys)
+    assert "cl is left out: no OpenCL device" in stderr
     assert {backend for *_, backend in rows} - {"wgpu"} == {"gl", "null"}
 
 
 @pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 @pytest.mark.usefixtures("gl")
-def test_demo_compares_all_backends_that_work_and_pictures_each_path(
+def test_demo_compares_all_backends_that_work_and_renders_each_path(
     capsys: pytest.CaptureFixture[str], here: Path
 ) -> None:
     assert run_demo(capsys)[0] == [
@@ -305,7 +308,7 @@ def test_demo_compares_all_backends_that_work_and_pictures_each_path(
         for way in ("none", "frustum")
     ]
     for name in ("city.png", "city-sky.png"):
-        assert np.asarray(Image.open(here / "pictures" / name)).std() > 5
+        assert np.asarray(Image.open(here / "images" / name)).std() > 5
 
 
 def test_python_m_renderer_is_the_command_line() -> None:
@@ -333,14 +336,14 @@ def test_overlay_and_particles_are_drawn_over_the_image_and_change_no_counter(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     command = "hall:columns=6,rows=2,flags=0,fountains=4 --size 640x360 --frame 60 --technique forward --backend gl"
-    pictures, reports = [], []
+    images, reports = [], []
     for layers in ([], ["--particles"], ["--particles", "--overlay"]):
         report = run_json(capsys, *command.split(), "--visibility", "frustum", *layers)
         del report["hardware_state_changes"]  # a layer leaves other states than it has found
-        pictures.append(np.asarray(Image.open(report["image"])).astype(int))
+        images.append(np.asarray(Image.open(report["image"])).astype(int))
         reports.append({key: value for key, value in report.items() if key != "milliseconds"})
     assert reports[0] == reports[1] == reports[2]
-    plain, sprays, overlaid = pictures
+    plain, sprays, overlaid = images
     assert (plain != sprays).any()
     assert (plain != sprays).mean() < 0.1
     assert (sprays != overlaid)[8:300, 8:300].mean() > 0.5
@@ -376,13 +379,13 @@ def test_only_the_viewer_falls_back(command: str, is_view: bool, monkeypatch: py
 
 def test_plan_says_why_each_pass_is_there_and_what_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
     report = run_json(capsys, "grid:mesh=box,count=9", "--size", "64x36", command="plan")
-    assert [one["name"] for one in report["passes"]] == ["forward"]
-    assert report["passes"][0]["because"]
-    assert "spot lights" in [one["name"] for one in report["left_out"]]
+    assert [entry["name"] for entry in report["passes"]] == ["forward"]
+    assert report["passes"][0]["reason"]
+    assert "spot lights" in [entry["name"] for entry in report["left_out"]]
     assert main(["plan", "grid:mesh=box,count=9"]) == 0
-    shown = capsys.readouterr().out
-    assert "left out:\n  spot lights: the scene has no spot light" in shown
-    assert shown.startswith("technique: forward, a null device draws nothing that could be measured\n")
+    stdout = capsys.readouterr().out
+    assert "left out:\n  spot lights: the scene has no spot light" in stdout
+    assert stdout.startswith("technique: forward, a null device draws nothing that could be measured\n")
 
 
 @pytest.mark.parametrize(("technique", "way", "more"), [
@@ -396,7 +399,7 @@ def test_techniques_draw_in_other_ways_on_demand(
 ) -> None:
     def list_passes(*arguments: str) -> set[str]:
         report = run_json(capsys, "grid:mesh=box,count=9,lights=4", "--backend", "null", *arguments, command="plan")
-        return {one["name"] for one in report["passes"]}
+        return {entry["name"] for entry in report["passes"]}
 
     usual = list_passes("--technique", technique)
     assert list_passes("--technique", technique, way) - usual == set(more)
@@ -406,7 +409,7 @@ def test_techniques_draw_in_other_ways_on_demand(
     assert main([*render, "--settings", str(tmp_path / "s.json")]) == 0
 
 
-@pytest.mark.parametrize(("arguments", "technique", "because"), [
+@pytest.mark.parametrize(("arguments", "technique", "reason"), [
     ([], "forward", "a null device draws nothing that could be measured"),
     (["--technique", "deferred"], "deferred", "was asked for"),
     (["--technique", "forward"], "forward", "was asked for"),
@@ -414,23 +417,23 @@ def test_techniques_draw_in_other_ways_on_demand(
     (["--fxaa"], "forward", "a null device draws nothing that could be measured"),
 ])  # fmt: skip
 def test_the_technique_in_use_is_named_with_its_reason(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], technique: str, because: str
+    capsys: pytest.CaptureFixture[str], arguments: list[str], technique: str, reason: str
 ) -> None:
     for command in ("plan", "render"):
         size = ["--size", "64x36", "--backend", "null"]
         report = run_json(capsys, "grid:mesh=box,count=9", *size, *arguments, command=command)
-        assert (report["technique"], report["because"]) == (technique, because)
+        assert (report["technique"], report["reason"]) == (technique, reason)
 
 
-def test_a_picture_of_what_a_frame_is_made_of_is_no_choice_of_a_technique(capsys: pytest.CaptureFixture[str]) -> None:
+def test_showing_a_buffer_is_no_choice_of_a_technique(capsys: pytest.CaptureFixture[str]) -> None:
     report = run_json(capsys, CITY, "--backend", "null", "--show", "normals")
-    assert (report["technique"], report["because"]) == ("normals", "is shown")
+    assert (report["technique"], report["reason"]) == ("normals", "is shown")
 
 
 @pytest.mark.usefixtures("gl")
 def test_a_device_chooses_the_technique_of_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
     report = run_json(capsys, "grid:mesh=box,count=9", "--size", "64x36", "--backend", "gl", command="plan")
-    assert report["because"].startswith("the fastest in this view, ")
+    assert report["reason"].startswith("the fastest in this view, ")
     first = {"forward": "forward", "clustered_deferred": "geometry"}[report["technique"]]
     assert report["passes"][0]["name"] == first
 

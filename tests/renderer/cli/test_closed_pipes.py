@@ -14,7 +14,7 @@ import renderer
 import rhi
 from renderer import cli
 from renderer.cli.subcommand import Subcommand
-from rhi.errors.readers import GONE
+from rhi.errors.pipes import BROKEN_PIPE_STATUS
 
 VERSION_1 = Path(__file__).parents[2] / "rhi/trace/version-1.zip"
 
@@ -36,10 +36,10 @@ def write_much() -> None:
 def test_commands_of_both_packages_end_quietly(
     package: ModuleType, arguments: list[str], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    much = Subcommand("much", "print much", (), lambda given: write_much(), "")
+    much = Subcommand("much", "print much", (), lambda _: write_much(), "")
     monkeypatch.setattr(cli, "COMMANDS", (*cli.COMMANDS, much))
     monkeypatch.setattr(sys, "argv", [package.__name__, *arguments])
     with stream_to_pipe(monkeypatch, "stdout", is_read=False), pytest.raises(SystemExit) as ended:
         runpy.run_path(str(Path(str(package.__file__)).parent / "__main__.py"), run_name="__main__")
-    assert ended.value.code == GONE
+    assert ended.value.code == BROKEN_PIPE_STATUS
     assert capfd.readouterr().err == ""

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from renderer.cli import executors
-from renderer.cli.executors import list_cpus, make_executor, share_cpus
+from renderer.cli.executors import list_cpus, make_executor, partition_cpus
 from renderer.cli.output import OutputError
 
 VARIABLES = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", "LP_NUM_THREADS")
@@ -20,16 +20,16 @@ def look() -> tuple[list[int], list[str | None]]:
     return sorted(os.sched_getaffinity(0)), [os.environ.get(name) for name in VARIABLES]
 
 
-def test_shares_are_equal_and_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cpu_groups_are_equal_and_disjoint(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(executors, "list_cpus", lambda: list(range(3, 20)))  # 17 of them
-    assert share_cpus(4) == [[3, 4, 5, 6], [7, 8, 9, 10], [11, 12, 13, 14], [15, 16, 17, 18]]
-    assert share_cpus(1) == [list(range(3, 20))]
+    assert partition_cpus(4) == [[3, 4, 5, 6], [7, 8, 9, 10], [11, 12, 13, 14], [15, 16, 17, 18]]
+    assert partition_cpus(1) == [list(range(3, 20))]
 
 
 def test_more_processes_than_cpus_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(executors, "list_cpus", lambda: [5, 6])
-    assert share_cpus(2) == [[5], [6]]
-    assert share_cpus(3) == [[5], [6], [5]]
+    assert partition_cpus(2) == [[5], [6]]
+    assert partition_cpus(3) == [[5], [6], [5]]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems don't tell")

@@ -31,21 +31,21 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
 
 
 def test_two_eyes_draw_twice_as_much(capsys: pytest.CaptureFixture[str]) -> None:
-    one = run(capsys, "render", CITY, *WALK)
-    two = run(capsys, "render", CITY, "--stereo", "dubois", "--eye-distance", "0", *WALK)
-    assert two["draws"] == 2 * one["draws"]
-    assert two["triangles"] == 2 * one["triangles"]
-    assert "stereo" not in one
-    assert (two["stereo"], two["eye_distance"]) == ("dubois", 0.0)
+    mono = run(capsys, "render", CITY, *WALK)
+    stereo = run(capsys, "render", CITY, "--stereo", "dubois", "--eye-distance", "0", *WALK)
+    assert stereo["draws"] == 2 * mono["draws"]
+    assert stereo["triangles"] == 2 * mono["triangles"]
+    assert "stereo" not in mono
+    assert (stereo["stereo"], stereo["eye_distance"]) == ("dubois", 0.0)
 
 
 def test_eyes_are_comfortable_where_nothing_else_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    # The street enters the picture 1.8 m below the eye and some 3 m ahead; its harmonic middle with infinity is at 6 m.
+    # The street enters the image 1.8 m below the eye and some 3 m ahead; its harmonic middle with infinity is at 6 m.
     report = run(capsys, "render", CITY, "--stereo", "grey", *WALK)
     assert report["eye_distance"] == 0.063
     assert 5.0 < report["convergence"] < 7.0
-    given = run(capsys, "render", CITY, "--stereo", "grey", "--convergence", "2", *WALK)
-    assert (given["eye_distance"], given["convergence"]) == (0.063, 2.0)
+    with_convergence = run(capsys, "render", CITY, "--stereo", "grey", "--convergence", "2", *WALK)
+    assert (with_convergence["eye_distance"], with_convergence["convergence"]) == (0.063, 2.0)
 
 
 @pytest.mark.usefixtures("gl")
@@ -85,24 +85,26 @@ def test_the_matrix_has_a_row_for_each_way_and_its_ratio_to_one_eye(capsys: pyte
     for mono, dubois, halves, moved in zip(*(rows[i::4] for i in range(4)), strict=True):
         assert mono["ratio"] == mono["processor_ratio"] == 1.0
         assert dubois["draws"] == halves["draws"] == 2 * moved["draws"] >= 2 * mono["draws"] > 0
-        assert dubois["maps_drawn"] == moved["maps_drawn"] >= halves["maps_drawn"], "smaller pictures, fewer maps"
+        assert dubois["maps_drawn"] == moved["maps_drawn"] >= halves["maps_drawn"], "smaller images, fewer maps"
         more = dubois["maps_drawn"] - mono["maps_drawn"]
         assert abs(more) <= 1, "once for both eyes, which see a little more than one"
         assert (mono["maps_drawn"] > 0) == mono["shadows"]
         if not mono["shadows"]:
-            scene, lamps = mono["calls"], 2  # a kernel places the point lights for both eyes, another the spot lights
-            assert halves["calls"] == 2 * scene + lamps
+            scene = mono["calls"]
+            light_calls = 2  # a kernel places the point lights for both eyes, another the spot lights
+            assert halves["calls"] == 2 * scene + light_calls
             assert dubois["calls"] == halves["calls"] + 1, "a kernel mixes the colours"
             assert moved["calls"] == mono["calls"] + 3, "two kernels move pixels, and one mixes the colours"
             assert 0 < dubois["upload_bytes"] < 1.15 * mono["upload_bytes"] + 1000
 
 
 def test_the_matrix_is_printed_as_a_table(capsys: pytest.CaptureFixture[str]) -> None:
-    given = ["compare", "stereo", CITY, "--backend", "null", "--sizes", "32x18", "--frames", "1", "--stereo", "grey"]
-    assert main([*given, "--markdown"]) == 0
+    arguments = ["compare", "stereo", CITY, "--backend", "null", "--sizes", "32x18"]
+    arguments += ["--frames", "1", "--stereo", "grey"]
+    assert main([*arguments, "--markdown"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("| stereo | shadows | size | ms | ratio |")
     assert lines[3].startswith("| grey | off | 32 × 18 |")
     with pytest.raises(SystemExit):
-        main([*given, "--shadows", "maybe"])
+        main([*arguments, "--shadows", "maybe"])
     assert "neither off nor on" in capsys.readouterr().err

@@ -6,7 +6,7 @@ import pytest
 import rhi
 from renderer.content import load_scene
 from renderer.content.surfaces import KINDS, paint_surface
-from renderer.lab.measure.exact import ExactVisibility
+from renderer.lab.measure.exact_visibility import ExactVisibility
 from renderer.scene import ShadingModel
 
 SMALL = "bazaar:instances=700,materials=40,meshes=12,lights=16,detail=4"
@@ -51,11 +51,11 @@ def test_few_instances_are_all_floors_and_walls():
 
 
 def test_a_seed_gives_the_same_scene_and_another_one_another():
-    one, same, other = (load_scene(f"{SMALL},seed={seed}") for seed in (1, 1, 2))
-    assert (one.nodes.local == same.nodes.local).all()
-    assert (one.meshes.vertices == same.meshes.vertices).all()
-    assert one.materials.tobytes() == same.materials.tobytes() != other.materials.tobytes()
-    assert not np.array_equal(one.nodes.local, other.nodes.local)
+    first, same, other = (load_scene(f"{SMALL},seed={seed}") for seed in (1, 1, 2))
+    assert (first.nodes.local == same.nodes.local).all()
+    assert (first.meshes.vertices == same.meshes.vertices).all()
+    assert first.materials.tobytes() == same.materials.tobytes() != other.materials.tobytes()
+    assert not np.array_equal(first.nodes.local, other.nodes.local)
 
 
 def test_all_of_it_is_in_the_view_and_walls_hide_most(small):
@@ -64,15 +64,15 @@ def test_all_of_it_is_in_the_view_and_walls_hide_most(small):
     assert (middle @ planes[:, :3].T + planes[:, 3] > -1.0).all()
     with rhi.create_device("gl") as device:
         exact = ExactVisibility(device, small, (320, 180))
-        share = len(exact.find(small.views["corner"])) / len(small.objects)
+        share = len(exact.visible_objects(small.views["corner"])) / len(small.objects)
         exact.destroy()
     assert 0.1 < share < 0.5
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_surface_repeats_without_a_seam(kind):
-    made = paint_surface(kind, 64, 3)
-    for image in (made.color, made.normal, made.metal_roughness):
+    surface = paint_surface(kind, 64, 3)
+    for image in (surface.color, surface.normal, surface.metal_roughness):
         pixels = image[..., :3].astype(int)
         for axis in (0, 1):
             inside = np.abs(np.diff(pixels, axis=axis)).mean(axis=(1 - axis, 2))
@@ -81,8 +81,8 @@ def test_a_surface_repeats_without_a_seam(kind):
 
 
 def test_normals_of_a_surface_lean_away_from_what_is_higher():
-    made = paint_surface("studs", 96, 0)
-    normals = made.normal[..., :3] / 127.5 - 1.0
+    surface = paint_surface("studs", 96, 0)
+    normals = surface.normal[..., :3] / 127.5 - 1.0
     assert np.linalg.norm(normals, axis=-1) == pytest.approx(1.0, abs=0.02)
     stud = normals[:16, :16]  # one of six by six, highest in its middle
     assert stud[8, :7, 0].mean() < -0.1 < 0.1 < stud[8, 9:, 0].mean()  # left leans left

@@ -18,14 +18,14 @@ TRIANGLE = "mtllib paint.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n"
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder of models with what they use, each of which was loaded once."""
     monkeypatch.setenv("RHI_CACHE", str(tmp_path / "cache"))
-    made = tmp_path / "models"
-    made.mkdir()
-    save_scene(load_scene("grid:count=4"), made / "grid.gltf")
-    (made / "one.obj").write_text(TRIANGLE)
-    (made / "paint.mtl").write_text("newmtl red\nKd 1 0 0\n")
+    models = tmp_path / "models"
+    models.mkdir()
+    save_scene(load_scene("grid:count=4"), models / "grid.gltf")
+    (models / "one.obj").write_text(TRIANGLE)
+    (models / "paint.mtl").write_text("newmtl red\nKd 1 0 0\n")
     for name in ("grid.gltf", "one.obj"):
-        load_model(made / name)
-    return made
+        load_model(models / name)
+    return models
 
 
 def describe(model: Path, limits: ModelLimits | None = None) -> tuple[object, ...]:
@@ -34,18 +34,18 @@ def describe(model: Path, limits: ModelLimits | None = None) -> tuple[object, ..
 
 
 @pytest.mark.parametrize(
-    ("model", "moved", "place"),
+    ("model", "moved", "directory"),
     [("grid.gltf", "grid.bin", "below"), ("one.obj", "one.obj", "."), ("one.obj", "paint.mtl", "below")],
 )
 def test_a_file_is_found_below_the_folder_that_it_was_in(
-    folder: Path, model: str, moved: str, place: str, caplog: pytest.LogCaptureFixture
+    folder: Path, model: str, moved: str, directory: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     before = describe(folder / model)
     (folder / "below").mkdir()
-    found = (folder / moved).rename(folder / place / f"renamed{Path(moved).suffix}")
+    renamed = (folder / moved).rename(folder / directory / f"renamed{Path(moved).suffix}")
     assert describe(folder / model) == before
     assert [record.getMessage() for record in caplog.records] == [
-        f"{folder / moved} isn't there; {found} has its content, and is read instead"
+        f"{folder / moved} isn't there; {renamed} has its content, and is read instead"
     ]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from renderer.content import IMAGE_SIZE, load_scene
-from renderer.content.buildings import KINDS, find_windows, make_building
+from renderer.content.buildings import KINDS, intersect_windows, make_building
 from renderer.content.city import PITCH, STREET
 from renderer.content.shapes import BUILT_IN
 from renderer.content.textures import WINDOWS
@@ -107,7 +107,7 @@ def test_rays_from_all_sides_find_the_middles_of_windows(kind, detail):
     aside, height = (grid.ravel() for grid in np.meshgrid(np.linspace(-0.29, 0.29, 9), [0.06, 0.3, 0.52]))
     for out in ((1.0, 0, 0), (-1.0, 0, 0), (0, 0, 1.0), (0, 0, -1.0)):
         start = 2.0 * np.array(out) + np.outer(aside, out[::-1]) + np.outer(height, (0.0, 1.0, 0.0))
-        middle, across, up = find_windows(mesh, WINDOWS, start, np.tile(np.negative(out), (27, 1)))
+        middle, across, up = intersect_windows(mesh, WINDOWS, start, np.tile(np.negative(out), (27, 1)))
         moved = middle - start
         assert (moved @ out < -1.3).all()  # a wall on this side of the lot
         assert (np.abs(moved[:, 1]) <= 0.5 * np.abs(up[:, 1]) + 1e-6).all()  # less than half a window away
@@ -135,42 +135,43 @@ def test_solids_are_closed_and_face_outwards(name, sines):
 def test_the_hall_has_moving_flags_on_a_deep_hierarchy_and_three_kinds_of_things():
     hall = load_scene("hall:flags=10")
     assert len(hall.nodes.level_starts) - 1 >= 5
-    assert len(hall.objects.dynamic_rows) == 60
+    assert len(hall.objects.dynamic_indices) == 60
     assert len(hall.lights.point) > 2
     assert len(hall.lights.spot) > 2
     moved = hall.update(0.4)
-    assert moved.tolist() == hall.objects.dynamic_rows.tolist()
+    assert moved.tolist() == hall.objects.dynamic_indices.tolist()
 
 
 def test_options_of_the_hall_reach_its_simulations_and_its_name():
     hall = load_scene("hall:columns=6,flags=0,fountains=1,cloths=1,drops=30,cloth_detail=1,cloth_rate=30,sub_steps=2")
     fountains, cloths = (load_scene(hall.name).simulated[number].simulation for number in (0, 1))
     assert fountains.position.shape == (1, 30, 3)
-    assert (cloths.sheet.rows, cloths.sheet.columns, cloths.sheet.sub_steps, cloths.interval) == (7, 5, 2, 1 / 30)
+    grid = cloths.cloth_grid
+    assert (grid.rows, grid.columns, grid.sub_steps, cloths.interval) == (7, 5, 2, 1 / 30)
     assert "drops" not in load_scene("hall:fountains=1").name
 
 
 def test_flags_stay_on_their_poles_and_near_them():
     hall = load_scene("hall:flags=10,seed=4")
-    first_cloth = hall.objects.dynamic_rows[:10]
+    first_cloth = hall.objects.dynamic_indices[:10]
     hinge = hall.nodes.world[hall.objects.node[first_cloth], :3, 3].copy()
     for seconds in (0.7, 5.3):
         hall.update(seconds)
         assert np.allclose(hall.nodes.world[hall.objects.node[first_cloth], :3, 3], hinge)
-        last = hall.nodes.world[hall.objects.node[hall.objects.dynamic_rows[-10:]], :3, 3]
+        last = hall.nodes.world[hall.objects.node[hall.objects.dynamic_indices[-10:]], :3, 3]
         assert (np.linalg.norm(last - hinge, axis=1) < 6 * 0.34).all()
 
 
 def test_a_hall_without_flags_stands_still():
     hall = load_scene("hall:flags=0,columns=4,rows=2")
-    assert len(hall.objects.dynamic_rows) == 0
+    assert len(hall.objects.dynamic_indices) == 0
     assert hall.update(1.0).size == 0
 
 
 @pytest.mark.parametrize("panes", [1, 2, 25])
 def test_glass_has_panes_and_half_as_many_balls_before_opaque_columns(panes):
     glass = load_scene(f"glass:panes={panes},lights=2")
-    transparent = glass.find_transparent()
+    transparent = glass.list_transparent()
     assert len(transparent) == panes + panes // 2
     assert len(glass.objects) > len(transparent)
     assert (glass.objects.lower[transparent][:, 1] > -1e-6).all()
@@ -207,11 +208,11 @@ def test_paths_last_thirty_seconds_and_are_smooth(scene, name):
 
 
 def test_every_view_sees_something(scene):
-    from renderer.visibility import find_visible
+    from renderer.visibility import select_visible
 
     assert "overview" in scene.views
     for view in scene.views.values():
-        assert find_visible(view.frustum.planes, scene.objects.lower, scene.objects.upper).any()
+        assert select_visible(view.frustum.planes, scene.objects.lower, scene.objects.upper).any()
 
 
 def test_generated_images_have_one_size_and_materials_name_them(scene):

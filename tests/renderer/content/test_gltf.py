@@ -66,9 +66,9 @@ def test_extras_are_any_json(tmp_path, extras):
 
 def test_both_containers_give_the_same_scene(tmp_path):
     document = one_mesh(positions=QUAD, indices=np.array([0, 1, 2], np.uint16), NORMAL=UP)
-    one, other = load(document, tmp_path, "a.glb"), load(document, tmp_path, "a.gltf")
-    assert (one.meshes.vertices == other.meshes.vertices).all()
-    assert (one.meshes.indices == other.meshes.indices).all()
+    binary, text = load(document, tmp_path, "a.glb"), load(document, tmp_path, "a.gltf")
+    assert (binary.meshes.vertices == text.meshes.vertices).all()
+    assert (binary.meshes.indices == text.meshes.indices).all()
 
 
 def test_a_buffer_may_stand_in_the_document_itself(tmp_path):
@@ -246,16 +246,16 @@ def test_a_material_is_read_with_its_factors_and_textures(tmp_path):
         "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 8}},
     }
     scene = load(with_image(**material), tmp_path)
-    found = scene.materials[0]
-    assert found["model"] == ShadingModel.METALLIC_ROUGHNESS
-    assert found["base_color"].tolist() == [0.5, 0.25, 1, 0.75]
-    assert (found["metallic"], found["roughness"]) == (0.25, 0.5)
-    assert (found["normal_scale"], found["occlusion_strength"]) == (2, 0.5)
-    assert found["emissive"].tolist() == [8, 4, 0]
-    assert (found["alpha_mode"], found["alpha_cutoff"]) == (AlphaMode.MASK, 0.25)
-    assert found["double_sided"] == 1
+    read_material = scene.materials[0]
+    assert read_material["model"] == ShadingModel.METALLIC_ROUGHNESS
+    assert read_material["base_color"].tolist() == [0.5, 0.25, 1, 0.75]
+    assert (read_material["metallic"], read_material["roughness"]) == (0.25, 0.5)
+    assert (read_material["normal_scale"], read_material["occlusion_strength"]) == (2, 0.5)
+    assert read_material["emissive"].tolist() == [8, 4, 0]
+    assert (read_material["alpha_mode"], read_material["alpha_cutoff"]) == (AlphaMode.MASK, 0.25)
+    assert read_material["double_sided"] == 1
     names = ("texture", "metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture")
-    rows = [int(found[name]) for name in names]
+    rows = [int(read_material[name]) for name in names]
     assert scene.textures["is_color"][rows].tolist() == [1, 0, 0, 0, 1]
     assert scene.textures["image"][rows].tolist() == [0] * 5
     assert left_out(scene) == {}
@@ -274,12 +274,12 @@ def test_an_unlit_material_only_emits(tmp_path):
         alphaMode="BLEND",
     )
     scene = load(document, tmp_path)
-    found = scene.materials[0]
-    assert (found["emission"] * found["base_color"][:3]).tolist() == [0.5, 1, 1]
-    assert found["base_color"][:3].max() <= 2e-6  # what a light of 2,000 leaves is no step of 8 bits
-    assert found["base_color"][3] == 0.5
-    assert found["specular_color"].tolist() == [0, 0, 0]
-    assert scene.textures["is_color"][[found["texture"]]].tolist() == [1]
+    material = scene.materials[0]
+    assert (material["emission"] * material["base_color"][:3]).tolist() == [0.5, 1, 1]
+    assert material["base_color"][:3].max() <= 2e-6  # what a light of 2,000 leaves is no step of 8 bits
+    assert material["base_color"][3] == 0.5
+    assert material["specular_color"].tolist() == [0, 0, 0]
+    assert scene.textures["is_color"][[material["texture"]]].tolist() == [1]
 
 
 def test_a_texture_keeps_its_sampler_and_its_transform(tmp_path):
@@ -296,8 +296,8 @@ def test_a_texture_keeps_its_sampler_and_its_transform(tmp_path):
     assert (sampler.wrap_u, sampler.wrap_v) == (Wrap.CLAMP, Wrap.MIRROR)
     assert texture["uv_set"] == 1
     cosine, sine = np.cos(0.5), np.sin(0.5)
-    wanted = [[2 * cosine, 3 * sine, 0.25], [-2 * sine, 3 * cosine, 0.5]]
-    assert texture["transform"] == pytest.approx(np.array(wanted), abs=1e-6)
+    expected = [[2 * cosine, 3 * sine, 0.25], [-2 * sine, 3 * cosine, 0.5]]
+    assert texture["transform"] == pytest.approx(np.array(expected), abs=1e-6)
 
 
 @pytest.mark.parametrize("broken", [{"uri": "not-there.png"}, {"uri": "https://example.org/a.png"}, "rubbish"])
@@ -315,13 +315,13 @@ def test_an_image_that_cannot_be_read_is_listed_and_the_material_goes_without(tm
 
 def test_images_of_all_kinds_become_four_channels(tmp_path):
     deep = np.array([[0, 257 * 7], [65535, 257]], np.uint16)
-    for pixels, wanted in ((deep, [0, 7, 255, 1]), (np.array([[3, 4], [5, 6]], np.uint8), [3, 4, 5, 6])):
+    for pixels, expected in ((deep, [0, 7, 255, 1]), (np.array([[3, 4], [5, 6]], np.uint8), [3, 4, 5, 6])):
         file = io.BytesIO()
         Image.fromarray(pixels).save(file, "PNG")
         document = with_image(pbrMetallicRoughness={"baseColorTexture": {"index": 0}})
         document.values["images"][0]["bufferView"] = document.view(file.getvalue())
         image = load(document, tmp_path).images[0]
-        assert image[..., :3].reshape(-1, 3).tolist() == [[grey] * 3 for grey in wanted]
+        assert image[..., :3].reshape(-1, 3).tolist() == [[grey] * 3 for grey in expected]
         assert (image[..., 3] == 255).all()
 
 
@@ -399,7 +399,7 @@ def test_an_infinite_camera_has_no_far_plane(tmp_path):
     assert view.projection.far == np.inf
 
 
-def test_lights_are_read_in_their_places(tmp_path):
+def test_lights_are_read_at_their_nodes(tmp_path):
     down = [-np.sin(np.pi / 4), 0, 0, np.cos(np.pi / 4)]  # -z becomes -y
     document = GltfDocument(
         nodes=[
@@ -445,9 +445,9 @@ def test_a_file_without_lights_gets_a_sun(tmp_path):
 
 # -- scenes without objects ----------------------------------------------------------------------------------------
 
-LAMP = {"extensions": {"KHR_lights_punctual": {"light": 0}}}
+LIGHT_NODE = {"extensions": {"KHR_lights_punctual": {"light": 0}}}
 EMPTY = {
-    "lights": GltfDocument(nodes=[LAMP], extensions={"KHR_lights_punctual": {"lights": [{"type": "point"}]}}),
+    "lights": GltfDocument(nodes=[LIGHT_NODE], extensions={"KHR_lights_punctual": {"lights": [{"type": "point"}]}}),
     "cameras": GltfDocument(
         nodes=[{"camera": 0}], cameras=[{"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}]
     ),
@@ -460,12 +460,12 @@ EMPTY["moving nodes"].animate(0, "translation", [0, 1], [[0, 0, 0], [1, 0, 0]])
 @pytest.mark.parametrize("kind", EMPTY)
 def test_a_file_without_meshes_is_a_scene_in_which_nothing_is_shown(tmp_path, kind):
     scene = load(EMPTY[kind], tmp_path)
-    assert scene.objects.shown.tolist() == [False]
+    assert scene.objects.is_shown.tolist() == [False]
     assert len(scene.lights) == 1  # its own, or a sun
     assert next(iter(scene.views)) == ("camera 0" if kind == "cameras" else "overview")
     scene.check_bounds([0.0, 0.7])
     save_scene(scene, tmp_path / "again.glb")
-    assert load_model(tmp_path / "again.glb").objects.shown.tolist() == [False]
+    assert load_model(tmp_path / "again.glb").objects.is_shown.tolist() == [False]
 
 
 @pytest.mark.parametrize("kind", EMPTY)
@@ -488,11 +488,11 @@ def test_every_visibility_algorithm_finds_nothing_in_it(gl, tmp_path, name):
 
 @pytest.mark.nightly_cases("cl-[!f]*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("name", TECHNIQUES)
-def test_its_picture_is_the_background(drawing_device, tmp_path, name):
+def test_its_frame_is_the_background(drawing_device, tmp_path, name):
     scene = load(EMPTY["lights"], tmp_path)
     with Renderer(drawing_device, scene, technique=TECHNIQUES[name](), size=(32, 32)) as renderer:
-        picture = renderer.render(Camera.look_at([0, 0, 3], [0.5, 0.5, 0])).image.read()[..., :3]
-    assert np.abs(picture - 255 * to_srgb(np.array(scene.background))).max() <= 1
+        image = renderer.render(Camera.look_at([0, 0, 3], [0.5, 0.5, 0])).image.read()[..., :3]
+    assert np.abs(image - 255 * to_srgb(np.array(scene.background))).max() <= 1
 
 
 def test_its_lights_join_a_scene_under_construction(tmp_path):

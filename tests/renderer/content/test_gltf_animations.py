@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from gltf_documents import GltfDocument, turn
+from gltf_documents import GltfDocument, rotation_quaternion
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,7 +20,7 @@ def animated(path, times, values, kind="LINEAR", nodes=None):
     return document
 
 
-def place(scene, seconds, row=0):
+def position(scene, seconds, row=0):
     scene.update(seconds)
     return scene.nodes.world[row]
 
@@ -47,26 +47,26 @@ def left_out(scene):
 def test_a_translation_follows_its_keys_and_begins_again(tmp_path, kind, values, expected):
     scene = load_model(animated("translation", [0, 2], values, kind).write(tmp_path / "a.glb"))
     for seconds, x in expected.items():
-        assert place(scene, seconds)[0, 3] == pytest.approx(x), seconds
+        assert position(scene, seconds)[0, 3] == pytest.approx(x), seconds
 
 
 def test_before_its_first_key_a_track_has_the_first_value(tmp_path):
     scene = load_model(animated("translation", [1, 2], [[3, 0, 0], [5, 0, 0]]).write(tmp_path / "a.glb"))
-    assert [place(scene, seconds)[0, 3] for seconds in (0, 0.5, 1, 1.5)] == [3, 3, 3, 4]
+    assert [position(scene, seconds)[0, 3] for seconds in (0, 0.5, 1, 1.5)] == [3, 3, 3, 4]
 
 
 def test_a_rotation_takes_the_shorter_way_at_constant_speed(tmp_path):
-    far = -turn(90)  # the same rotation, on the other side of the sphere
-    scene = load_model(animated("rotation", [0, 3], [turn(0), far]).write(tmp_path / "a.glb"))
+    far = -rotation_quaternion(90)  # the same rotation, on the other side of the sphere
+    scene = load_model(animated("rotation", [0, 3], [rotation_quaternion(0), far]).write(tmp_path / "a.glb"))
     for seconds, degrees in ((1, 30), (2, 60)):
-        x, y = place(scene, seconds)[:2, 0]
+        x, y = position(scene, seconds)[:2, 0]
         assert np.degrees(np.arctan2(y, x)) == pytest.approx(degrees, abs=1e-4)
 
 
 def test_a_scale_and_a_rotation_keep_the_translation_of_the_node(tmp_path):
     document = animated("scale", [0, 1], [[1, 1, 1], [3, 1, 1]], nodes=[{"mesh": 0, "translation": [7, 0, 0]}])
-    document.animate(0, "rotation", [0, 1], [turn(0), turn(90)])
-    world = place(load_model(document.write(tmp_path / "a.glb")), 0.5)
+    document.animate(0, "rotation", [0, 1], [rotation_quaternion(0), rotation_quaternion(90)])
+    world = position(load_model(document.write(tmp_path / "a.glb")), 0.5)
     assert world[:3, 3].tolist() == [7, 0, 0]
     assert np.linalg.norm(world[:3, 0]) == pytest.approx(2.0)
 
@@ -75,7 +75,7 @@ def test_animations_of_different_nodes_are_played_together(tmp_path):
     document = animated("translation", [0, 1], [[0, 0, 0], [2, 0, 0]], nodes=[{"mesh": 0}, {"mesh": 0}])
     document.animate(0, "translation", [0, 4], [[0, 0, 0], [4, 0, 0]])
     scene = load_model(document.write(tmp_path / "a.glb"))
-    assert [place(scene, 2.5, row)[0, 3] for row in (0, 1)] == [2.5, 1.0]
+    assert [position(scene, 2.5, row)[0, 3] for row in (0, 1)] == [2.5, 1.0]
     assert left_out(scene) == {}
 
 
@@ -101,7 +101,9 @@ def test_only_visible_objects_are_animated_and_their_bounds_never_change(tmp_pat
 
 
 def test_bounds_of_a_rotation_are_those_of_the_box_that_it_sweeps(tmp_path):
-    scene = load_model(animated("rotation", [0, 1], [turn(0), turn(90)]).write(tmp_path / "a.glb"))
+    scene = load_model(
+        animated("rotation", [0, 1], [rotation_quaternion(0), rotation_quaternion(90)]).write(tmp_path / "a.glb")
+    )
     # The corner (1, 1) goes from 45° to 135°, and (1, 0) to (0, 1).
     assert scene.objects.lower[0] == pytest.approx([-1, 0, 0], abs=0.15)
     assert scene.objects.upper[0] == pytest.approx([1, np.sqrt(2), 0], abs=0.15)
@@ -109,13 +111,15 @@ def test_bounds_of_a_rotation_are_those_of_the_box_that_it_sweeps(tmp_path):
 
 def test_bounds_hold_below_several_animated_nodes(tmp_path):
     nodes = [
-        {"children": [1], "translation": [10, 0, 0], "rotation": turn(30).tolist()},
+        {"children": [1], "translation": [10, 0, 0], "rotation": rotation_quaternion(30).tolist()},
         {"children": [2]},
         {"children": [3], "scale": [2, 1, 1], "translation": [0, 1, 0]},
         {"mesh": 0},
     ]
-    document = animated("rotation", [0, 0.7], [turn(0, 0), turn(170, 0)], nodes=nodes)
-    document.animate(1, "rotation", [0, 1, 2], [turn(0), turn(120), turn(200)])
+    document = animated("rotation", [0, 0.7], [rotation_quaternion(0, 0), rotation_quaternion(170, 0)], nodes=nodes)
+    document.animate(
+        1, "rotation", [0, 1, 2], [rotation_quaternion(0), rotation_quaternion(120), rotation_quaternion(200)]
+    )
     document.animate(1, "translation", [0, 1.3], [[0, 0, 0], [0, 2, 1]])
     scene = load_model(document.write(tmp_path / "a.glb"))
     assert scene.objects.boxes.node[0] == 0
@@ -192,11 +196,11 @@ def test_tracks_of_many_nodes_are_found_by_one_search():
     rest = tuple(np.repeat(part, 50, axis=0) for part in REST)
     motion = NodeMotion(tracks, np.arange(50), rest, make_clips(tracks))
     motion.set_time(np.arange(50), 1.234)
-    found = motion.transforms(np.arange(50))[:, :3, 3]
-    for track, place in zip(tracks, found, strict=True):
+    positions = motion.transforms(np.arange(50))[:, :3, 3]
+    for track, position in zip(tracks, positions, strict=True):
         local = 1.234 % (track.times[-1] * 1.25)
-        wanted = [np.interp(local, track.times, track.values[:, axis]) for axis in range(3)]
-        assert place == pytest.approx(wanted, abs=1e-9)
+        expected = [np.interp(local, track.times, track.values[:, axis]) for axis in range(3)]
+        assert position == pytest.approx(expected, abs=1e-9)
 
 
 def test_a_copy_of_a_motion_has_a_state_of_its_own():
@@ -206,7 +210,7 @@ def test_a_copy_of_a_motion_has_a_state_of_its_own():
     motion = NodeMotion([track], np.zeros(1, np.int64), REST, make_clips([track]))
     other = deepcopy(motion)
     motion.set_time(np.zeros(1, np.int64), 0.5)
-    assert [one.transforms(np.zeros(1, np.int64))[0, 0, 3] for one in (motion, other)] == [1.0, 0.0]
+    assert [state.transforms(np.zeros(1, np.int64))[0, 0, 3] for state in (motion, other)] == [1.0, 0.0]
 
 
 def test_the_reach_of_blended_rotations_follows_how_far_apart_they_are():
@@ -215,7 +219,13 @@ def test_the_reach_of_blended_rotations_follows_how_far_apart_they_are():
     def find_lowest(*clips):
         """The least x and y of what the point (1, 0, 0) becomes, if each clip turns through some angles."""
         tracks = [
-            Track(ROTATION, LINEAR, np.arange(len(angles)), np.array([turn(angle) for angle in angles]), clip)
+            Track(
+                ROTATION,
+                LINEAR,
+                np.arange(len(angles)),
+                np.array([rotation_quaternion(angle) for angle in angles]),
+                clip,
+            )
             for clip, angles in enumerate(clips)
         ]
         motion = NodeMotion(tracks, np.zeros(len(tracks), np.int64), REST, make_clips(tracks))

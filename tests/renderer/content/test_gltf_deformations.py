@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gltf_documents import STRIP, TRIANGLE, UP, make_morphing, make_skinned, turn
+from gltf_documents import STRIP, TRIANGLE, UP, make_morphing, make_skinned, rotation_quaternion
 
 from renderer.content import load_model
 from rhi.errors import ValidationError
@@ -18,9 +18,9 @@ def vertices_at(scene, seconds):
     simulator.begin_frame(seconds)
     scene.refresh()
     ((deformed,),) = [simulator.advance(simulator.objects).deformed]
-    found = deformed.simulation.vertices(deformed.members)
-    world = scene.nodes.world[scene.objects.node[deformed.rows[0]]]
-    return found["position"] @ world[:3, :3].T + world[:3, 3], found["normal"]
+    vertices = deformed.simulation.vertices(deformed.members)
+    world = scene.nodes.world[scene.objects.node[deformed.object_indices[0]]]
+    return vertices["position"] @ world[:3, :3].T + world[:3, 3], vertices["normal"]
 
 
 @pytest.mark.parametrize("root", [None, {"translation": [7, 0, 0], "scale": [2, 2, 2]}])
@@ -32,24 +32,24 @@ def test_a_skin_moves_each_vertex_to_the_mean_of_where_its_joints_take_it(tmp_pa
         x, y = STRIP[:, 0], STRIP[:, 1] - 2
         bent = np.stack([cosine * x - sine * y, sine * x + cosine * y + 2, 0 * x], 1)
         share = (STRIP[:, 1] / 4)[:, None]
-        wanted = (1 - share) * STRIP + share * bent
+        expected = (1 - share) * STRIP + share * bent
         if root:
-            wanted = 2 * wanted + (7, 0, 0)
+            expected = 2 * expected + (7, 0, 0)
         position, normal = vertices_at(scene, seconds)
-        assert position == pytest.approx(wanted, abs=1e-5)
+        assert position == pytest.approx(expected, abs=1e-5)
         assert normal == pytest.approx(UP, abs=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["u1", "u2"])
 def test_weights_of_joints_may_be_normalised_integers(tmp_path, kind):
     document = make_skinned()
-    wanted, _ = vertices_at(load_model(document.write(tmp_path / "a.glb")), 1.0)
+    expected, _ = vertices_at(load_model(document.write(tmp_path / "a.glb")), 1.0)
     share = np.clip(STRIP[:, 1:2] / 4, 0, 1)
     whole = np.round(np.hstack([1 - share, share, 0 * share, 0 * share]) * np.iinfo(kind).max).astype(kind)
     attributes = document.values["meshes"][0]["primitives"][0]["attributes"]
     attributes["WEIGHTS_0"] = document.accessor(whole, normalized=True)
-    found, _ = vertices_at(load_model(document.write(tmp_path / "b.glb")), 1.0)
-    assert found == pytest.approx(wanted, abs=0.02 if kind == "u1" else 1e-4)
+    positions, _ = vertices_at(load_model(document.write(tmp_path / "b.glb")), 1.0)
+    assert positions == pytest.approx(expected, abs=0.02 if kind == "u1" else 1e-4)
 
 
 def test_a_skin_is_simulated_where_it_is_drawn_and_never_leaves_its_bounds(tmp_path):
@@ -63,7 +63,7 @@ def test_a_skin_is_simulated_where_it_is_drawn_and_never_leaves_its_bounds(tmp_p
 
 def test_a_skin_whose_joints_stand_still_is_a_mesh_like_any_other(tmp_path):
     document = make_skinned(moves=False)
-    document.values["nodes"][2]["rotation"] = turn(90).tolist()
+    document.values["nodes"][2]["rotation"] = rotation_quaternion(90).tolist()
     scene = load_model(document.write(tmp_path / "a.glb"))
     assert scene.simulated == ()
     last = scene.meshes.vertices["position"][-1]
@@ -100,13 +100,13 @@ def test_weights_of_zero_share_the_mesh(tmp_path):
 
 def test_a_morphing_mesh_below_an_animated_node_keeps_to_its_bounds(tmp_path):
     document = make_morphing()
-    document.animate(0, "rotation", [0, 1.3], [turn(0, 0), turn(150, 0)])
+    document.animate(0, "rotation", [0, 1.3], [rotation_quaternion(0, 0), rotation_quaternion(150, 0)])
     scene = load_model(document.write(tmp_path / "a.glb"))
     scene.check_bounds(np.linspace(0.0, 5.0, 51))
 
 
 @pytest.mark.parametrize(
-    ("change", "place"),
+    ("change", "location"),
     [
         (lambda values: values["skins"][0].update(joints=[]), "skins[0].joints"),
         (lambda values: values["skins"][0].update(joints=[1]), "meshes[0].primitives[0].attributes.JOINTS_0"),
@@ -114,12 +114,12 @@ def test_a_morphing_mesh_below_an_animated_node_keeps_to_its_bounds(tmp_path):
         (lambda values: values["nodes"][3].update(skin=1), "nodes[3].skin"),
     ],
 )
-def test_broken_skins_are_refused(tmp_path, change, place):
+def test_broken_skins_are_refused(tmp_path, change, location):
     document = make_skinned()
     change(document.values)
     with pytest.raises(ValidationError) as error:
         load_model(document.write(tmp_path / "bad.glb"))
-    assert f"bad.glb: {place}" in error.value.given
+    assert f"bad.glb: {location}" in error.value.given
 
 
 def test_targets_that_do_not_fit_their_weights_are_refused(tmp_path):

@@ -55,10 +55,10 @@ def test_triangles_of_the_asset_generator_are_a_square():
 @pytest.mark.parametrize("kind", ["glb", "gltf"])
 def test_a_scene_of_trimesh_is_read_with_its_points_and_paths(tmp_path, kind):
     rng = np.random.default_rng(0)
-    places, colors = rng.uniform(-1, 1, (50, 3)), rng.integers(0, 255, (50, 4)).astype(np.uint8)
+    positions, colors = rng.uniform(-1, 1, (50, 3)), rng.integers(0, 255, (50, 4)).astype(np.uint8)
     bends = rng.uniform(-1, 1, (9, 3))
     parts = {
-        "points": trimesh.PointCloud(places, colors=colors),
+        "points": trimesh.PointCloud(positions, colors=colors),
         "path": trimesh.load_path(bends),
         "box": trimesh.creation.box(),
     }
@@ -72,7 +72,7 @@ def test_a_scene_of_trimesh_is_read_with_its_points_and_paths(tmp_path, kind):
     assert scene.meshes.names == ("points", "path", "box")
     assert scene.meshes.triangle_counts.tolist() == [50 * 8, 8 * 16, 12]
     points, path, box = (scene.meshes.geometry(mesh).vertices for mesh in range(3))
-    assert points["position"].reshape(50, 6, 3).mean(axis=1) == pytest.approx(places, abs=1e-6)
+    assert points["position"].reshape(50, 6, 3).mean(axis=1) == pytest.approx(positions, abs=1e-6)
     assert points["color"].reshape(50, 6, 4)[:, 5] == pytest.approx(colors / 255, abs=1e-6)
     middles = (bends[1:] + bends[:-1]) / 2
     assert path["position"].reshape(8, 10, 3).mean(axis=1) == pytest.approx(middles, abs=1e-6)

@@ -38,7 +38,7 @@ def test_a_large_scene_is_read_and_read_back_the_same(tmp_path):
 
 def test_what_cannot_be_said_is_listed():
     coated = load("ClearCoat-glTF/ClearCoatTest.gltf")
-    assert [(one.what, one.count) for one in coated.omissions] == [("KHR_materials_clearcoat", 6)]
+    assert [(omission.what, omission.count) for omission in coated.omissions] == [("KHR_materials_clearcoat", 6)]
 
 
 def test_texture_transforms_are_read():
@@ -48,7 +48,7 @@ def test_texture_transforms_are_read():
 
 
 @pytest.mark.parametrize(
-    ("name", "place"),
+    ("name", "location"),
     [
         ("IndexOutOfRange/IndexOutOfRange.gltf", "accessors[0]"),
         ("MissingBin/BoxTextured.gltf", "buffers[0].uri"),
@@ -58,10 +58,10 @@ def test_texture_transforms_are_read():
         ("draco/2CylinderEngine.gltf", "extensionsRequired"),
     ],
 )
-def test_broken_files_are_refused_with_the_place(name, place):
+def test_broken_files_are_refused_with_the_path(name, location):
     with pytest.raises(ValidationError) as error:
         load(name)
-    assert error.value.given.startswith(f"{FOLDER / name}: {place}: ")
+    assert error.value.given.startswith(f"{FOLDER / name}: {location}: ")
 
 
 def test_every_file_is_read_or_refused_by_its_name():

@@ -1,4 +1,4 @@
-"""Pictures of glTF files: OpenCL's beside OpenGL's, pixel by pixel."""
+"""Frames of glTF files: OpenCL's beside OpenGL's, pixel by pixel."""
 
 import io
 import os
@@ -24,23 +24,23 @@ SIZE = (64, 48)
 @pytest.fixture(scope="module")
 def devices():
     with ExitStack() as stack:
-        made = []
+        opened = []
         for name in ("gl", "cl"):
-            made.append(stack.enter_context(open_device(name)))
-            if not made[-1].capabilities.renders:
+            opened.append(stack.enter_context(open_device(name)))
+            if not opened[-1].capabilities.renders:
                 pytest.skip(f"the {name} device draws nothing")
-        yield made
+        yield opened
 
 
 def draw(devices, scene, camera, seconds):
-    """Return each device's pictures (times, h, w, 3), drawn by forward shading."""
-    pictures = []
+    """Return each device's frames (times, h, w, 3), drawn by forward shading."""
+    results = []
     for device in devices:
         with Renderer(device, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
             renderer.technique = Forward()
             images = [renderer.render(camera, each).image.read()[..., :3] for each in seconds]
-        pictures.append(np.stack(images).astype(int))
-    return pictures
+        results.append(np.stack(images).astype(int))
+    return results
 
 
 def add_texture(document, seed, low, high):
@@ -55,7 +55,7 @@ def add_texture(document, seed, low, high):
 
 def make_file():
     """A strip that its bones bend beside one that its target shifts, with all maps, on two sets of texture coordinates
-    and a transform, lit by a sun, a lamp and a spot light, before a camera."""
+    and a transform, lit by a sun, a point light and a spot light, before a camera."""
     document = make_skinned()
     nodes = document.values["nodes"]
     uv = np.stack([STRIP[:, 0], STRIP[:, 1] / 4], 1).astype(np.float32)
@@ -68,8 +68,8 @@ def make_file():
     }
     shift = np.zeros_like(STRIP)
     shift[-4:, 0] = 1.5
-    given = first["attributes"].items()
-    shared = {name: number for name, number in given if not name.startswith(("JOINTS", "WEIGHTS"))}
+    attributes = first["attributes"].items()
+    shared = {name: number for name, number in attributes if not name.startswith(("JOINTS", "WEIGHTS"))}
     target = {"POSITION": document.accessor(shift)}
     second = {"attributes": shared, "indices": first["indices"], "targets": [target]}
     document.add("meshes", primitives=[second], weights=[0.0])
@@ -107,12 +107,12 @@ def make_file():
     nodes.append({"mesh": 1, "translation": [2, 0, 0]})
     document.animate(len(nodes) - 1, "weights", [0, 1, 2], [0, 1, 0])
     nodes.append({"camera": 0, "translation": [1, 2, 6]})
-    for light, place in enumerate(([0, 5, 5], [-1, 3, 2], [3, 2, 4])):
-        nodes.append({"translation": place, "extensions": {"KHR_lights_punctual": {"light": light}}})
+    for light, position in enumerate(([0, 5, 5], [-1, 3, 2], [3, 2, 4])):
+        nodes.append({"translation": position, "extensions": {"KHR_lights_punctual": {"light": light}}})
     return document
 
 
-def test_a_file_with_all_that_is_read_is_the_same_picture_on_both(devices, tmp_path):
+def test_a_file_with_all_that_is_read_is_the_same_frame_on_both(devices, tmp_path):
     """At two times, since bones and targets move. llvmpipe filters images of 8 bits to 8 bits, lanes in floats; of
     6,144 pixels one is 2 off, and none more."""
     scene = load_model(make_file().write(tmp_path / "all.glb"))
@@ -135,7 +135,7 @@ def test_a_file_with_all_that_is_read_is_the_same_picture_on_both(devices, tmp_p
     "name",
     ["2CylinderEngine-glTF-Binary/2CylinderEngine.glb", "textureTransform/TextureTransformTest.gltf"],
 )
-def test_files_of_others_are_the_same_picture_on_both(devices, name):
+def test_files_of_others_are_the_same_frame_on_both(devices, name):
     scene = load_model(str(FOLDER / name))
     lower, upper = scene.bounds
     middle, size = (lower + upper) / 2, float(np.linalg.norm(upper - lower))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from renderer.content import load_model
 from rhi.errors import RhiError, ValidationError
 
-SURROUNDINGS = {
+SCENE_EXTRAS = {
     "background": [0, 0, 0],
     "haze": 0.5,
     "sky": [1, 1, 1],
@@ -47,13 +47,13 @@ def make_document():
     """A file with a part of everything."""
     document = GltfDocument(
         scene=0,
-        scenes=[{"nodes": [0, 3, 4], "extras": {"rhi": SURROUNDINGS}}],
+        scenes=[{"nodes": [0, 3, 4], "extras": {"rhi": SCENE_EXTRAS}}],
         nodes=[
             {"name": "root", "children": [1, 2]},
             {"mesh": 0, "translation": [1, 0, 0]},
             {"camera": 0, "extensions": {"KHR_lights_punctual": {"light": 0}}},
             {"mesh": 0, "matrix": np.eye(4).ravel().tolist()},
-            {"camera": 0, "extras": {"rhi": {"placed": True}}},
+            {"camera": 0, "extras": {"rhi": {"holder": True}}},
         ],
         cameras=[{"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}],
         extensions={"KHR_lights_punctual": {"lights": [{"type": "spot", "spot": {"outerConeAngle": 0.5}}]}},
@@ -98,7 +98,7 @@ def test_the_whole_document_is_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("place", "value", "where"),
+    ("path", "value", "where"),
     [
         (("asset", "version"), "1.0", "asset.version"),
         (("asset",), 5, "asset"),
@@ -145,15 +145,15 @@ def test_the_whole_document_is_read(tmp_path):
         (("extensionsRequired",), ["KHR_draco_mesh_compression"], "extensionsRequired"),
     ],
 )  # fmt: skip
-def test_a_wrong_value_is_refused_with_its_place(tmp_path, place, value, where):
+def test_a_wrong_value_is_refused_with_its_path(tmp_path, path, value, where):
     document = make_document()
-    held = document.values
-    for step in place[:-1]:
-        held = held[step]
-    held[place[-1]] = value
-    rule, given, _ = refusal(document, tmp_path)
+    container = document.values
+    for step in path[:-1]:
+        container = container[step]
+    container[path[-1]] = value
+    rule, message, _ = refusal(document, tmp_path)
     assert rule == "scene-unreadable-model"
-    assert given.startswith(f"{where}: ")
+    assert message.startswith(f"{where}: ")
 
 
 def test_an_index_beyond_the_vertices_is_refused_and_the_last_one_is_not(tmp_path):
@@ -196,26 +196,26 @@ def test_vertices_that_are_there_only_compressed_are_refused_and_others_are_read
     primitive = document.values["meshes"][0]["primitives"][0]
     primitive["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0}}
     scene = load_model(document.write(tmp_path / "good.glb"))
-    assert [one.what for one in scene.omissions] == ["KHR_draco_mesh_compression"]
+    assert [omission.what for omission in scene.omissions] == ["KHR_draco_mesh_compression"]
     document.values["accessors"][0].pop("bufferView")
-    place = "meshes[0].primitives[0].extensions.KHR_draco_mesh_compression"
-    assert refusal(document, tmp_path)[1:] == (f"{place}: the vertices are there only compressed", "also as accessors")
+    path = "meshes[0].primitives[0].extensions.KHR_draco_mesh_compression"
+    assert refusal(document, tmp_path)[1:] == (f"{path}: the vertices are there only compressed", "also as accessors")
 
 
 @pytest.mark.parametrize(
-    ("buffer", "given", "allowed"),
+    ("buffer", "problem", "allowed"),
     [
         ({"extensions": {"EXT_meshopt_compression": {}}}, "uri: missing, with EXT_meshopt_compression", "the buffer's"),
         ({}, "uri: missing", "the buffer's file, or data:"),
         ({"uri": "data:;base64,AAAAAAAA"}, "byteLength: 36", "6, the bytes that are there, or less"),
     ],
 )
-def test_a_buffer_that_lacks_bytes_is_refused_with_what_there_is(tmp_path, buffer, given, allowed):
+def test_a_buffer_that_lacks_bytes_is_refused_with_what_there_is(tmp_path, buffer, problem, allowed):
     values = with_triangle(nodes=[{"mesh": 0}]).values | {"buffers": [{"byteLength": 36, **buffer}]}
     (tmp_path / "bad.gltf").write_text(json.dumps(values))
     with pytest.raises(ValidationError) as error:
         load_model(tmp_path / "bad.gltf")
-    assert error.value.given == f"{tmp_path / 'bad.gltf'}: buffers[0].{given}"
+    assert error.value.given == f"{tmp_path / 'bad.gltf'}: buffers[0].{problem}"
     assert error.value.allowed.startswith(allowed)
     assert ("without compression" in error.value.tip) == ("extensions" in buffer)
 
@@ -269,9 +269,9 @@ def test_json_that_is_no_document_is_refused(tmp_path, text):
     ],
 )
 def test_a_file_of_which_nothing_is_drawn_says_why(document, reason, tmp_path):
-    rule, given, _ = refusal(document, tmp_path)
+    rule, message, _ = refusal(document, tmp_path)
     assert rule == "scene-empty-model"
-    assert reason in given
+    assert reason in message
 
 
 MAPS = ["normalTexture", "occlusionTexture", "emissiveTexture", "pbrMetallicRoughness.baseColorTexture"]
@@ -284,17 +284,17 @@ def test_a_texture_of_a_material_without_an_index_is_refused(name, tmp_path):
         material = use
         for part in reversed(name.split(".")):
             material = {part: material}
-        rule, given, _ = refusal(with_triangle(materials=[material]), tmp_path)
+        rule, message, _ = refusal(with_triangle(materials=[material]), tmp_path)
         assert rule == "scene-unreadable-model"
-        assert f"materials[0].{name}.index: missing" in given
+        assert f"materials[0].{name}.index: missing" in message
 
 
 @pytest.mark.parametrize(("name", "field"), [("normalTexture", "scale"), ("occlusionTexture", "strength")])
-def test_a_share_of_a_map_that_is_no_number_is_refused_with_and_without_a_texture(name, field, tmp_path):
+def test_a_strength_of_a_map_that_is_no_number_is_refused_with_and_without_a_texture(name, field, tmp_path):
     for use in ({field: "1"}, {field: "1", "index": 0}):
-        rule, given, _ = refusal(with_triangle(materials=[{name: use}]), tmp_path)
+        rule, message, _ = refusal(with_triangle(materials=[{name: use}]), tmp_path)
         assert rule == "scene-unreadable-model"
-        assert f"materials[0].{name}.{field}: 1" in given
+        assert f"materials[0].{name}.{field}: 1" in message
 
 
 JUNK = st.one_of(
@@ -303,25 +303,23 @@ JUNK = st.one_of(
 )  # fmt: skip
 
 
-def list_places(value, above=()):
+def list_paths(value, above=()):
     """All places in a document."""
     yield above
     pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, held in pairs:
-        yield from list_places(held, (*above, key))
+    for key, child in pairs:
+        yield from list_paths(child, (*above, key))
 
 
 QUICK = settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 DOCUMENTS = [make_document(), make_skinned(), make_morphing()]
 DOCUMENTS[2].values["meshes"][0]["primitives"].append({**DOCUMENTS[2].values["meshes"][0]["primitives"][0], "mode": 2})
-PLACES = [
-    (number, place) for number, document in enumerate(DOCUMENTS) for place in list_places(document.values) if place
-]
+PATHS = [(number, path) for number, document in enumerate(DOCUMENTS) for path in list_paths(document.values) if path]
 DAMAGES = st.sampled_from(range(len(DOCUMENTS))).flatmap(
     lambda number: st.tuples(
         st.just(DOCUMENTS[number]),
         st.lists(
-            st.tuples(st.sampled_from([place for one, place in PLACES if one == number]), JUNK),
+            st.tuples(st.sampled_from([path for document_number, path in PATHS if document_number == number]), JUNK),
             min_size=1,
             max_size=4,
         ),
@@ -329,17 +327,17 @@ DAMAGES = st.sampled_from(range(len(DOCUMENTS))).flatmap(
 )
 
 
-def damage(values, place, junk):
-    held = values
-    for step in place[:-1]:
+def damage(values, path, junk):
+    container = values
+    for step in path[:-1]:
         try:
-            held = held[step]
+            container = container[step]
         except (KeyError, IndexError, TypeError):
             return
-    if isinstance(held, dict) and junk is None:
-        held.pop(place[-1], None)
-    elif isinstance(held, dict) or (isinstance(held, list) and place[-1] in range(len(held))):
-        held[place[-1]] = deepcopy(junk)
+    if isinstance(container, dict) and junk is None:
+        container.pop(path[-1], None)
+    elif isinstance(container, dict) or (isinstance(container, list) and path[-1] in range(len(container))):
+        container[path[-1]] = deepcopy(junk)
 
 
 def pack(values, document):
@@ -363,12 +361,12 @@ def load_damaged(folder, content):
 def load_with_damages(folder, case):
     document, damages = case
     values = deepcopy(document.values)
-    for place, junk in damages:
-        damage(values, place, junk)
+    for path, junk in damages:
+        damage(values, path, junk)
     load_damaged(folder, pack(values, document))
 
 
-@pytest.mark.parametrize("document", [one for one in DOCUMENTS if "shininess" in repr(one.values)])
+@pytest.mark.parametrize("document", [each for each in DOCUMENTS if "shininess" in repr(each.values)])
 def test_a_specular_material_without_its_exponent_is_refused_by_the_file(tmp_path, document):
     for row, material in enumerate(document.values["materials"]):
         if "shininess" in repr(material):

@@ -14,50 +14,51 @@ from rhi.errors import ValidationError
 
 COLUMNS = {
     "nodes": ("parents", "local", "world", "dynamic"),
-    "objects": ("node", "mesh", "material", "lower", "upper", "dynamic", "shown", "casts_shadow", "simulated"),
+    "objects": ("node", "mesh", "material", "lower", "upper", "dynamic", "is_shown", "casts_shadow", "simulated"),
     "meshes": ("vertices", "indices", "ranges", "lower", "upper"),
     "lights": ("directional", "point", "spot"),
 }
 
 
-def list_differences(one: Scene, other: Scene):
+def list_differences(first: Scene, second: Scene):
     """Names of what isn't the same in two scenes, to the last bit."""
     pairs = {
-        f"{part}.{name}": (getattr(getattr(one, part), name), getattr(getattr(other, part), name))
+        f"{part}.{name}": (getattr(getattr(first, part), name), getattr(getattr(second, part), name))
         for part, names in COLUMNS.items()
         for name in names
     }
-    pairs |= {name: (getattr(one, name), getattr(other, name)) for name in ("materials", "textures")}
+    pairs |= {name: (getattr(first, name), getattr(second, name)) for name in ("materials", "textures")}
     different = [name for name, (a, b) in pairs.items() if a.dtype != b.dtype or a.shape != b.shape or (a != b).any()]
-    same_images = len(one.images) == len(other.images) and all(
-        np.array_equal(a, b) for a, b in zip(one.images, other.images, strict=True)
+    same_images = len(first.images) == len(second.images) and all(
+        np.array_equal(a, b) for a, b in zip(first.images, second.images, strict=True)
     )
     values = {
         "images": same_images,
-        "samplers": one.samplers == other.samplers,
-        "node names": one.nodes.names == other.nodes.names,
-        "mesh names": one.meshes.names == other.meshes.names,
-        "background": one.background == other.background,
-        "haze": one.haze == other.haze,
-        "ambient": (one.lights.sky, one.lights.ground) == (other.lights.sky, other.lights.ground),
-        "views": list(one.views) == list(other.views)
-        and all(map(same_camera, one.views.values(), other.views.values())),
-        "paths": list(one.paths) == list(other.paths) and all(map(same_path, one.paths.values(), other.paths.values())),
+        "samplers": first.samplers == second.samplers,
+        "node names": first.nodes.names == second.nodes.names,
+        "mesh names": first.meshes.names == second.meshes.names,
+        "background": first.background == second.background,
+        "haze": first.haze == second.haze,
+        "ambient": (first.lights.sky, first.lights.ground) == (second.lights.sky, second.lights.ground),
+        "views": list(first.views) == list(second.views)
+        and all(map(same_camera, first.views.values(), second.views.values())),
+        "paths": list(first.paths) == list(second.paths)
+        and all(map(same_path, first.paths.values(), second.paths.values())),
     }
     return different + [name for name, same in values.items() if not same]
 
 
-def same_camera(one, other):
+def same_camera(first, second):
     return (
-        one.position.tolist() == other.position.tolist()
-        and one.rotation.tolist() == other.rotation.tolist()
-        and one.projection == other.projection
+        first.position.tolist() == second.position.tolist()
+        and first.rotation.tolist() == second.rotation.tolist()
+        and first.projection == second.projection
     )
 
 
-def same_path(one, other):
-    return one.projection == other.projection and all(
-        getattr(one, name).tolist() == getattr(other, name).tolist() for name in ("positions", "targets", "ups")
+def same_path(first, second):
+    return first.projection == second.projection and all(
+        getattr(first, name).tolist() == getattr(second, name).tolist() for name in ("positions", "targets", "ups")
     )
 
 
@@ -79,9 +80,9 @@ def test_saving_what_was_loaded_changes_no_byte(tmp_path):
     save_scene(load_scene("night:blocks=2,lights=16"), tmp_path / "one.glb")
     save_scene(load_model(str(tmp_path / "one.glb")), tmp_path / "two.glb")
     name = json.dumps(str(tmp_path / "one.glb")).encode()
-    one, two = ((tmp_path / file).read_bytes() for file in ("one.glb", "two.glb"))
-    assert one[one.index(b"BIN\0") :] == two[two.index(b"BIN\0") :]
-    assert name in two  # scenes are named after what they were made from
+    first, second = ((tmp_path / file).read_bytes() for file in ("one.glb", "two.glb"))
+    assert first[first.index(b"BIN\0") :] == second[second.index(b"BIN\0") :]
+    assert name in second  # scenes are named after what they were made from
 
 
 def test_what_is_below_a_hidden_node_is_shown_with_it_after_loading(tmp_path):
@@ -90,10 +91,10 @@ def test_what_is_below_a_hidden_node_is_shown_with_it_after_loading(tmp_path):
     builder.add_objects(below, builder.add_mesh(mesh), builder.add_material())
     builder.hide(0)
     loaded, _ = save_and_load(builder.build(), tmp_path)
-    assert not loaded.objects.shown.any()
+    assert not loaded.objects.is_shown.any()
     loaded.nodes.show(0)
     loaded.update()
-    assert loaded.objects.shown.all()
+    assert loaded.objects.is_shown.all()
 
 
 def test_a_difference_is_found(tmp_path):
@@ -170,9 +171,9 @@ def test_a_camera_without_a_far_plane_has_one_for_other_programs(tmp_path):
     assert loaded.views["view"].projection.far == np.inf
     file = tmp_path / "saved.gltf"
     document = json.loads(file.read_text())
-    lens = document["cameras"][-1]["perspective"]
-    assert lens["zfar"] == 0.5 * 2**24
-    lens["zfar"] = 100.0
+    perspective = document["cameras"][-1]["perspective"]
+    assert perspective["zfar"] == 0.5 * 2**24
+    perspective["zfar"] = 100.0
     file.write_text(json.dumps(document))
     assert load_model(str(file)).views["view"].projection.far == 100.0
 
@@ -202,10 +203,10 @@ def test_simulations_that_are_not_of_gltf_are_listed(tmp_path):
     assert (loaded.nodes.world == scene.nodes.world).all()
 
 
-def test_fog_and_glow_are_listed(tmp_path):
-    loaded, left_out = save_and_load(load_scene("city:blocks=1,fog=0.1,glow=0.05"), tmp_path)
-    assert [str(omission) for omission in left_out] == ["fog (scene)", "glow (scene)"]
-    assert loaded.fog is loaded.glow is None
+def test_fog_and_bloom_are_listed(tmp_path):
+    loaded, left_out = save_and_load(load_scene("city:blocks=1,fog=0.1,bloom=0.05"), tmp_path)
+    assert [str(omission) for omission in left_out] == ["fog (scene)", "bloom (scene)"]
+    assert loaded.fog is loaded.bloom is None
 
 
 def test_a_spot_light_that_gltf_does_not_allow_is_listed(tmp_path):

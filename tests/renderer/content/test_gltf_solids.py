@@ -1,4 +1,4 @@
-"""Points and lines of glTF: the solids that they become, and their pictures beside distances computed in float64."""
+"""Points and lines of glTF: the solids that they become, and their images beside distances computed in float64."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from rhi import to_srgb
 from rhi.errors import ValidationError
 
 MODES = ("points", "lines", "line loops", "line strips")
-PLACES = np.array([[-50, 0.3, 0], [-1, 0.8, 0.3], [0.2, -0.9, -0.4], [1.1, 0.6, 0], [50, 0, 0]], np.float32)
+POSITIONS = np.array([[-50, 0.3, 0], [-1, 0.8, 0.3], [0.2, -0.9, -0.4], [1.1, 0.6, 0], [50, 0, 0]], np.float32)
 ENDS = (
     [[0], [1], [2], [3], [4]],
     [[0, 1], [2, 3]],
@@ -29,19 +29,19 @@ SIZE, EYE, FOV = (96, 72), 4.0, 1.0
 
 
 def make_file(mode, **more):
-    """A primitive of this mode, with a material and colours of vertices, beside a strong lamp."""
+    """A primitive of this mode, with a material and colours of vertices, beside a strong light."""
     document = GltfDocument(
         nodes=[{"mesh": 0}, {"translation": [0, 0, 3], "extensions": {"KHR_lights_punctual": {"light": 0}}}],
         extensions={"KHR_lights_punctual": {"lights": [{"type": "point", "intensity": 300}]}},
         materials=[{"pbrMetallicRoughness": {"baseColorFactor": [*COLOR, 1]}}],
     )
-    shades = np.tile(SHADE.astype(np.float32), (len(PLACES), 1))
-    document.mesh(PLACES, mode=mode, material=0, COLOR_0=shades, **more)
+    shades = np.tile(SHADE.astype(np.float32), (len(POSITIONS), 1))
+    document.mesh(POSITIONS, mode=mode, material=0, COLOR_0=shades, **more)
     return document
 
 
 def draw(device, scene, technique=None, visibility="auto", camera=None):
-    """Return the picture (h, w, 3) and what it took."""
+    """Return the image (h, w, 3) and what it took."""
     seen = camera or Camera.look_at(
         [0, 0, EYE], [0, 0, 0], projection=Perspective(FOV, SIZE[0] / SIZE[1], near=0.1, far=100)
     )
@@ -53,52 +53,52 @@ def draw(device, scene, technique=None, visibility="auto", camera=None):
         return pixels, frame.statistics
 
 
-def find_distances(mode):
+def line_distances(mode):
     """Return how many pixels lie between each pixel's centre and the nearest projected point or segment, (h, w)."""
     scale = SIZE[1] / 2 / np.tan(FOV / 2)
-    at = PLACES.astype(np.float64)
+    at = POSITIONS.astype(np.float64)
     flat = np.array([SIZE[0], SIZE[1]]) / 2 + at[:, :2] * (1, -1) * scale / (EYE - at[:, 2:])
     pixels = np.stack(np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5), axis=-1)
-    found = np.full(SIZE[::-1], np.inf)
+    distances = np.full(SIZE[::-1], np.inf)
     for ends in ENDS[mode]:
         first, along = flat[ends[0]], flat[ends[-1]] - flat[ends[0]]
         share = np.clip((pixels - first) @ along / max(along @ along, 1e-9), 0, 1)
-        found = np.minimum(found, np.linalg.norm(pixels - first - share[..., None] * along, axis=-1))
+        distances = np.minimum(distances, np.linalg.norm(pixels - first - share[..., None] * along, axis=-1))
     extent = np.linalg.norm(np.ptp(at[np.unique(ENDS[mode])], axis=0))
-    return found, extent / 400 * scale / EYE
+    return distances, extent / 400 * scale / EYE
 
 
-def check_picture(picture, mode):
+def check_frame(image, mode):
     """Near a point or a line each pixel has its colour, unlit; away from all there is the background alone."""
-    distance, radius = find_distances(mode)
+    distance, radius = line_distances(mode)
     x = 0.6 * COLOR * SHADE
     expected = 255 * to_srgb(np.clip(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14), 0, 1))
     inside, outside = distance < 0.5 * radius, distance > 1.3 * radius
     assert inside.sum() > 20
     assert outside.sum() > 1000
-    assert np.abs(picture[inside] - expected).max() <= 1
-    assert (picture[outside] == picture[-1, 0]).all()
-    assert np.abs(picture[-1, 0] - expected).max() > 50
+    assert np.abs(image[inside] - expected).max() <= 1
+    assert (image[outside] == image[-1, 0]).all()
+    assert np.abs(image[-1, 0] - expected).max() > 50
 
 
 @pytest.mark.parametrize("mode", range(4), ids=MODES)
 def test_points_and_lines_are_where_they_are_projected(drawing_device, tmp_path, mode):
     scene = load_model(make_file(mode).write(tmp_path / "a.glb"))
     assert scene.omissions == ()
-    check_picture(draw(drawing_device, scene)[0], mode)
+    check_frame(draw(drawing_device, scene)[0], mode)
 
 
 @pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("name", TECHNIQUES)
 def test_every_technique_draws_lines(drawing_device, tmp_path, name):
     scene = load_model(make_file(3).write(tmp_path / "a.glb"))
-    check_picture(draw(drawing_device, scene, TECHNIQUES[name]())[0], 3)
+    check_frame(draw(drawing_device, scene, TECHNIQUES[name]())[0], 3)
 
 
 @pytest.mark.parametrize("name", [name for name in ALGORITHMS if name != "auto"])
 def test_every_visibility_algorithm_lets_lines_be_drawn(gl, tmp_path, name):
     scene = load_model(make_file(3).write(tmp_path / "a.glb"))
-    check_picture(draw(gl, scene, visibility=make_visibility(name, scene, gl))[0], 3)
+    check_frame(draw(gl, scene, visibility=make_visibility(name, scene, gl))[0], 3)
 
 
 @pytest.mark.parametrize(("mode", "triangles"), [(0, 5 * 8), (1, 2 * 16), (2, 5 * 16), (3, 4 * 16)], ids=MODES)
@@ -113,14 +113,14 @@ def test_a_primitive_is_one_draw_of_its_solids(null, tmp_path, mode, triangles):
 def test_a_line_casts_a_shadow(drawing_device, tmp_path, casts):
     """A line along z at a height of 1, in a sun that shines down along +x: its shadow lies at x = 1."""
     grey = [0.2, 0.2, 0.2]
-    surroundings = {"background": grey, "sky": grey, "ground": grey, "haze": 0, "shadowless": [] if casts else [1]}
+    scene_extras = {"background": grey, "sky": grey, "ground": grey, "haze": 0, "shadowless": [] if casts else [1]}
     document = GltfDocument(
         nodes=[
             {"mesh": 0},
             {"mesh": 1},
             {"rotation": [-0.2706, -0.6533, -0.2706, 0.6533], "extensions": {"KHR_lights_punctual": {"light": 0}}},
         ],
-        scenes=[{"nodes": [0, 1, 2], "extras": {"rhi": surroundings}}],
+        scenes=[{"nodes": [0, 1, 2], "extras": {"rhi": scene_extras}}],
     )
     sun = {"type": "directional", "intensity": 3, "extras": {"rhi": {"casts_shadow": True}}}
     document.values["extensions"] = {"KHR_lights_punctual": {"lights": [sun]}}
@@ -131,9 +131,9 @@ def test_a_line_casts_a_shadow(drawing_device, tmp_path, casts):
     scene = load_model(document.write(tmp_path / "a.glb"))
     assert scene.lights.directional["direction"][0] == pytest.approx([0.7071, -0.7071, 0], abs=1e-3)
     camera = Camera.look_at([0, 6, 0.01], [0, 0, 0], projection=Perspective(FOV, SIZE[0] / SIZE[1], near=0.1, far=100))
-    picture, _ = draw(drawing_device, scene, camera=camera)
+    image, _ = draw(drawing_device, scene, camera=camera)
     scale = SIZE[1] / 2 / np.tan(FOV / 2) / 6
-    left, shaded, right = (picture[36, round(SIZE[0] / 2 + x * scale)] for x in (-1, 1, 2))
+    left, shaded, right = (image[36, round(SIZE[0] / 2 + x * scale)] for x in (-1, 1, 2))
     assert np.abs(left - right).max() <= 8
     assert ((right - shaded).min() > 30) == casts
 
@@ -143,8 +143,8 @@ def test_a_line_casts_a_shadow(drawing_device, tmp_path, casts):
 
 def test_lines_with_normals_are_lit_by_these_and_others_are_not(tmp_path):
     document = make_file(3)
-    normals = np.tile(np.float32([[0, 0.6, 0.8]]), (len(PLACES), 1))
-    document.mesh(PLACES, mode=3, material=0, NORMAL=normals)
+    normals = np.tile(np.float32([[0, 0.6, 0.8]]), (len(POSITIONS), 1))
+    document.mesh(POSITIONS, mode=3, material=0, NORMAL=normals)
     document.values["nodes"].append({"mesh": 1})
     document.mesh()
     document.values["meshes"][2]["primitives"][0]["material"] = 0
@@ -162,8 +162,8 @@ def test_a_line_of_an_unlit_material_is_as_bright_as_one_of_a_lit_one(tmp_path):
     document = make_file(3)
     document.values["materials"][0]["extensions"] = {"KHR_materials_unlit": {}}
     scene = load_model(document.write(tmp_path / "a.glb"))
-    (found,) = scene.materials[scene.objects.material]
-    assert found["emission"] * found["base_color"][:3] == pytest.approx(COLOR)
+    (material,) = scene.materials[scene.objects.material]
+    assert material["emission"] * material["base_color"][:3] == pytest.approx(COLOR)
 
 
 @pytest.mark.parametrize("moves", [True, False])
@@ -205,10 +205,10 @@ def test_ends_are_those_of_gl(mode, count):
 @given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([1e-3, 1.0, 1e6]))
 def test_solids_are_closed_and_face_outwards(seed, size):
     """Of each triangle the normal leads away from the middle, and each edge is there once in both directions."""
-    places = (size * np.random.default_rng(seed).uniform(-1, 1, (2, 3))).astype(np.float32)
+    positions = (size * np.random.default_rng(seed).uniform(-1, 1, (2, 3))).astype(np.float32)
     for solid, ends in ((POINT, [[0]]), (SEGMENT, [[0, 1]])):
-        rows, corners, outward, radius = solid.place(places, np.array(ends, np.uint32))
-        at = places[rows] + radius * outward
+        rows, corners, outward, radius = solid.make_vertices(positions, np.array(ends, np.uint32))
+        at = positions[rows] + radius * outward
         a, b, c = at[corners].transpose(1, 0, 2)
         assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), a - at.mean(axis=0)) > 0).all()
         edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]).tolist()
@@ -218,7 +218,7 @@ def test_solids_are_closed_and_face_outwards(seed, size):
 
 
 @pytest.mark.parametrize(
-    ("places", "radius"),
+    ("positions", "radius"),
     [
         ([[0, 0, 0], [3, 4, 0]], 5 / 400),
         ([[7, 7, 7], [7, 7, 7]], 0.01),
@@ -227,9 +227,9 @@ def test_solids_are_closed_and_face_outwards(seed, size):
         ([[0, 0, 0], [4, np.nan, 0]], 0.01),
     ],
 )
-def test_the_radius_is_a_share_of_the_extent_or_a_centimetre_and_never_less_than_float32_can_show(places, radius):
+def test_the_radius_is_a_fraction_of_the_extent_or_a_centimetre_and_never_less_than_float32_can_show(positions, radius):
     with np.errstate(all="raise"):
-        assert SEGMENT.place(np.float32(places), np.uint32([[0, 1]]))[3] == pytest.approx(radius)
+        assert SEGMENT.make_vertices(np.float32(positions), np.uint32([[0, 1]]))[3] == pytest.approx(radius)
 
 
 def test_a_segment_without_a_length_is_drawn_as_a_point(tmp_path):
@@ -257,9 +257,9 @@ def test_a_vertex_of_a_line_that_is_no_number_is_refused_and_a_finite_one_is_not
 def test_a_line_of_one_vertex_is_listed(tmp_path):
     document = GltfDocument(nodes=[{"mesh": 0}, {"mesh": 1}])
     document.mesh(NORMAL=UP[:3])
-    document.mesh(PLACES[:1], mode=3)
+    document.mesh(POSITIONS[:1], mode=3)
     scene = load_model(document.write(tmp_path / "a.glb"))
-    assert [one.what for one in scene.omissions] == ["primitives without a line"]
+    assert [omission.what for omission in scene.omissions] == ["primitives without a line"]
     assert scene.triangle_count == 1
 
 

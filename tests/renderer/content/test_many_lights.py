@@ -18,7 +18,7 @@ NIGHT = "night:blocks=10,detail=2,lights={}"
 COUNTS = [1, 5, 64, 600]
 
 
-def places(scene: Scene) -> Floats:
+def light_positions(scene: Scene) -> Floats:
     """Return the positions (k, 3) of point and spot lights."""
     return np.concatenate([scene.lights.point["position"], scene.lights.spot["position"]])
 
@@ -26,9 +26,9 @@ def places(scene: Scene) -> Floats:
 def boxes(scene: Scene, *names: str) -> tuple[Floats, Floats]:
     """Return the bounds of the objects whose meshes have these names, numbers aside."""
     mesh_names = np.array([name.rstrip(" 0123456789") for name in scene.meshes.names])
-    chosen = np.isin(mesh_names[scene.objects.mesh], names)
-    assert chosen.any()
-    return scene.objects.lower[chosen], scene.objects.upper[chosen]
+    is_named = np.isin(mesh_names[scene.objects.mesh], names)
+    assert is_named.any()
+    return scene.objects.lower[is_named], scene.objects.upper[is_named]
 
 
 def overlap(first: tuple[Floats, Floats], second: tuple[Floats, Floats]) -> np.ndarray:
@@ -41,8 +41,8 @@ def distance_from_street(lower: Floats, upper: Floats) -> tuple[np.ndarray, np.n
     ends = np.stack([lower, upper])[..., [0, 2]]
     away = np.abs((ends + 0.5 * PITCH) % PITCH - 0.5 * PITCH)
     nearest = away.min(0).argmin(1)
-    chosen = away[:, np.arange(len(lower)), nearest]
-    return chosen.min(0), chosen.max(0)
+    distances = away[:, np.arange(len(lower)), nearest]
+    return distances.min(0), distances.max(0)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def night() -> Scene:
 @pytest.mark.parametrize("spec", [NIGHT, "hall:columns=8,flags=0,lights={}", "grid:count=9,lights={}"])
 def test_there_are_as_many_lights_as_asked(spec: str, count: int) -> None:
     if count or "night" in spec:
-        assert len(places(load_scene(spec.format(count)))) == count
+        assert len(light_positions(load_scene(spec.format(count)))) == count
 
 
 def test_a_hall_and_a_grid_without_lights_of_their_own_are_what_they_were() -> None:
@@ -71,19 +71,19 @@ def test_the_same_text_gives_the_same_lights_and_another_seed_others(spec: str) 
     first, again, other = load_scene(text), load_scene(text), load_scene(f"{text},seed=5")
     assert np.array_equal(first.lights.point, again.lights.point)
     assert np.array_equal(first.lights.spot, again.lights.spot)
-    assert not np.array_equal(places(first), places(other))
+    assert not np.array_equal(light_positions(first), light_positions(other))
 
 
 @pytest.mark.parametrize("spec", [NIGHT, "grid:count=9,lights={}"])
 def test_more_lights_leave_the_first_ones_where_they_are(spec: str) -> None:
-    few, more = (set(map(tuple, places(load_scene(spec.format(count))).tolist())) for count in (60, 600))
+    few, more = (set(map(tuple, light_positions(load_scene(spec.format(count))).tolist())) for count in (60, 600))
     assert few < more
 
 
 def test_more_lights_light_a_larger_part_of_the_city_as_densely() -> None:
     within = []
     for count in (192, 384, 768):
-        away = np.hypot(*places(load_scene(NIGHT.format(count)))[:, [0, 2]].T)
+        away = np.hypot(*light_positions(load_scene(NIGHT.format(count)))[:, [0, 2]].T)
         within.append((np.sum(away < PITCH), np.percentile(away, 95)))
     assert within[0][0] == within[1][0] == within[2][0] > 20
     radius = [far for _, far in within]
@@ -93,37 +93,47 @@ def test_more_lights_light_a_larger_part_of_the_city_as_densely() -> None:
 
 def test_a_city_without_room_for_all_lights_has_more_windows() -> None:
     full, fuller = (load_scene("night:blocks=2,detail=2,lights=48"), load_scene("night:blocks=2,detail=2,lights=900"))
-    assert len(places(fuller)) == 900
+    assert len(light_positions(fuller)) == 900
     for name, ratio in (("post", 1), ("car", 1)):
         assert len(boxes(fuller, name)[0]) == ratio * len(boxes(full, name)[0])
     assert len(boxes(fuller, "lit window")[0]) > 10 * len(boxes(full, "lit window")[0])
 
 
-def test_lights_at_night_are_lamps_windows_and_cars_of_plausible_range(night: Scene) -> None:
+def test_lights_of_the_city_at_night_have_plausible_ranges(night: Scene) -> None:
     lights = night.lights
     assert 0.2 * 600 < len(lights.spot) < 0.5 * 600
     assert ((lights.point["range"] >= 5.0) & (lights.point["range"] <= 20.0)).all()
     assert ((lights.spot["range"] >= 10.0) & (lights.spot["range"] <= 20.0)).all()
     assert len(lights.directional) == 1  # the moon
     assert lights.directional["intensity"][0] < 0.2
-    for name in ("post", "lens", "lit window", "lantern", "lantern post", "car", "car trim", "headlamps", "tail lamps"):
+    for name in (
+        "post",
+        "street light cover",
+        "lit window",
+        "lantern",
+        "lantern post",
+        "car",
+        "car trim",
+        "headlights",
+        "tail lights",
+    ):
         boxes(night, name)
 
 
-def test_lamps_stand_on_the_pavement_beside_the_street(night: Scene) -> None:
+def test_street_lights_stand_on_the_pavement_beside_the_street(night: Scene) -> None:
     lower, upper = boxes(night, "post")
     assert np.abs(lower[:, 1]).max() < 1e-9
     near, far = distance_from_street(lower, upper)
-    assert near.min() > 0.5 * STREET - furniture.LAMP_REACH  # the arms reach over the street
+    assert near.min() > 0.5 * STREET - furniture.STREET_LIGHT_REACH  # the arms reach over the street
     assert far.max() < 0.5 * STREET + 1.5
     assert not overlap((lower, upper), boxes(night, *KINDS)).any()
     # All arms point at the street: what they carry is nearer to its middle than the post.
-    lens_near, lens_far = distance_from_street(*boxes(night, "lens"))
-    assert ((lens_near < near + 0.5) & (lens_far < far - 0.5)).all()
+    cover_near, cover_far = distance_from_street(*boxes(night, "street light cover"))
+    assert ((cover_near < near + 0.5) & (cover_far < far - 0.5)).all()
 
 
 def test_cars_stand_in_the_street_apart_from_each_other(night: Scene) -> None:
-    lower, upper = boxes(night, "car", "car trim", "headlamps", "tail lamps")
+    lower, upper = boxes(night, "car", "car trim", "headlights", "tail lights")
     assert lower[:, 1].min() == pytest.approx(0.0, abs=1e-6)
     assert upper[:, 1].max() < 1.6
     near, far = distance_from_street(lower, upper)
@@ -167,7 +177,7 @@ def test_lit_windows_are_at_walls_and_shine_outwards(night: Scene) -> None:
 
 def test_by_day_the_same_streets_are_lit_by_the_sun_alone(night: Scene) -> None:
     day = load_scene(f"{NIGHT.format(600)},sun=1")
-    assert len(places(day)) == 0
+    assert len(light_positions(day)) == 0
     assert len(day.lights.directional) == 1
     assert day.lights.directional["intensity"][0] > 1.0
     assert np.array_equal(day.objects.lower, night.objects.lower)
@@ -175,10 +185,10 @@ def test_by_day_the_same_streets_are_lit_by_the_sun_alone(night: Scene) -> None:
 
 
 def test_no_object_meets_most_of_the_lights(night: Scene) -> None:
-    from renderer.lights.lists import list_lights
+    from renderer.lights.object_lists import list_lights
 
     ends, _ = list_lights(
-        night.objects.lower, night.objects.upper, places(night),
+        night.objects.lower, night.objects.upper, light_positions(night),
         np.concatenate([night.lights.point["range"], night.lights.spot["range"]]).astype(float),
     )  # fmt: skip
     assert np.diff(ends).max() < 0.4 * 600
@@ -196,9 +206,10 @@ def test_a_third_of_the_windows_of_a_night_facade_are_lit() -> None:
 @pytest.mark.parametrize(
     "mesh",
     [
-        furniture.make_post(5), furniture.make_lens(5), furniture.make_lantern_post(5), furniture.make_lantern(5),
-        furniture.make_car_body(), furniture.make_car_trim(5), furniture.make_headlamps(),
-        furniture.make_tail_lamps(),
+        furniture.make_post(5), furniture.make_street_light_cover(5),
+        furniture.make_lantern_post(5), furniture.make_lantern(5),
+        furniture.make_car_body(), furniture.make_car_trim(5), furniture.make_headlights(),
+        furniture.make_tail_lights(),
     ],
 )  # fmt: skip
 def test_furniture_has_outward_normals_and_few_triangles(mesh: MeshGeometry) -> None:
@@ -212,7 +223,7 @@ def test_furniture_has_outward_normals_and_few_triangles(mesh: MeshGeometry) -> 
 @pytest.mark.parametrize("count", [64, 1024])
 def test_coloured_lights_hang_in_the_hall_and_not_in_its_columns(count: int) -> None:
     hall = load_scene(f"hall:columns=12,rows=3,flags=0,lights={count}")
-    at = places(hall)
+    at = light_positions(hall)
     assert (np.abs(at[:, 0]) < 6 * BAY - 0.4).all()
     assert (np.abs(at[:, 2]) < 2 * BAY - 0.4).all()
     assert ((at[:, 1] > 0.2) & (at[:, 1] < 9.0)).all()
@@ -238,7 +249,7 @@ def test_the_view_of_the_grid_sees_all_lights_and_stays_where_it_is(aspect: floa
         assert next(iter(grid.views)) == "field"
         camera = grid.views["field"].with_aspect(aspect)
         views.append(camera.view_projection.tolist())
-        points = np.append(places(grid), np.ones((lights, 1)), axis=1)
+        points = np.append(light_positions(grid), np.ones((lights, 1)), axis=1)
         assert (points @ camera.frustum.planes.T > 0.0).all()
         assert len(grid.lights.directional) == 0
     assert views[0] == views[1] == views[2]
@@ -257,7 +268,7 @@ def test_the_first_light_of_the_grid_reaches_its_middle() -> None:
         ("grid:mesh=sphere,count=256,lights=64", 15.0, 90.0),
     ],
 )
-def test_pictures_are_neither_black_nor_burnt_out(gl: rhi.Device, spec: str, least: float, most: float) -> None:
+def test_frames_are_neither_black_nor_burnt_out(gl: rhi.Device, spec: str, least: float, most: float) -> None:
     lit, dark = load_scene(spec), load_scene(spec)
     for name in ("point", "spot"):
         getattr(dark.lights, name)["intensity"] = 0.0

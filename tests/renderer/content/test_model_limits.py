@@ -25,7 +25,7 @@ def write(folder: Path, *, buffer: str = "a.bin", image: str = "", accessors: An
     """Write a file of one triangle, or of other accessors of positions, textured if there is an image."""
     views = [{"buffer": 0, "byteLength": TRIANGLE.nbytes}]
     first = {"type": "VEC3", "componentType": 5126, "count": 3, "bufferView": 0}
-    made: dict[str, Any] = {
+    document: dict[str, Any] = {
         "asset": {"version": "2.0"},
         "buffers": [{"uri": buffer, "byteLength": TRIANGLE.nbytes}],
         "bufferViews": views,
@@ -38,12 +38,12 @@ def write(folder: Path, *, buffer: str = "a.bin", image: str = "", accessors: An
         "nodes": [{"mesh": number} for number in range(meshes)],
     }
     if image:
-        made["images"], made["textures"] = [{"uri": image}], [{"source": 0}]
-        made["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
+        document["images"], document["textures"] = [{"uri": image}], [{"source": 0}]
+        document["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
     folder.mkdir(exist_ok=True)
     (folder / "a.bin").write_bytes(TRIANGLE.tobytes())
     path = folder / "a.gltf"
-    path.write_text(json.dumps(made))
+    path.write_text(json.dumps(document))
     return path
 
 
@@ -64,7 +64,7 @@ def test_a_few_characters_of_json_do_not_take_gigabytes(tmp_path: Path, count: i
 def test_neither_do_many_accessors_of_a_few_elements_each(tmp_path: Path) -> None:
     zeros = [{"type": "VEC3", "componentType": 5126, "count": 1 << 17} for _ in range(9)]
     assert refused(lambda: load_model(write(tmp_path, accessors=zeros, meshes=9))).rule.id == "scene-model-limit"
-    budget = Budget("a.gltf", spent={"bytes": 1 << 20})
+    budget = Budget("a.gltf", used={"bytes": 1 << 20})
     budget.spend_zeros((1 << 20) + 16 * (1 << 20))  # as many as a large file has bytes for
     assert refused(lambda: budget.spend_zeros(1)).rule.id == "scene-model-limit"
     few = write(tmp_path, accessors=[zeros[0] | {"count": 30}] * 9, meshes=9)
@@ -132,11 +132,11 @@ def test_neither_is_a_buffer_or_an_image(tmp_path: Path) -> None:
     assert "isn't a regular file" in str(load_model(path).omissions[0])
 
 
-@pytest.mark.parametrize("place", ["../out.bin", "{}/out.bin", "link.bin", "a/../../out.bin", "%2e%2e/out.bin"])
-def test_files_elsewhere_are_read_only_if_that_is_asked_for(tmp_path: Path, place: str) -> None:
+@pytest.mark.parametrize("uri", ["../out.bin", "{}/out.bin", "link.bin", "a/../../out.bin", "%2e%2e/out.bin"])
+def test_files_elsewhere_are_read_only_if_that_is_asked_for(tmp_path: Path, uri: str) -> None:
     (tmp_path / "out.bin").write_bytes(TRIANGLE.tobytes())
     inside = tmp_path / "inside"
-    path = write(inside, buffer=place.format(tmp_path))
+    path = write(inside, buffer=uri.format(tmp_path))
     (inside / "a").mkdir()
     (inside / "link.bin").symlink_to(tmp_path / "out.bin")
     error = refused(lambda: load_model(path))

@@ -20,17 +20,17 @@ def refusal(text):
 
 def test_options_are_parsed_and_the_rest_keep_their_defaults():
     values = GENERATORS["city"].parse("detail=3,blocks=5")
-    rest = {"seed": 0, "shadows": 0, "fog": 0.0, "glow": 0.0}
+    rest = {"seed": 0, "shadows": 0, "fog": 0.0, "bloom": 0.0}
     assert values == {"blocks": 5, "detail": 3} | rest
     assert GENERATORS["city"].parse("") == {"blocks": 44, "detail": 7} | rest
 
 
 @pytest.mark.parametrize("name", ["city:blocks=1", "night:blocks=1,lights=12", "hall:columns=2,rows=2,flags=0"])
-def test_fog_and_glow_are_as_the_text_says_and_their_scene_says_so(name):
-    plain, foggy = load_scene(name), load_scene(f"{name},fog=0.25,glow=0.125")
-    assert plain.fog is plain.glow is None
-    assert (foggy.fog.density, foggy.glow.share) == (0.25, 0.125)
-    assert foggy.name == f"{plain.name},fog=0.25,glow=0.125"
+def test_fog_and_bloom_are_as_the_text_says_and_their_scene_says_so(name):
+    plain, foggy = load_scene(name), load_scene(f"{name},fog=0.25,bloom=0.125")
+    assert plain.fog is plain.bloom is None
+    assert (foggy.fog.density, foggy.bloom.strength) == (0.25, 0.125)
+    assert foggy.name == f"{plain.name},fog=0.25,bloom=0.125"
     assert load_scene(foggy.name).name == foggy.name
 
 

@@ -37,7 +37,7 @@ def test_firs_stand_on_the_ground_above_the_sea(island):
     firs = island.objects.mesh == island.meshes.names.index("fir")
     assert firs.sum() == 40
     feet = island.nodes.world[island.objects.node[firs]][:, :3, 3]
-    sunk = island.height_fields[0].find_heights(feet[:, 0], feet[:, 2]) - feet[:, 1]
+    sunk = island.height_fields[0].sample_heights(feet[:, 0], feet[:, 2]) - feet[:, 1]
     assert ((sunk > 0.0) & (sunk < 1.0)).all()
     assert feet[:, 1].min() > 10.0
 
@@ -49,6 +49,6 @@ def test_the_same_seed_gives_the_same_island_and_another_one_another(island):
 
 
 def test_walks_stay_above_the_ground(island):
-    places = np.array([parse_camera("ground", island, frame).position for frame in range(0, 1800, 50)])
-    ground = island.height_fields[0].find_heights(places[:, 0], places[:, 2])
-    assert (places[:, 1] - ground).min() > 5.0
+    positions = np.array([parse_camera("ground", island, frame).position for frame in range(0, 1800, 50)])
+    ground = island.height_fields[0].sample_heights(positions[:, 0], positions[:, 2])
+    assert (positions[:, 1] - ground).min() > 5.0

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rhi
-from renderer.frame import Pass, Plan, Target, make_plan
-from renderer.lab.exam.plans import count_faults
+from renderer.frame import FramePass, Plan, Target, make_plan
+from renderer.lab.exam.plan_cases import count_faults
 from rhi import Format
 
 IMAGE, DEPTH = Target("image", Format.RGBA8_SRGB), Target("depth", Format.D32F)
@@ -27,17 +27,17 @@ def step(
     reads: str = "",
     writes: Sequence[Target] = (),
     changes: dict[str, str] | None = None,
-    reads_last: str = "",
+    reads_previous: str = "",
     side: bool = False,
-) -> Pass[object]:
-    return Pass(
+) -> FramePass[object]:
+    return FramePass(
         name, nothing, "the test needs it", reads=tuple(reads.split()), writes=tuple(writes),
-        changes=changes or {}, reads_last=tuple(reads_last.split()), has_side_effects=side,
+        changes=changes or {}, reads_previous=tuple(reads_previous.split()), has_side_effects=side,
     )  # fmt: skip
 
 
 def names(plan: Plan[object]) -> list[str]:
-    return [one.name for one in plan.passes]
+    return [frame_pass.name for frame_pass in plan.passes]
 
 
 GEOMETRY = step("geometry", writes=[DEPTH, NORMALS])
@@ -46,7 +46,7 @@ RESOLVE = step("resolve", "lit", [IMAGE])
 
 
 @pytest.mark.parametrize("passes", list(itertools.permutations([GEOMETRY, LIGHTS, RESOLVE])))
-def test_contents_are_written_before_they_are_read(passes: Sequence[Pass[object]]) -> None:
+def test_contents_are_written_before_they_are_read(passes: Sequence[FramePass[object]]) -> None:
     assert names(make_plan(passes)) == ["geometry", "lights", "resolve"]
 
 
@@ -59,10 +59,10 @@ def test_independent_passes_keep_the_order_of_their_declaration() -> None:
 
 def test_contents_are_read_before_they_are_drawn_over() -> None:
     over = step("over", changes={"lit": "lit and hazy"})
-    glow = step("glow", "lit", [Target("glow", Format.R8)])
-    final = step("final", "glow", [IMAGE, DEPTH], {"lit and hazy": "final"})
+    bloom = step("bloom", "lit", [Target("bloom", Format.R8)])
+    final = step("final", "bloom", [IMAGE, DEPTH], {"lit and hazy": "final"})
     first = step("first", writes=[LIT])
-    assert names(make_plan([over, final, glow, first])) == ["first", "glow", "over", "final"]
+    assert names(make_plan([over, final, bloom, first])) == ["first", "bloom", "over", "final"]
 
 
 def test_what_nobody_reads_is_dropped_with_all_that_only_it_reads() -> None:
@@ -70,7 +70,7 @@ def test_what_nobody_reads_is_dropped_with_all_that_only_it_reads() -> None:
     edges = step("edges", "blurred", [Target("edges", Format.R8)])
     plan = make_plan([GEOMETRY, LIGHTS, blurred, edges, RESOLVE])
     assert names(plan) == ["geometry", "lights", "resolve"]
-    assert [(one.name, one.because) for one in plan.dropped] == [
+    assert [(dropped.name, dropped.reason) for dropped in plan.dropped] == [
         ("blur", "nothing reads blurred"),
         ("edges", "nothing reads edges"),
     ]
@@ -88,23 +88,23 @@ def test_an_output_is_what_the_last_pass_leaves_that_draws_over_it() -> None:
     haze, smooth = step("haze", changes={"image": "hazy"}), step("smooth", changes={"hazy": "smooth"})
     plan = make_plan([smooth, GEOMETRY, LIGHTS, RESOLVE, haze])
     assert names(plan) == ["geometry", "lights", "resolve", "haze", "smooth"]
-    (texture,) = (one for one in plan.textures if "image" in one.names)
+    (texture,) = (shared for shared in plan.textures if "image" in shared.names)
     assert texture.names == ("image", "hazy", "smooth")
 
 
 def test_what_is_read_in_the_next_frame_is_needed() -> None:
     history = step("remember", "lit", [Target("history", Format.RGBA16F)])
     without = make_plan([GEOMETRY, LIGHTS, history, RESOLVE])
-    resolve = step("resolve", "lit", [IMAGE], reads_last="history")
+    resolve = step("resolve", "lit", [IMAGE], reads_previous="history")
     plan = make_plan([GEOMETRY, LIGHTS, history, resolve])
     assert names(without) == ["geometry", "lights", "resolve"]
     assert names(plan) == ["geometry", "lights", "remember", "resolve"]
-    (kept,) = (texture for texture in plan.textures if texture.kept)
-    assert kept.names == ("history",)
-    assert kept.count_bytes((10, 10)) == 2 * 100 * 8
+    (has_history,) = (texture for texture in plan.textures if texture.has_history)
+    assert has_history.names == ("history",)
+    assert has_history.count_bytes((10, 10)) == 2 * 100 * 8
 
 
-def refused(*passes: Pass[object]) -> tuple[str, str]:
+def refused(*passes: FramePass[object]) -> tuple[str, str]:
     with pytest.raises(rhi.ValidationError) as error:
         make_plan(passes)
     return error.value.rule.id, str(error.value.given)
@@ -114,15 +114,15 @@ def test_a_circle_is_refused_by_the_names_of_its_passes() -> None:
     egg = step("egg", "hen", [Target("egg", Format.R8)])
     hen = step("hen", "egg", [Target("hen", Format.R8)])
     final = step("final", "hen", [IMAGE, DEPTH])
-    rule, given = refused(egg, hen, final)
-    assert rule == "plan-circle"
-    assert given == "'egg' waits for 'hen' waits for 'egg'"
+    rule, value = refused(egg, hen, final)
+    assert rule == "plan-cycle"
+    assert value == "'egg' waits for 'hen' waits for 'egg'"
     assert names(make_plan([step("egg", "", [Target("egg", Format.R8)]), hen, final])) == ["egg", "hen", "final"]
 
 
 def test_a_pass_that_reads_its_own_result_waits_for_itself() -> None:
-    assert refused(step("final", "image", [IMAGE, DEPTH]))[0] == "plan-circle"
-    assert names(make_plan([step("final", "", [IMAGE, DEPTH], reads_last="image")])) == ["final"]
+    assert refused(step("final", "image", [IMAGE, DEPTH]))[0] == "plan-cycle"
+    assert names(make_plan([step("final", "", [IMAGE, DEPTH], reads_previous="image")])) == ["final"]
 
 
 def test_a_circle_of_dropped_passes_is_no_obstacle() -> None:
@@ -132,16 +132,16 @@ def test_a_circle_of_dropped_passes_is_no_obstacle() -> None:
 
 
 def test_contents_have_one_writer() -> None:
-    rule, given = refused(step("one", writes=[IMAGE, DEPTH]), step("two", writes=[IMAGE]))
-    assert (rule, given) == ("plan-two-writers", "'image', written by 'one' and 'two'")
+    rule, value = refused(step("one", writes=[IMAGE, DEPTH]), step("two", writes=[IMAGE]))
+    assert (rule, value) == ("plan-two-writers", "'image', written by 'one' and 'two'")
 
 
 def test_contents_are_drawn_over_once() -> None:
     first = step("first", writes=[LIT, DEPTH])
-    passes = [step(name, changes={"lit": name}) for name in ("haze", "glow")]
+    passes = [step(name, changes={"lit": name}) for name in ("haze", "bloom")]
     assert refused(first, *passes)[0] == "plan-drawn-over-twice"
-    chain = [step("haze", changes={"lit": "hazy"}), step("glow", "hazy", [IMAGE])]
-    assert names(make_plan([first, *chain])) == ["first", "haze", "glow"]
+    chain = [step("haze", changes={"lit": "hazy"}), step("bloom", "hazy", [IMAGE])]
+    assert names(make_plan([first, *chain])) == ["first", "haze", "bloom"]
 
 
 @pytest.mark.parametrize("outputs", [("image",), ("image", "depth")])
@@ -154,14 +154,14 @@ def test_what_is_needed_is_written(outputs: tuple[str, ...]) -> None:
     assert "read by the frame's outputs" in str(error.value.given)
 
 
-def held(plan: Plan[object]) -> list[set[str]]:
+def group_names(plan: Plan[object]) -> list[set[str]]:
     return [set(texture.names) for texture in plan.textures]
 
 
 def test_contents_that_are_not_needed_at_the_same_time_share_a_texture() -> None:
     a, b, c = (Target(name, Format.RGBA16F) for name in "abc")
     chain = [step("a", "", [a]), step("b", "a", [b]), step("c", "b", [c]), step("end", "c", [IMAGE, DEPTH])]
-    assert held(make_plan(chain)) == [{"a", "c"}, {"b"}, {"image"}, {"depth"}]
+    assert group_names(make_plan(chain)) == [{"a", "c"}, {"b"}, {"image"}, {"depth"}]
 
 
 @pytest.mark.parametrize(
@@ -173,17 +173,17 @@ def test_contents_of_another_kind_share_nothing(other: Target) -> None:
     chain = [
         step("a", "", [a]), step("b", "a", [b]), step("c", "b", [other]), step("end", "c", [IMAGE, DEPTH]),
     ]  # fmt: skip
-    assert held(make_plan(chain)) == [{"a"}, {"b"}, {"c"}, {"image"}, {"depth"}]
+    assert group_names(make_plan(chain)) == [{"a"}, {"b"}, {"c"}, {"image"}, {"depth"}]
 
 
 def test_contents_that_are_drawn_over_stay_in_their_texture() -> None:
     chain = [
         step("first", writes=[LIT, DEPTH]),
         step("haze", changes={"lit": "hazy"}),
-        step("glow", changes={"hazy": "glowing"}),
+        step("bloom", changes={"hazy": "glowing"}),
         step("end", "glowing", [IMAGE]),
     ]
-    assert held(make_plan(chain)) == [{"lit", "hazy", "glowing"}, {"depth"}, {"image"}]
+    assert group_names(make_plan(chain)) == [{"lit", "hazy", "glowing"}, {"depth"}, {"image"}]
 
 
 @pytest.mark.parametrize(
@@ -195,15 +195,15 @@ def test_sizes_are_rounded_up(size: tuple[int, int], scale: float, expected: tup
 
 
 @st.composite
-def declarations(draw: st.DrawFn) -> list[Pass[object]]:
+def declarations(draw: st.DrawFn) -> list[FramePass[object]]:
     """Passes in any order, each of which reads contents of earlier ones, and may draw over some."""
     count = draw(st.integers(1, 9))
-    passes: list[Pass[object]] = []
+    passes: list[FramePass[object]] = []
     intact: list[str] = []
     for number in range(count):
-        some = st.lists(st.sampled_from(intact), unique=True, max_size=3) if intact else st.just([])
-        reads = draw(some)
-        over = draw(some)[:1] if draw(st.booleans()) else []
+        subset = st.lists(st.sampled_from(intact), unique=True, max_size=3) if intact else st.just([])
+        reads = draw(subset)
+        over = draw(subset)[:1] if draw(st.booleans()) else []
         kind = draw(st.sampled_from([Format.R8, Format.RGBA16F]))
         new = f"c{number}"
         passes.append(
@@ -222,11 +222,11 @@ def declarations(draw: st.DrawFn) -> list[Pass[object]]:
 
 @settings(max_examples=200, deadline=None)
 @given(declarations())
-def test_contents_are_intact_when_they_are_read(passes: list[Pass[object]]) -> None:
+def test_contents_are_intact_when_they_are_read(passes: list[FramePass[object]]) -> None:
     plan = make_plan(passes)
     assert count_faults(plan, passes) == 0
     where = {name: number for number, texture in enumerate(plan.textures) for name in texture.names}
     assert len(plan.passes) + len(plan.dropped) == len(passes)
-    for target in (target for one in plan.passes for target in one.writes):
+    for target in (target for frame_pass in plan.passes for target in frame_pass.writes):
         texture = plan.textures[where[target.name]]
         assert (texture.format, texture.scale, texture.samples) == (target.format, target.scale, target.samples)

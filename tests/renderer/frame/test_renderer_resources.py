@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import rhi
 from renderer.frame import MirroredArray, SceneResources
-from renderer.lights.lists import list_lights
+from renderer.lights.object_lists import list_lights
 from renderer.scene import Camera, Scene, translation
 from rhi.shading import vec4
 
@@ -60,31 +60,31 @@ def test_the_buffer_holds_what_was_written_last(history: list[list[int]]) -> Non
         array = MirroredArray(device, vec4, "rows")
         for values in history:
             array.write(rows(*values))
-            held = rows() if array.buffer is None else array.buffer.read()
-            assert np.array_equal(held, rows(*values))
+            content = rows() if array.buffer is None else array.buffer.read()
+            assert np.array_equal(content, rows(*values))
 
 
 def lit_boxes() -> Scene:
     """Make 6 fixed and 6 moving boxes a metre apart in two lines, along which 5 lights of a range of 2 m stand."""
     builder = make_boxes()
-    places = np.stack([np.tile(np.arange(6.0), 2), np.zeros(12), np.repeat([0.0, 3.0], 6)], axis=1)
-    nodes = builder.add_nodes(translation(places), dynamic=np.arange(12) % 2 == 0)
+    object_positions = np.stack([np.tile(np.arange(6.0), 2), np.zeros(12), np.repeat([0.0, 3.0], 6)], axis=1)
+    nodes = builder.add_nodes(translation(object_positions), dynamic=np.arange(12) % 2 == 0)
     builder.add_objects(nodes, 0, 0)
-    builder.lights.add_points(places[:5:2], 2.0)
-    builder.lights.add_spots(places[7:10:2], (0, -1, 0), 2.0, 0.1, 0.2)
+    builder.lights.add_points(object_positions[:5:2], 2.0)
+    builder.lights.add_spots(object_positions[7:10:2], (0, -1, 0), 2.0, 0.1, 0.2)
     return builder.build()
 
 
 def lights_of(resources: SceneResources) -> list[tuple[list[int], list[int]]]:
     """Return for each object the rows of its point and of its spot lights."""
-    rows, lists = resources.objects.buffer, resources.light_rows.buffer
+    rows, lists = resources.objects.buffer, resources.light_list.buffer
     assert rows is not None
     assert lists is not None
     table, listed = rows.read(), lists.read()
     return [
         (
-            listed[row["lights_begin"] : row["points_end"]].tolist(),
-            listed[row["points_end"] : row["lights_end"]].tolist(),
+            listed[row["lights_begin"] : row["point_lights_end"]].tolist(),
+            listed[row["point_lights_end"] : row["lights_end"]].tolist(),
         )
         for row in table
     ]
@@ -96,23 +96,23 @@ def test_lists_follow_objects_and_lights_that_move(null: rhi.Device) -> None:
     resources = SceneResources(null, scene)
 
     def move_objects() -> None:
-        scene.nodes.set_local(scene.objects.node[scene.objects.following_rows], translation((0.0, 0.0, 1.5)))
+        scene.nodes.set_local(scene.objects.node[scene.objects.following_indices], translation((0.0, 0.0, 1.5)))
         scene.refresh()
 
     def move_lights() -> None:
         scene.lights.point["position"][:, 2] += 2.0
 
-    found = []
+    lists = []
     for change in (None, move_objects, move_lights):
         if change is not None:
             change()
         resources.update(camera)
         fresh = SceneResources(null, scene)
         fresh.update(camera)
-        found.append(lights_of(resources))
-        assert found[-1] == lights_of(fresh)
+        lists.append(lights_of(resources))
+        assert lists[-1] == lights_of(fresh)
         fresh.destroy()
-    assert found[0] != found[1] != found[2]
+    assert lists[0] != lists[1] != lists[2]
 
 
 def test_objects_that_move_do_not_list_the_lights_of_others_again(
@@ -129,7 +129,7 @@ def test_objects_that_move_do_not_list_the_lights_of_others_again(
     resources = SceneResources(null, scene)
     resources.update(camera)
     assert counts == [6, 6]
-    scene.nodes.set_local(scene.objects.node[scene.objects.following_rows[:1]], translation((0.0, 5.0, 0.0))[None])
+    scene.nodes.set_local(scene.objects.node[scene.objects.following_indices[:1]], translation((0.0, 5.0, 0.0))[None])
     scene.refresh()
     resources.update(camera)
     assert counts == [6, 6, 6]

@@ -11,7 +11,7 @@ from rhi import Format, Op
 IMAGE = SharedTexture(Format.RGBA8_SRGB, 1.0, 1, ("image",))
 DEPTH = SharedTexture(Format.D32F, 1.0, 1, ("depth",))
 HALF = SharedTexture(Format.RGBA16F, 0.5, 1, ("light", "blurred"))
-KEPT = SharedTexture(Format.RGBA16F, 1.0, 1, ("history",), kept=True)
+KEPT = SharedTexture(Format.RGBA16F, 1.0, 1, ("history",), has_history=True)
 
 
 def created(device: rhi.Device) -> int:
@@ -56,11 +56,11 @@ def test_what_is_kept_has_two_textures_in_turn(null: rhi.Device) -> None:
     seen = []
     for _ in range(4):
         targets.provide((IMAGE, DEPTH, KEPT))
-        seen.append((targets["history"], targets.last("history")))
+        seen.append((targets["history"], targets.previous("history")))
     first, second = seen[0][0], seen[1][0]
     assert first is not second
     assert seen == [(first, None), (second, first), (first, second), (second, first)]
-    assert targets.last("image") is None
+    assert targets.previous("image") is None
 
 
 def test_a_new_size_replaces_all_textures(null: rhi.Device) -> None:
@@ -77,13 +77,13 @@ def test_a_texture_that_cannot_be_created_leaves_the_targets_as_they_were(null: 
     targets = Targets(null, (64, 36))
     targets.provide((IMAGE, DEPTH))
     huge = SharedTexture(Format.RGBA16F, 1e6, 1, ("huge",))
-    made = created(null)
+    before = created(null)
     with pytest.raises(rhi.ValidationError):
         targets.provide((IMAGE, HALF, huge))
     assert not targets.image.destroyed
     assert not targets.depth.destroyed
     null.finish()
-    assert created(null) - made == len(null.stream.filter(Op.DESTROY)) == 1  # the texture of HALF
+    assert created(null) - before == len(null.stream.filter(Op.DESTROY)) == 1  # the texture of HALF
 
 
 def test_everything_is_destroyed(null: rhi.Device) -> None:

@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
-from frames import need_algorithm
 from frames import open_renderer as open_any
+from frames import require_algorithm
 from nightly_reasons import FEWER_CASES
 
 import rhi
@@ -17,11 +17,11 @@ from renderer.frame import (
     IMAGE_FORMAT,
     BoundProgram,
     Frame,
-    Needs,
-    Pass,
+    FrameEffects,
+    FramePass,
     SceneResources,
     Target,
-    TechniquePass,
+    TechniqueDrawer,
     View,
 )
 from renderer.scene import Camera, Scene
@@ -29,7 +29,7 @@ from renderer.shaders import ViewConstants
 from renderer.shaders.depth import DepthOnly
 from renderer.techniques import Forward
 from renderer.techniques.parts.scene_shader import ForwardShader
-from renderer.techniques.parts.variants import bind, find_variant
+from renderer.techniques.parts.variants import bind, shader_variant
 from renderer.visibility import FrustumCulling
 from rhi import DepthFunction, DepthWrite, Format
 from rhi.backends.null import NullBackend
@@ -40,13 +40,17 @@ FRAMES: Final = (600, 601, 602)
 
 
 def draw_depth(frame: Frame, view: View, depth: rhi.Texture) -> None:
-    arrays = frame.resources.list_arrays(view.buffer)
-    bindings: dict[str, Any] = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
+    arrays = frame.resources.scene_arrays(view.buffer)
+    bindings: dict[str, Any] = {
+        "view": arrays.view,
+        "objects": arrays.objects,
+        "object_positions": arrays.object_positions,
+    }
     program: Any = frame.device.program(DepthOnly)
-    scene_pass = TechniquePass(
+    drawer = TechniqueDrawer(
         frame.device, frame.resources, view, [BoundProgram(program, bindings)], color=None, depth=depth
     )
-    frame.draw_visible(scene_pass, view)
+    frame.draw_visible(drawer, view)
 
 
 class DepthFirst:
@@ -54,20 +58,20 @@ class DepthFirst:
 
     name = "depth first"
 
-    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
+    def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
         return (
-            Pass("depth", self._draw_depth, "hides what isn't seen", writes=(Target("depth", DEPTH_FORMAT),)),
-            Pass("lit", self._draw_lit, "lights what is seen", ("depth",), (Target("image", IMAGE_FORMAT),)),
+            FramePass("depth", self._draw_depth, "hides what isn't seen", writes=(Target("depth", DEPTH_FORMAT),)),
+            FramePass("lit", self._draw_lit, "lights what is seen", ("depth",), (Target("image", IMAGE_FORMAT),)),
         )
 
     def _draw_depth(self, frame: Frame) -> None:
         draw_depth(frame, frame.view, frame.targets.depth)
 
     def _draw_lit(self, frame: Frame) -> None:
-        program = frame.program(find_variant(frame, ForwardShader))
+        program = frame.program(shader_variant(frame, ForwardShader))
         bindings = bind(frame, program, {})
         frame.draw_visible(
-            TechniquePass(
+            TechniqueDrawer(
                 frame.device, frame.resources, frame.view, [BoundProgram(program, bindings)],
                 color=frame.targets.image, depth=frame.targets.depth, clears=False,
                 clear=(*frame.resources.scene.background, 1.0),
@@ -80,8 +84,8 @@ class DepthFirst:
     "cl-frustum", "cl-chc_plus_plus", "cl-depth_pyramid", "cl-two_pass", "cl-conditional", reason=FEWER_CASES
 )
 @pytest.mark.parametrize("name", ["none", "frustum", "chc_plus_plus", "conditional", "depth_pyramid", "two_pass"])
-def test_two_passes_of_a_view_draw_the_same_picture_as_one(drawing_device: rhi.Device, city: Scene, name: str) -> None:
-    need_algorithm(drawing_device, name)
+def test_two_passes_of_a_view_draw_the_same_image_as_one(drawing_device: rhi.Device, city: Scene, name: str) -> None:
+    require_algorithm(drawing_device, name)
     images = []
     for technique in (Forward(), DepthFirst()):
         with open_renderer(drawing_device, city, technique, visibility=name) as renderer:
@@ -101,7 +105,7 @@ def test_a_view_asks_once_however_many_passes_draw_it(null: rhi.Device, city: Sc
     for technique in (Forward(), DepthFirst()):
         with open_renderer(null, city, technique, visibility=name) as renderer:
             statistics = [renderer.render(city.paths["ground"].camera(frame)).statistics for frame in FRAMES]
-        counts.append([(one.queries, one.draws, one.triangles) for one in statistics])
+        counts.append([(counted.queries, counted.draws, counted.triangles) for counted in statistics])
     assert counts[0] == counts[1]
     assert name == "frustum" or sum(queries for queries, _, _ in counts[0]) > 0
 
@@ -127,15 +131,15 @@ class FromAbove:
         self.above: View | None = None
         self.rows: np.ndarray = np.zeros(0, np.int64)
 
-    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
+    def declare(self, effects: FrameEffects) -> tuple[FramePass[Frame], ...]:
         map_depth = Target("map", Format.D32F, 0.5)
-        above = Pass("above", self._draw_above, "shows a map", writes=(map_depth,), has_side_effects=True)
-        return (above, *Forward().declare(needs))
+        above = FramePass("above", self._draw_above, "shows a map", writes=(map_depth,), has_side_effects=True)
+        return (above, *Forward().declare(effects))
 
     def _draw_above(self, frame: Frame) -> None:
         assert self.above is not None
         draw_depth(frame, self.above, frame.targets["map"])
-        self.rows = frame._seen[self.above].drawn.rows
+        self.rows = frame._seen[self.above].draw_result.object_indices
 
 
 def test_each_view_culls_for_its_own_camera(null: rhi.Device, city: Scene) -> None:
@@ -184,8 +188,8 @@ def test_resources_keep_what_a_technique_keeps_between_frames(null: rhi.Device, 
             self.buffer.destroy()
             self.destroyed = True
 
-    kept = resources.workspace(Kept)
-    assert resources.workspace(Kept) is kept
-    assert not kept.destroyed
+    workspace = resources.workspace(Kept)
+    assert resources.workspace(Kept) is workspace
+    assert not workspace.destroyed
     resources.destroy()
-    assert kept.destroyed
+    assert workspace.destroyed

@@ -18,9 +18,9 @@ from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.content import load_scene
 from renderer.lab import comparison
-from renderer.lab.comparison import Frames, Record, Subject, average, compare, interval, middle, rate, ratio, time
+from renderer.lab.comparison import Frames, Record, Subject, average, compare, interval, median_of, rate, ratio, time
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import Camera, Shot
+from renderer.scene import Camera, PathFrame
 from tests.renderer.conftest import open_device, run_with_quick_kernels
 
 COLUMNS: dict[str, comparison.Column] = {"ratio": ratio(), "speed": ratio(inverse=True)}
@@ -31,7 +31,7 @@ def ticks(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     """Clocks that only go on when they are told to; called, it lets seconds pass."""
     now = [0.0]
     for name in ("perf_counter", "process_time"):
-        monkeypatch.setattr(import_module("renderer.lab.measure.alternate"), name, lambda: now[0])
+        monkeypatch.setattr(import_module("renderer.lab.measure.measurement"), name, lambda: now[0])
 
     def pass_by(seconds: float) -> None:
         now[0] += seconds
@@ -50,8 +50,8 @@ def test_what_is_done_before_a_run_and_between_rounds_is_not_timed(ticks: Callab
         ticks(100.0)
         return {}
 
-    one = Subject({}, lambda _: ticks(2.0), before=lambda: ticks(100.0), count=count)
-    assert compare([one], {"ms": time()}, rounds()) == [{"ms": 2000.0}]
+    subject = Subject({}, lambda _: ticks(2.0), before=lambda: ticks(100.0), count=count)
+    assert compare([subject], {"ms": time()}, rounds()) == [{"ms": 2000.0}]
 
 
 def test_ratios_are_to_the_first_subject_with_the_same_cells(ticks: Callable[[float], None]) -> None:
@@ -60,7 +60,7 @@ def test_ratios_are_to_the_first_subject_with_the_same_cells(ticks: Callable[[fl
         Subject({"scene": scene, "way": way}, lambda _, seconds=seconds: ticks(seconds))
         for (scene, way), seconds in taken.items()
     ]
-    rows = compare(subjects, COLUMNS, range(2), within=("scene",))
+    rows = compare(subjects, COLUMNS, range(2), group_by=("scene",))
     assert [(row["ratio"], row["speed"]) for row in rows] == [(1.0, 1.0), (3.0, 0.333), (1.0, 1.0), (4.0, 0.25)]
     assert [row["ratio"] for row in compare(subjects, COLUMNS, range(2))] == [1.0, 3.0, 5.0, 20.0]
 
@@ -84,7 +84,7 @@ def test_a_ratio_of_counts_is_the_median_of_rounds_too() -> None:
         Subject({}, now.append, count=lambda of=of: {"seconds": of[now[-1]]})
         for of in ((1.0, 2.0, 9.0), (3.0, 1.0, 8.0), (1.0, 2.0, 9.0))
     ]
-    columns = {"seconds": middle(), "ratio": comparison.ratio_of("seconds")}
+    columns = {"seconds": median_of(), "ratio": comparison.count_ratio("seconds")}
     rows = compare(subjects, columns, range(3), warm_ups=0)
     assert [(row["seconds"], row["ratio"]) for row in rows] == [(2.0, 1.0), (3.0, 0.889), (2.0, 1.0)]
 
@@ -95,11 +95,11 @@ def test_counts_are_those_of_timed_runs_and_cells_have_their_order() -> None:
     def count() -> Mapping[str, int]:
         return {"calls": done[-1]}
 
-    one = Subject({"name": "a"}, done.append, count=count, find=lambda: {"all": len(done)})
-    rows = compare([one], {"calls": average()}, (2, 6), warm_ups=3)
+    subject = Subject({"name": "a"}, done.append, count=count, summarize=lambda: {"all": len(done)})
+    rows = compare([subject], {"calls": average()}, (2, 6), warm_ups=3)
     assert rows == [{"name": "a", "calls": 4, "all": 5}]
     assert list(rows[0]) == ["name", "calls", "all"]
-    assert compare([one], {"calls": comparison.largest}, (2, 6))[0]["calls"] == 6
+    assert compare([subject], {"calls": comparison.max_size}, (2, 6))[0]["calls"] == 6
 
 
 Run = Callable[..., Any]
@@ -110,12 +110,12 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
     """Runs a benchmark that has these rows, by these arguments, and returns what it prints; RHI_KERNELS is what it was
     at the end."""
 
-    def run(rows: Iterable[Record], *arguments: str, asked: str | None = None, **given: Any) -> Any:
+    def run(rows: Iterable[Record], *arguments: str, asked: str | None = None, **options_of_run: Any) -> Any:
         monkeypatch.setattr("sys.argv", ["some.py", *arguments])
         monkeypatch.setenv("RHI_KERNELS", asked or "")
         if asked is None:
             monkeypatch.delenv("RHI_KERNELS")
-        run_benchmark("Says what it is.", [options.rounds("rounds")], lambda _: rows, **given)
+        run_benchmark("Says what it is.", [options.rounds("rounds")], lambda _: rows, **options_of_run)
         return capsys.readouterr()
 
     return run
@@ -135,14 +135,14 @@ def test_a_benchmark_prints_its_rows(form: str, run: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked", "given", "ran"),
+    ("asked", "keywords", "ran"),
     [(None, {}, "optimised"), ("quick", {}, "quick"), (None, {"kernels": ""}, "")],
     ids=["as a long run has them", "as was asked for", "as a first run has them"],
 )
 def test_a_benchmark_runs_the_kernels_of_a_long_run_or_others_on_demand(
-    asked: str | None, given: dict[str, str], ran: str, run: Run
+    asked: str | None, keywords: dict[str, str], ran: str, run: Run
 ) -> None:
-    run([{"a": 1}], asked=asked, **given)
+    run([{"a": 1}], asked=asked, **keywords)
     assert os.environ["RHI_KERNELS"] == ran
 
 
@@ -169,12 +169,12 @@ class SlowlyBetter:
 
 
 @pytest.mark.parametrize(
-    ("good", "said"), [(0, "optimised"), (2, "optimised"), (3, "quick, then optimised"), (9, "quick")]
+    ("good", "expected"), [(0, "optimised"), (2, "optimised"), (3, "quick, then optimised"), (9, "quick")]
 )
-def test_kernels_are_those_of_the_timed_rounds(good: int, said: str | None) -> None:
+def test_kernels_are_those_of_the_timed_rounds(good: int, expected: str | None) -> None:
     device: Any = SlowlyBetter(good)
     rows = compare([Subject({}, device.run, device=device)], {}, range(3), warm_ups=2)
-    assert rows == [{"kernels": said}]
+    assert rows == [{"kernels": expected}]
 
 
 def test_a_device_without_quick_kernels_says_nothing_of_them() -> None:
@@ -185,7 +185,7 @@ def test_a_device_without_quick_kernels_says_nothing_of_them() -> None:
 
 def test_frames_say_their_device_and_draw_their_shots_in_turn() -> None:
     scene = load_scene("grid:count=1")
-    shots = [Shot(number, next(iter(scene.views.values()))) for number in (30, 90)]
+    path_frames = [PathFrame(number, next(iter(scene.views.values()))) for number in (30, 90)]
     seconds: list[float] = []
 
     class Timed(Renderer):
@@ -194,7 +194,7 @@ def test_frames_say_their_device_and_draw_their_shots_in_turn() -> None:
             return super().render(camera, seconds_)
 
     with rhi.create_device("null") as device, Timed(device, scene, size=(8, 8)) as renderer:
-        draw = Frames(renderer, *shots)
+        draw = Frames(renderer, *path_frames)
         (row,) = compare([Subject({}, draw, count=draw.count)], {"draws": average()}, range(3), warm_ups=0)
     assert seconds == [0.5, 1.5, 0.5]
     assert row == {"draws": 1, "kernels": None}
@@ -235,5 +235,5 @@ def test_each_comparison_says_which_kernels_cl_ran(command: str, tmp_path: Path)
 
 @pytest.mark.parametrize(("ran", "is_noted"), [("quick", True), ("quick, then optimised", True), ("optimised", False)])
 def test_figures_that_a_long_run_has_not_are_noted(ran: str, is_noted: bool, run: Run) -> None:
-    said = run([{"a": 1}, {"a": 1, "kernels": ran}, {"a": 2, "kernels": None}]).err
-    assert ("quick kernels ran" in said) is is_noted
+    stderr = run([{"a": 1}, {"a": 1, "kernels": ran}, {"a": 2, "kernels": None}]).err
+    assert ("quick kernels ran" in stderr) is is_noted

@@ -22,9 +22,9 @@ def test_lines_are_a_metre_apart_and_what_is_nearer_hides_them(drawing_device: r
         layer = GroundGrid(drawing_device)
         renderer.layers.append(layer)
         result = renderer.render(camera)
-        shown, depth = result.image.read().astype(int), result.depth.read()
+        with_grid, depth = result.image.read().astype(int), result.depth.read()
         layer.destroy()
-    changed = (shown - plain).max(-1)
+    changed = (with_grid - plain).max(-1)
     width, height = SIZE
     metres = 10.0 / (0.5 * height * camera.projection.matrix[1, 1])  # a pixel
     across = x + (np.arange(width) + 0.5 - 0.5 * width) * metres

@@ -7,7 +7,7 @@ import pytest
 
 from renderer.content import load_scene
 from renderer.content.fountains import DROPS
-from renderer.layers.particles import FoggedParticles, Particle, Particles, find_particles
+from renderer.layers.particles import FogParticleShader, Particle, Particles, collect_particles
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.techniques.parts.scene_shader import ForwardShader
@@ -28,7 +28,7 @@ class Catch:
     """A layer that keeps the particles of a frame."""
 
     def render(self, device: Device, frame: object) -> None:
-        self.parts = list(find_particles(frame))  # type: ignore[arg-type]
+        self.parts = list(collect_particles(frame))  # type: ignore[arg-type]
         self.frame = frame
 
     def destroy(self) -> None:
@@ -53,11 +53,13 @@ def test_a_particle_is_where_the_drop_is(null: Device, hall: Scene) -> None:
     centres = drops.reshape(len(rows), DROPS, 12, 3).mean(axis=2)  # of the tetrahedra on the device
     world = hall.nodes.world[hall.objects.node[rows]]
     expected = np.einsum("nij,npj->npi", world[:, :3, :3], centres) + world[:, None, :3, 3] - camera.position
-    given = part.reshape(24, DROPS, 8)
-    assert np.abs(given[:, :, :3] - expected).max() < 1e-5
-    flying = (given[:, :, :3] != before[:, :, :3]).any(axis=2) & (np.abs(given[:, :, 4:7]).max(axis=2) < 1.0)
-    moved = (given - before)[:, :, :3][flying]
-    along = given[:, :, 4:7][flying]  # the way in 1/60 s, which is a step
+    read_vertices = part.reshape(24, DROPS, 8)
+    assert np.abs(read_vertices[:, :, :3] - expected).max() < 1e-5
+    flying = (read_vertices[:, :, :3] != before[:, :, :3]).any(axis=2) & (
+        np.abs(read_vertices[:, :, 4:7]).max(axis=2) < 1.0
+    )
+    moved = (read_vertices - before)[:, :, :3][flying]
+    along = read_vertices[:, :, 4:7][flying]  # the way in 1/60 s, which is a step
     calm = np.abs(moved).max(axis=1) < 0.2  # thrown again, or stopped by the basin
     assert calm.mean() > 0.9
     assert np.median(np.abs(moved - along)[calm]) < 1e-5
@@ -110,7 +112,7 @@ def test_a_scene_without_simulations_has_no_particles(null: Device) -> None:
 
 def test_particles_show_in_front_of_what_is_behind_them_and_only_there() -> None:
     hall = load_scene("hall:columns=6,rows=2,flags=0,fountains=4")
-    pictures = []
+    differences = []
     for name in ("gl", "cl"):
         with (
             open_device(name) as device,
@@ -121,11 +123,11 @@ def test_particles_show_in_front_of_what_is_behind_them_and_only_there() -> None
             before, depth = plain.image.read().astype(int), plain.depth.read()
             particles = Particles(device)
             renderer.layers.append(particles)
-            shown = renderer.render(camera, 1.5)
-            pictures.append(shown.image.read().astype(int) - before)
-            assert (shown.depth.read() == depth).all()
+            result = renderer.render(camera, 1.5)
+            differences.append(result.image.read().astype(int) - before)
+            assert (result.depth.read() == depth).all()
             particles.destroy()
-    first, second = pictures
+    first, second = differences
     lit = (first > 8).any(axis=2)
     assert 50 < lit.sum() < 0.2 * lit.size
     assert not lit[:20].any()  # drops don't fly as high as the ceiling
@@ -134,6 +136,6 @@ def test_particles_show_in_front_of_what_is_behind_them_and_only_there() -> None
 
 
 def test_particles_call_fog_as_surfaces_do() -> None:
-    bound = {binding.name: binding.type for binding in compile_shader(FoggedParticles).bindings}
+    bound = {binding.name: binding.type for binding in compile_shader(FogParticleShader).bindings}
     surfaces = type("Foggy", (ForwardShader,), {"__module__": __name__, "has_fog": True})
     assert bound["fog"] == {each.name: each.type for each in compile_shader(surfaces).bindings}["fog"]

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from renderer.lights.rectangles import bound_cones, bound_spheres
+from renderer.light_kinds.spot import bound_cones
+from renderer.lights.rectangles import bound_spheres
 from renderer.scene import Camera, Depth, Orthographic, Perspective
 from renderer.scene.arrays import Floats
 
-LENSES = {
+PROJECTIONS = {
     "perspective": lambda depth: Perspective(near=0.3, depth=depth),
     "with a far plane": lambda depth: Perspective(fov=2.0, near=1.5, far=90.0, depth=depth),
     "orthographic": lambda depth: Orthographic(30.0, near=-4.0, depth=depth),
@@ -26,10 +27,10 @@ def project(camera: Camera, points: Floats) -> tuple[Floats, Floats]:
 
 
 @pytest.mark.parametrize("direction", list(Depth))
-@pytest.mark.parametrize("lens", LENSES)
-def test_a_rectangle_is_the_smallest_around_its_sphere(lens: str, direction: Depth) -> None:
+@pytest.mark.parametrize("projection", PROJECTIONS)
+def test_a_rectangle_is_the_smallest_around_its_sphere(projection: str, direction: Depth) -> None:
     rng = np.random.default_rng(11)
-    camera = Camera.look_at((5, 3, 2), (-4, 1, -9), projection=LENSES[lens](direction))
+    camera = Camera.look_at((5, 3, 2), (-4, 1, -9), projection=PROJECTIONS[projection](direction))
     centers = camera.position + rng.uniform(-25, 25, (300, 3))
     radii = rng.uniform(0.2, 22.0, 300)
     away = rng.normal(size=(300, 4000, 3))
@@ -37,27 +38,27 @@ def test_a_rectangle_is_the_smallest_around_its_sphere(lens: str, direction: Dep
     # Where the near plane cuts a sphere, the extremes are on the circle, which points on the surface miss.
     lengths = rng.uniform(0, 1, (300, 4000, 1)) ** (1 / 3)
     points = np.concatenate([points, centers[:, None] + (points - centers[:, None]) * lengths], 1)
-    places, seen = project(camera, points)
-    found = bound_spheres(camera, centers, radii)
-    inside = (places >= found[:, None, :2]).all(-1) & (places <= found[:, None, 2:]).all(-1)
-    on_screen = seen & (np.abs(places) <= 1.0).all(-1)
+    projected, seen = project(camera, points)
+    rectangles = bound_spheres(camera, centers, radii)
+    inside = (projected >= rectangles[:, None, :2]).all(-1) & (projected <= rectangles[:, None, 2:]).all(-1)
+    on_screen = seen & (np.abs(projected) <= 1.0).all(-1)
     assert on_screen.any(1).sum() > 40
     assert inside[on_screen].all()
-    whole = seen.all(1) & (np.abs(places) <= 1.0).all((1, 2))  # not cut: the bound is close to the points
+    whole = seen.all(1) & (np.abs(projected) <= 1.0).all((1, 2))  # not cut: the bound is close to the points
     if whole.any():
-        low, high = places[whole].min(1), places[whole].max(1)
-        size = found[whole, 2:] - found[whole, :2]
+        low, high = projected[whole].min(1), projected[whole].max(1)
+        size = rectangles[whole, 2:] - rectangles[whole, :2]
         assert ((high - low) >= 0.95 * size).all()
-    if lens != "orthographic":
+    if projection != "orthographic":
         nearer = ~seen.any(1)
-        assert (found[nearer, 2] - found[nearer, 0] <= 0.2).all()
+        assert (rectangles[nearer, 2] - rectangles[nearer, 0] <= 0.2).all()
 
 
 def test_a_sphere_behind_the_eye_has_no_area() -> None:
     camera = Camera.look_at((0, 0, 0), (0, 0, -1))
-    found = bound_spheres(camera, np.array([[0.0, 0, 5], [0, 0, -5]]), np.array([2.0, 2.0]))
-    assert found[0].tolist() == [0, 0, 0, 0]
-    assert found[1, 2] > found[1, 0]
+    rectangles = bound_spheres(camera, np.array([[0.0, 0, 5], [0, 0, -5]]), np.array([2.0, 2.0]))
+    assert rectangles[0].tolist() == [0, 0, 0, 0]
+    assert rectangles[1, 2] > rectangles[1, 0]
 
 
 def test_a_sphere_around_the_eye_is_the_whole_image() -> None:

@@ -134,7 +134,7 @@ def build(**material: Any) -> Scene:
 
 
 @pytest.mark.parametrize(("other", "mixed"), [({}, 0), ({"uv_set": 1}, 1), ({"scale": (2.0, 2.0)}, 1)])
-def test_textures_that_are_read_at_unlike_places_are_counted(other: dict[str, Any], mixed: int) -> None:
+def test_textures_that_are_read_at_unlike_coordinates_are_counted(other: dict[str, Any], mixed: int) -> None:
     scene = build(texture=TextureMap(0), normal_texture=TextureMap(0, **other))
     assert scene.count_features()["mixed coordinates"] == mixed
 
@@ -149,7 +149,7 @@ def test_a_scene_counts_again_when_it_is_refreshed() -> None:
 
 def test_a_scene_finds_transparent_objects_again_when_it_is_refreshed() -> None:
     scene = build()
-    assert scene.find_transparent().tolist() == []
+    assert scene.list_transparent().tolist() == []
     scene.materials["alpha_mode"] = AlphaMode.BLEND
     scene.refresh()
-    assert scene.find_transparent().tolist() == [0]
+    assert scene.list_transparent().tolist() == [0]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from refusals import find_rule
+from refusals import refused_rule
 
 from renderer.scene import SceneBuilder, make_height_field
 from renderer.scene.height_fields import bisect
@@ -37,7 +37,7 @@ def test_its_mesh_has_equal_triangles_as_many_as_the_limit_allows():
 
 def test_heights_between_vertices_are_interpolated():
     field = make_height_field([[0.0, 3.0], [6.0, 9.0]], (4.0, 8.0))
-    assert field.find_heights([-2.0, 2.0, 0.0, 9.0], [-4.0, -4.0, 2.0, 0.0]) == pytest.approx([0.0, 3.0, 6.0, 6.0])
+    assert field.sample_heights([-2.0, 2.0, 0.0, 9.0], [-4.0, -4.0, 2.0, 0.0]) == pytest.approx([0.0, 3.0, 6.0, 6.0])
 
 
 def test_normals_and_tangents_follow_a_slope():
@@ -77,7 +77,7 @@ def test_lengths_and_reaches_hold_those_of_all_that_depends_on_a_vertex():
     ],
 )
 def test_bad_maps_are_refused(heights, size, limit):
-    assert find_rule(lambda: make_height_field(heights, size, limit=limit)) == "scene-bad-heights"
+    assert refused_rule(lambda: make_height_field(heights, size, limit=limit)) == "scene-bad-heights"
 
 
 def test_a_field_has_one_object():
@@ -89,4 +89,4 @@ def test_a_field_has_one_object():
         return builder.build()
 
     assert list(make(1).height_fields) == [0]
-    assert find_rule(lambda: make(2)) == "scene-shared-heights"
+    assert refused_rule(lambda: make(2)) == "scene-shared-heights"

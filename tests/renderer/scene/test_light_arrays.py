@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from frames import EYE, find_difference, make_boxes, open_renderer, read_colors
+from frames import EYE, make_boxes, max_difference, open_renderer, read_colors
 
 import rhi
 from renderer.lab.measure.light_evaluations import count_light_evaluations
@@ -80,37 +80,37 @@ def test_a_sphere_without_a_radius_has_a_rectangle_without_an_overflow() -> None
     assert np.abs(rectangle).max() < 1e-5
 
 
-def test_lights_are_white_and_of_intensity_1_unless_told_otherwise() -> None:
+def test_lights_are_white_and_of_intensity_1_by_default() -> None:
     lights = Lights()
     add_lights(lights)
     lights.add_points([(0, 0, 0)], 1.0)
     lights.add_spots([(0, 0, 0)], (0, 0, -1), 1.0, 0.1, 0.2)
-    for some, count in ((lights.directional, 1), (lights.point, 2), (lights.spot, 2)):
-        assert some["intensity"].tolist() == [1.0] * count
-        assert some["color"].tolist() == [[1.0, 1.0, 1.0]] * count
-        assert not some["casts_shadow"].any()
+    for array, count in ((lights.directional, 1), (lights.point, 2), (lights.spot, 2)):
+        assert array["intensity"].tolist() == [1.0] * count
+        assert array["color"].tolist() == [[1.0, 1.0, 1.0]] * count
+        assert not array["casts_shadow"].any()
 
 
 @pytest.mark.parametrize("kind", ["directional", "point", "spot"])
-def test_the_contents_of_lights_are_another_object_where_one_was_written_to(kind: str) -> None:
+def test_the_snapshot_of_lights_is_another_object_where_one_was_written_to(kind: str) -> None:
     lights = Lights()
     lights.add_directional((0, -1, 0))
     lights.add_point((0, 1, 0), 5.0)
     lights.add_spot((0, 1, 0), (0, -1, 0), 5.0, 0.1, 0.2)
     lights.refresh()
-    known = lights.contents
+    before = lights.snapshot
     lights.refresh()
-    assert lights.contents is known
+    assert lights.snapshot is before
     getattr(lights, kind)["intensity"] *= 0.5
     lights.refresh()
-    assert lights.contents is not known
+    assert lights.snapshot is not before
 
 
-LEAST = 0.25
+CUTOFF = 0.25
 
 
 def make_faint() -> Lights:
-    """Make lamps of which the last two end before their light is faint: at their range, and at their source."""
+    """Make point lights of which the last two end before their light is faint: at their range, and at their source."""
     lights = Lights()
     lights.add_points([(0, 1.5, 2), (2, 0, 3), (-2, 0, 3)], [9.0, 1.5, 9.0], intensity=[1.0, 4.0, 0.1],
                       color=[(0.5, 1, 0), (1, 1, 1), (1, 1, 1)], source_radius=[0, 0, 1.0])  # fmt: skip
@@ -118,33 +118,33 @@ def make_faint() -> Lights:
     return lights
 
 
-def test_lamps_are_cut_where_their_light_is_faint_and_little_of_it_is_missing() -> None:
+def test_a_cutoff_shortens_ranges_and_little_light_is_missing() -> None:
     lights = make_faint()
-    cut, away = lights.cut(LEAST), np.linspace(0.01, 25.0, 5001)
+    cut, away = lights.with_cutoff(CUTOFF), np.linspace(0.01, 25.0, 5001)
     assert cut.point["range"].tolist() == [2.0, 1.5, 1.0]
     assert cut.spot["range"].tolist() == [4.0]
     assert lights.point["range"].tolist() == [9.0, 1.5, 9.0]  # the scene's stay as they are
     for before, after in ((lights.point[0], cut.point[0]), (lights.spot[0], cut.spot[0])):
         full, less = (
-            one["intensity"] / away**2 * np.clip(1.0 - (away / one["range"]) ** 4, 0.0, 1.0) ** 2
-            for one in (before, after)
+            array["intensity"] / away**2 * np.clip(1.0 - (away / array["range"]) ** 4, 0.0, 1.0) ** 2
+            for array in (before, after)
         )
-        assert 0.9 * LEAST < (full - less).max() <= 1.1 * LEAST
+        assert 0.9 * CUTOFF < (full - less).max() <= 1.1 * CUTOFF
 
 
 @pytest.mark.parametrize("technique", TECHNIQUES)
-def test_a_technique_draws_lamps_that_are_cut_as_if_their_ranges_were_shorter(gl: rhi.Device, technique: str) -> None:
+def test_a_technique_draws_lights_with_a_cutoff_as_if_their_ranges_were_shorter(gl: rhi.Device, technique: str) -> None:
     settings, images, counts = RenderSettings(algorithm="frustum").change("technique.name", technique), [], []
-    for least, is_cut in ((LEAST, False), (0.0, True), (0.0, False)):
+    for least, is_cut in ((CUTOFF, False), (0.0, True), (0.0, False)):
         builder = make_boxes(*[(2 * x, 2 * y, 0) for x in (-1, 0, 1) for y in (-1, 0, 1)])
-        builder.lights = make_faint().cut(LEAST) if is_cut else make_faint()
+        builder.lights = make_faint().with_cutoff(CUTOFF) if is_cut else make_faint()
         builder.lights.cast_shadows()
         with settings.change("light_cutoff", least).open(gl, builder.build(), (48, 32)) as renderer:
             images.append(read_colors(renderer.render(EYE)))
             counts.append(count_light_evaluations(renderer, EYE))
-            renderer.light_cutoff = LEAST  # between two frames
+            renderer.light_cutoff = CUTOFF  # between two frames
             images.append(read_colors(renderer.render(EYE)))
     assert counts[0] == counts[1] < counts[2]
-    assert find_difference(images[0], images[2]) == 0
-    assert find_difference(images[0], images[4]) > 20
-    assert [find_difference(images[0], images[place]) for place in (1, 3, 5)] == [0, 0, 0]
+    assert max_difference(images[0], images[2]) == 0
+    assert max_difference(images[0], images[4]) > 20
+    assert [max_difference(images[0], images[number]) for number in (1, 3, 5)] == [0, 0, 0]

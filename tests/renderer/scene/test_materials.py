@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from refusals import find_rule
+from refusals import refused_rule
 
 from renderer import scene as scenes
 from renderer.content import BUILT_IN
@@ -33,7 +33,7 @@ def build(geometry: Any = None, images: int = 2, **material: Any) -> Scene:
 
 
 @pytest.mark.parametrize(
-    ("given", "model"),
+    ("parameters", "model"),
     [
         ({}, ShadingModel.SPECULAR),
         ({"shininess": 3.0, "emission": 1.0, "normal_texture": 0}, ShadingModel.SPECULAR),
@@ -42,8 +42,8 @@ def build(geometry: Any = None, images: int = 2, **material: Any) -> Scene:
         ({"metallic_roughness_texture": 1}, ShadingModel.METALLIC_ROUGHNESS),
     ],
 )
-def test_a_material_is_of_the_model_whose_parameters_are_given(given: dict[str, Any], model: ShadingModel) -> None:
-    assert make_material(**given)["model"] == model
+def test_a_material_is_of_the_model_whose_parameters_are_given(parameters: dict[str, Any], model: ShadingModel) -> None:
+    assert make_material(**parameters)["model"] == model
 
 
 def test_a_metallic_roughness_texture_is_multiplied_with_1_by_default() -> None:
@@ -55,7 +55,7 @@ def test_a_metallic_roughness_texture_is_multiplied_with_1_by_default() -> None:
 def test_parameters_of_both_models_are_refused(name: str) -> None:
     value = (0.5, 0.5, 0.5) if name == "specular_color" else 1.0
     assert make_material(**{name: value})["model"] == ShadingModel.SPECULAR
-    assert find_rule(lambda: make_material(**{name: value}, metallic=0.5)) == "scene-bad-material"
+    assert refused_rule(lambda: make_material(**{name: value}, metallic=0.5)) == "scene-bad-material"
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_parameters_of_both_models_are_refused(name: str) -> None:
 )
 def test_values_out_of_range_are_refused(name: str, good: Any, bad: Any) -> None:
     assert make_material(**{name: good})[name].tolist() == pytest.approx(np.asarray(good).tolist())
-    assert find_rule(lambda: make_material(**{name: bad})) == "scene-bad-material"
+    assert refused_rule(lambda: make_material(**{name: bad})) == "scene-bad-material"
 
 
 def test_each_way_to_read_an_image_is_one_texture() -> None:
@@ -88,13 +88,13 @@ def test_each_way_to_read_an_image_is_one_texture() -> None:
     builder = SceneBuilder("boxes")
     images = [builder.add_image(SIDE.copy()) for _ in range(2)]
     mesh, node = builder.add_mesh(BUILT_IN["box"]()), builder.add_node()
-    given: list[dict[str, Any]] = [
+    arguments: list[dict[str, Any]] = [
         {"texture": images[1]},
         {"texture": TextureMap(images[1])},  # the same
         {"texture": TextureMap(images[1], sampler=clamped), "occlusion_texture": images[1]},  # as a colour, and as data
         {"texture": TextureMap(images[1], scale=(2.0, 2.0)), "emissive_texture": images[0]},
     ]
-    for values in given:
+    for values in arguments:
         builder.add_objects(node, mesh, builder.add_material(**values))
     scene = builder.build()
     assert scene.materials["texture"].tolist() == [0, 0, 1, 3]
@@ -112,8 +112,8 @@ def test_each_way_to_read_an_image_is_one_texture() -> None:
 @pytest.mark.parametrize("name", ["texture", "normal_texture", "emissive_texture"])
 def test_a_texture_of_an_unknown_image_is_refused(name: str) -> None:
     assert len(build(images=1, **{name: 0}).textures) == 1
-    assert find_rule(lambda: build(images=1, **{name: 1})) == "scene-bad-index"
-    assert find_rule(lambda: build(images=1, **{name: TextureMap(-2)})) == "scene-bad-index"
+    assert refused_rule(lambda: build(images=1, **{name: 1})) == "scene-bad-index"
+    assert refused_rule(lambda: build(images=1, **{name: TextureMap(-2)})) == "scene-bad-index"
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_a_texture_of_an_unknown_image_is_refused(name: str) -> None:
     [{"uv_set": 2}, {"scale": (np.inf, 1.0)}, {"sampler": SamplerDescriptor(compare=Comparison.LESS)}],
 )
 def test_a_bad_texture_map_is_refused(values: dict[str, Any]) -> None:
-    assert find_rule(lambda: TextureMap(0, **values)) == "scene-bad-material"
+    assert refused_rule(lambda: TextureMap(0, **values)) == "scene-bad-material"
 
 
 def test_texture_coordinates_are_scaled_then_rotated_then_moved() -> None:
@@ -133,12 +133,12 @@ def test_texture_coordinates_are_scaled_then_rotated_then_moved() -> None:
 
 def test_vertices_have_only_what_the_scene_reads() -> None:
     more = {"uv2": np.ones((4, 2)), "tangent": np.tile([1.0, 0, 0, 1], (4, 1)), "color": np.ones((4, 4))}
-    given = make_geometry(**SQUARE, **more)
-    assert given.vertices.dtype == vertex_format(more)
+    geometry = make_geometry(**SQUARE, **more)
+    assert geometry.vertices.dtype == vertex_format(more)
     assert build().meshes.vertices.dtype == scenes.VERTEX
-    assert build(given).meshes.vertices.dtype == vertex_format(["color"])
-    assert build(given, texture=TextureMap(0, uv_set=1)).meshes.vertices.dtype == vertex_format(["uv2", "color"])
-    assert build(given, normal_texture=0).meshes.vertices.dtype == vertex_format(["tangent", "color"])
+    assert build(geometry).meshes.vertices.dtype == vertex_format(["color"])
+    assert build(geometry, texture=TextureMap(0, uv_set=1)).meshes.vertices.dtype == vertex_format(["uv2", "color"])
+    assert build(geometry, normal_texture=0).meshes.vertices.dtype == vertex_format(["tangent", "color"])
 
 
 def test_meshes_without_an_attribute_that_others_have_get_its_neutral_value() -> None:
@@ -160,9 +160,9 @@ def test_a_normal_texture_makes_tangents_along_its_texture_coordinates() -> None
 
 
 def test_given_tangents_are_kept() -> None:
-    given = np.tile([0.6, 0.8, 0.0, -1.0], (4, 1))
-    kept = build(make_geometry(**SQUARE, tangent=given), normal_texture=0).meshes.vertices["tangent"]
-    np.testing.assert_allclose(kept, given, atol=1e-7)
+    tangents = np.tile([0.6, 0.8, 0.0, -1.0], (4, 1))
+    built = build(make_geometry(**SQUARE, tangent=tangents), normal_texture=0).meshes.vertices["tangent"]
+    np.testing.assert_allclose(built, tangents, atol=1e-7)
 
 
 def test_a_mirrored_mesh_has_mirrored_tangents() -> None:
@@ -172,7 +172,7 @@ def test_a_mirrored_mesh_has_mirrored_tangents() -> None:
 
 
 def test_unknown_attributes_are_refused() -> None:
-    assert find_rule(lambda: vertex_format(["bones"])) == "scene-bad-mesh"
+    assert refused_rule(lambda: vertex_format(["bones"])) == "scene-bad-mesh"
 
 
 @given(st.lists(st.sampled_from(["uv2", "tangent", "color"]), unique=True))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from refusals import find_rule
+from refusals import refused_rule
 
 from renderer.scene import Nodes, rotation, translation
 from rhi.errors import ValidationError
@@ -32,7 +32,7 @@ def expected_world(parents, local):
 def test_world_transforms_are_the_products_along_the_parents(forest):
     parents, local = forest
     nodes = Nodes(parents, local)
-    assert np.allclose(nodes.world[nodes.rows], expected_world(parents, local))
+    assert np.allclose(nodes.world[nodes.index_of_id], expected_world(parents, local))
 
 
 @given(forest=forests(), seed=st.integers(0, 1000))
@@ -43,19 +43,19 @@ def test_an_update_after_moves_equals_building_anew(forest, seed):
     rng = np.random.default_rng(seed)
     moved = np.flatnonzero(rng.random(len(parents)) < 0.3)
     local[moved] = translation(rng.normal(size=(len(moved), 3)))
-    nodes.set_local(nodes.rows[moved], local[moved])
+    nodes.set_local(nodes.index_of_id[moved], local[moved])
     changed = nodes.update()
-    assert np.allclose(nodes.world[nodes.rows], expected_world(parents, local))
+    assert np.allclose(nodes.world[nodes.index_of_id], expected_world(parents, local))
     below = np.isin(np.arange(len(parents)), moved)
     for node, parent in enumerate(parents):
         below[node] |= parent >= 0 and below[parent]
-    assert changed[nodes.rows].tolist() == below.tolist()
+    assert changed[nodes.index_of_id].tolist() == below.tolist()
 
 
-def test_rows_are_sorted_by_level_with_parents_before_children():
+def test_nodes_are_sorted_by_level_with_parents_before_children():
     nodes = Nodes([-1, 0, 1, -1, 3, 2], np.tile(np.eye(4), (6, 1, 1)))
     assert nodes.level_starts.tolist() == [0, 2, 4, 5, 6]
-    assert nodes.rows.tolist() == [0, 2, 4, 1, 3, 5]
+    assert nodes.index_of_id.tolist() == [0, 2, 4, 1, 3, 5]
     assert nodes.parents.tolist() == [-1, -1, 0, 1, 2, 4]
 
 
@@ -72,7 +72,7 @@ def test_an_update_without_moves_changes_nothing():
 
 def test_what_hangs_on_a_dynamic_node_is_dynamic():
     nodes = Nodes([-1, 0, 1, -1], np.tile(np.eye(4), (4, 1, 1)), dynamic=[False, True, False, False])
-    assert nodes.dynamic[nodes.rows].tolist() == [False, True, True, False]
+    assert nodes.dynamic[nodes.index_of_id].tolist() == [False, True, True, False]
 
 
 def test_a_static_node_refuses_to_move_and_a_dynamic_one_moves():
@@ -86,20 +86,20 @@ def test_a_static_node_refuses_to_move_and_a_dynamic_one_moves():
 
 
 @pytest.mark.parametrize("rows", [[-1], [2]])
-def test_a_row_out_of_range_is_refused(rows):
+def test_an_index_out_of_range_is_refused(rows):
     nodes = Nodes([-1, -1], np.tile(np.eye(4), (2, 1, 1)), dynamic=True)
-    assert find_rule(lambda: nodes.set_local(rows, np.eye(4))) == "scene-bad-index"
+    assert refused_rule(lambda: nodes.set_local(rows, np.eye(4))) == "scene-bad-index"
 
 
 @pytest.mark.parametrize("bad", [np.full((4, 4), np.nan), np.ones((4, 4)), np.eye(3)])
 def test_a_matrix_that_is_not_affine_is_refused(bad):
     nodes = Nodes([-1], np.eye(4)[None], dynamic=True)
-    assert find_rule(lambda: nodes.set_local([0], bad)) == "scene-bad-transform"
+    assert refused_rule(lambda: nodes.set_local([0], bad)) == "scene-bad-transform"
 
 
 @pytest.mark.parametrize("parents", [[0], [-2], [1, -1]])
 def test_a_parent_that_does_not_come_before_is_refused(parents):
-    assert find_rule(lambda: Nodes(parents, np.tile(np.eye(4), (len(parents), 1, 1)))) == "scene-bad-index"
+    assert refused_rule(lambda: Nodes(parents, np.tile(np.eye(4), (len(parents), 1, 1)))) == "scene-bad-index"
 
 
 def test_an_unknown_name_is_refused_with_the_nearest():
@@ -138,11 +138,11 @@ def test_nodes_with_other_parents_are_those_that_are_made_so(seed: int) -> None:
         nodes.update()
         nodes.update_hidden()
     for row in range(count):
-        place, at, is_hidden = np.zeros(3), row, False
+        position, at, is_hidden = np.zeros(3), row, False
         while at >= 0:
-            place, is_hidden = place + nodes.local[at, :3, 3], is_hidden or at == hidden
+            position, is_hidden = position + nodes.local[at, :3, 3], is_hidden or at == hidden
             at = above[at]
-        assert np.allclose(nodes.world[row, :3, 3], place)
+        assert np.allclose(nodes.world[row, :3, 3], position)
         assert nodes.hidden[row] == is_hidden
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from renderer.scene import Omissions
 
 
-def test_equal_omissions_are_counted_and_have_the_place_of_the_first() -> None:
+def test_equal_omissions_are_counted_and_have_the_location_of_the_first() -> None:
     omissions = Omissions()
     omissions.add("a camera", "nodes[3]")
     omissions.add("a texture", "images[0]", 4)
     omissions.add("a camera", "nodes[7]")
     omissions.add("a texture", "images[9]", 2)
-    assert [(one.what, one.count, one.where) for one in omissions] == [
+    assert [(omission.what, omission.count, omission.where) for omission in omissions] == [
         ("a camera", 2, "nodes[3]"), ("a texture", 6, "images[0]"),
     ]  # fmt: skip
     assert len(omissions) == 2

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from refusals import find_rule
+from refusals import refused_rule
 
 from renderer import scene as scenes
 from renderer.content import BUILT_IN
@@ -73,7 +73,7 @@ def test_an_animation_depends_on_the_time_alone():
 def test_animating_a_static_node_is_refused():
     builder, arm = build_two()
     builder.animate(arm, lambda seconds: scenes.translation([(seconds, 0.0, 0.0)]))
-    assert find_rule(builder.build) == "scene-static-node"
+    assert refused_rule(builder.build) == "scene-static-node"
 
 
 def test_meshes_share_arrays_that_draws_can_index():
@@ -146,16 +146,16 @@ def test_normals_of_tiny_and_huge_triangles_are_unit(scale):
 )
 def test_bad_meshes_are_refused(positions, indices, rule):
     normals = np.tile((0.0, 0.0, 1.0), (3, 1))
-    assert find_rule(lambda: scenes.make_geometry(positions, np.array(indices, np.int64), normals)) == rule
+    assert refused_rule(lambda: scenes.make_geometry(positions, np.array(indices, np.int64), normals)) == rule
 
 
 def test_a_geometry_of_another_dtype_is_refused():
-    assert find_rule(lambda: scenes.MeshGeometry(np.zeros(3), np.zeros(3, np.uint32))) == "scene-bad-mesh"
+    assert refused_rule(lambda: scenes.MeshGeometry(np.zeros(3), np.zeros(3, np.uint32))) == "scene-bad-mesh"
 
 
 def test_a_geometry_whose_indices_name_no_vertex_is_refused():
     vertices = np.zeros(3, scenes.VERTEX)
-    assert find_rule(lambda: scenes.MeshGeometry(vertices, np.array([0, 1, 3], np.uint32))) == "scene-bad-mesh"
+    assert refused_rule(lambda: scenes.MeshGeometry(vertices, np.array([0, 1, 3], np.uint32))) == "scene-bad-mesh"
     assert scenes.MeshGeometry(vertices, np.array([0, 1, 2], np.uint32)).triangle_count == 1
 
 
@@ -171,12 +171,12 @@ def test_lights_are_packed_relative_to_the_eye():
     lights.add_point((1e6, 2.0, 0.0), 5.0, (1, 0.5, 0.25), 7.0)
     lights.add_spot((1e6, 3.0, 0.0), (0, -1, 0), 9.0, 0.0, np.pi)
     packed = lights.relative_to((1e6, 0.0, 0.0))
-    assert packed.point.dtype == scenes.RELATIVE_POINT
+    assert packed["point"].dtype == scenes.RELATIVE_POINT
     assert (scenes.RELATIVE_POINT.itemsize, scenes.RELATIVE_SPOT.itemsize) == (32, 64)
-    assert packed.point["position"].tolist() == [[0.0, 2.0, 0.0]]
-    assert packed.directional["direction"].tolist() == [[0.0, -1.0, 0.0]]
-    assert packed.spot["cos_inner"][0] == 1.0
-    assert packed.spot["cos_outer"][0] == -1.0
+    assert packed["point"]["position"].tolist() == [[0.0, 2.0, 0.0]]
+    assert lights.directional["direction"].tolist() == [[0.0, -1.0, 0.0]]
+    assert packed["spot"]["cos_inner"][0] == 1.0
+    assert packed["spot"]["cos_outer"][0] == -1.0
     assert len(lights) == 3
 
 
@@ -205,29 +205,29 @@ def test_lights_are_packed_relative_to_the_eye():
 )
 def test_bad_lights_are_refused_and_nothing_is_added(add):
     lights = scenes.Lights()
-    assert find_rule(lambda: add(lights)) == "scene-bad-light"
+    assert refused_rule(lambda: add(lights)) == "scene-bad-light"
     assert len(lights) == 0
 
 
-def test_the_refusal_of_many_lights_names_the_first_bad_row():
+def test_the_refusal_of_many_lights_names_the_first_bad_index():
     with pytest.raises(ValidationError, match=r"-2\.0 in row 1"):
         scenes.Lights().add_points(np.zeros((3, 3)), [1.0, -2.0, -3.0])
 
 
 def test_lights_added_as_arrays_are_those_added_one_by_one():
     rng = np.random.default_rng(0)
-    places, aims, colors = rng.normal(size=(3, 5, 3))
+    positions, aims, colors = rng.normal(size=(3, 5, 3))
     ranges, colors = rng.random(5), np.abs(colors)
     single, bulk = scenes.Lights(), scenes.Lights()
     for lights in (single, bulk):
         lights.add_point((1, 2, 3), 4.0)
-    points = [single.add_point(*row, 2.0) for row in zip(places, ranges, colors, strict=True)]
+    points = [single.add_point(*row, 2.0) for row in zip(positions, ranges, colors, strict=True)]
     spots = [
         single.add_spot(at, aim, reach, 0.1, reach + 0.1, color, reach)
-        for at, aim, reach, color in zip(places, aims, ranges, colors, strict=True)
+        for at, aim, reach, color in zip(positions, aims, ranges, colors, strict=True)
     ]
-    assert bulk.add_points(places, ranges, colors, 2.0).tolist() == points == [1, 2, 3, 4, 5]
-    added = bulk.add_spots(places, aims, ranges, 0.1, ranges + 0.1, colors, ranges)
+    assert bulk.add_points(positions, ranges, colors, 2.0).tolist() == points == [1, 2, 3, 4, 5]
+    added = bulk.add_spots(positions, aims, ranges, 0.1, ranges + 0.1, colors, ranges)
     assert added.tolist() == spots == [0, 1, 2, 3, 4]
     assert np.array_equal(single.point, bulk.point)
     assert np.array_equal(single.spot, bulk.spot)
@@ -253,14 +253,14 @@ def test_lights_at_the_edge_of_their_range_are_taken():
 )
 def test_ids_of_nothing_are_refused(call):
     builder = build_two()[0]
-    assert find_rule(lambda: call(builder)) == "scene-bad-index"
+    assert refused_rule(lambda: call(builder)) == "scene-bad-index"
     builder.add_objects(2, 1, 0)
 
 
 @pytest.mark.parametrize("image", [np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2, 4)), np.zeros((0, 2, 4), np.uint8)])
 def test_bad_images_are_refused(image):
-    assert find_rule(lambda: scenes.SceneBuilder("x").add_image(image)) == "scene-bad-image"
+    assert refused_rule(lambda: scenes.SceneBuilder("x").add_image(image)) == "scene-bad-image"
 
 
 def test_a_scene_without_objects_is_refused():
-    assert find_rule(scenes.SceneBuilder("nothing").build) == "scene-empty-model"
+    assert refused_rule(scenes.SceneBuilder("nothing").build) == "scene-empty-model"

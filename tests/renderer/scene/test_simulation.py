@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from renderer import scene as scenes
 from renderer.content import BUILT_IN, load_scene
-from renderer.content.fountains import BOUNDS, DROPS, Fountains, make_drops
+from renderer.content.fountains import BOUNDS, DROPS, FountainSimulation, make_drops
 from rhi.errors import ValidationError
 
 
@@ -64,24 +64,28 @@ def show(simulator: scenes.Simulator, seconds: float, rows: list[int]) -> list[t
 
 def states(simulator: scenes.Simulator, rows: np.ndarray) -> list[tuple[int, int]]:
     deformed = simulator.advance(rows).deformed
-    return [pair for one in deformed for pair in zip(one.rows.tolist(), one.states.tolist(), strict=True)]
+    return [
+        pair
+        for objects in deformed
+        for pair in zip(objects.object_indices.tolist(), objects.states.tolist(), strict=True)
+    ]
 
 
 def test_what_is_drawn_is_stepped_and_what_is_not_is_not() -> None:
     simulator, clock = make_simulator(make_scene())
     assert show(simulator, 1.0, [0, 1, 3]) == [(1, 2), (3, 2)]
     assert clock.taken == [[1, 2], [], [1, 2]]
-    assert (simulator.steps, simulator.seen, len(simulator)) == (4, 2, 3)
+    assert (simulator.steps, simulator.drawn_count, len(simulator)) == (4, 2, 3)
 
 
 def test_what_was_drawn_is_listed_with_its_members() -> None:
     simulator, clock = make_simulator(make_scene())
     show(simulator, 1.0, [0, 1, 3])
-    ((simulation, rows, members),) = simulator.list_drawn()
+    ((simulation, rows, members),) = simulator.list_drawn_members()
     assert simulation is clock
     assert (rows.tolist(), members.tolist()) == ([1, 3], [0, 2])
     simulator.begin_frame(2.0)
-    assert simulator.list_drawn() == []
+    assert simulator.list_drawn_members() == []
 
 
 def test_what_returns_catches_up() -> None:
@@ -120,7 +124,7 @@ def test_within_a_frame_a_step_is_taken_once() -> None:
     for rows in ([1], [1, 2], [2]):
         simulator.advance(np.array(rows))
     assert clock.taken == [[1, 2], [1, 2], []]
-    assert (simulator.steps, simulator.seen) == (4, 2)
+    assert (simulator.steps, simulator.drawn_count) == (4, 2)
 
 
 def test_a_time_before_the_last_one_starts_again() -> None:
@@ -133,10 +137,10 @@ def test_a_time_before_the_last_one_starts_again() -> None:
 
 def test_simulators_of_one_scene_go_their_own_ways() -> None:
     scene = make_scene()
-    one, other = (make_simulator(scene)[0] for _ in range(2))
-    show(one, 1.0, [1])
-    show(other, 2.0, [2])
-    assert (taken(one), taken(other)) == ([[1, 2], [], []], [[], [1, 2, 3, 4], []])
+    first, second = (make_simulator(scene)[0] for _ in range(2))
+    show(first, 1.0, [1])
+    show(second, 2.0, [2])
+    assert (taken(first), taken(second)) == ([[1, 2], [], []], [[], [1, 2, 3, 4], []])
 
 
 LAG = 0.5
@@ -156,28 +160,30 @@ def count_moves(camera: scenes.Camera, lag: float = LAG, seconds: float = 8.0, i
     simulator, clock = make_simulator(make_scene(9))
     clock.interval, moves = interval, np.zeros(9, int)
     for frame in range(1, int(64 * seconds) + 1):
-        before = np.array([len(one) for one in clock.taken])
+        before = np.array([len(steps) for steps in clock.taken])
         simulator.begin_frame(frame / 64)
         simulator.slow_down(camera, HEIGHT, lag)
         simulator.advance(simulator.objects)
-        moves += np.array([len(one) for one in clock.taken]) > before
-    assert all(one == list(range(1, len(one) + 1)) for one in clock.taken)
+        moves += np.array([len(steps) for steps in clock.taken]) > before
+    assert all(steps == list(range(1, len(steps) + 1)) for steps in clock.taken)
     return moves.tolist()
 
 
 @pytest.mark.parametrize(
     ("pixels", "moves"), [(0.499, 0), (0.501, 64), (0.999, 64), (1.001, 128), (3.99, 256), (4.01, 512)]
 )
-def test_what_is_small_moves_on_less_often_and_what_is_smaller_than_the_lag_rests(pixels: float, moves: int) -> None:
+def test_what_is_small_moves_on_less_often_and_what_is_smaller_than_the_lag_is_suspended(
+    pixels: float, moves: int
+) -> None:
     each = count_moves(look_from(pixels))
     assert max(each) == moves
     assert min(each) >= moves - (moves < 512)  # the first part of a period is shorter for some
 
 
-def test_a_parallel_lens_shows_all_at_the_same_size() -> None:
+def test_an_orthographic_projection_shows_all_at_the_same_size() -> None:
     for distance in (20.0, 2000.0):
-        lens = scenes.Orthographic(1000.0 * DIAMETER, far=9999.0)
-        camera = scenes.Camera.look_at((distance, 0.0, 0.0), (0.0, 0.0, 0.0), projection=lens)
+        projection = scenes.Orthographic(1000.0 * DIAMETER, far=9999.0)
+        camera = scenes.Camera.look_at((distance, 0.0, 0.0), (0.0, 0.0, 0.0), projection=projection)
         assert max(count_moves(camera, lag=0.0999)) == 64  # it is of 0.1 pixels
         assert max(count_moves(camera, lag=0.1001)) == 0
 
@@ -193,7 +199,7 @@ def test_without_lag_and_without_bounds_all_moves_on_in_each_frame() -> None:
     assert clock.taken == [[1, 2, 3]]
 
 
-def test_small_things_move_on_in_turns() -> None:
+def test_small_things_move_on_in_different_frames() -> None:
     simulator, clock = make_simulator(make_scene(8))
     clock.interval = 1 / 64
     steps = []
@@ -222,15 +228,15 @@ def test_flags_that_are_late_are_off_by_less_than_the_lag() -> None:
     camera = scenes.Camera.look_at((0.0, 2.0, 120.0), (0.0, 2.0, 0.0))
     off = []
     for frame in range(60):
-        places = []
+        positions = []
         for scene, simulator, lag in zip(halls, simulators, (LAG, 0.0), strict=True):
             simulator.begin_frame(frame / 60)
             simulator.slow_down(camera, HEIGHT, lag)
             simulator.advance(simulator.objects)
             corner = np.array([1.0, 1.0, 0.0, 1.0])  # of the segments, which are less than a metre wide
             clip = scene.nodes.world[scene.objects.node[simulator.objects]] @ corner @ camera.view_projection.T
-            places.append(0.5 * HEIGHT * clip[:, :2] / clip[:, 3:])
-        off.append(np.linalg.norm(places[0] - places[1], axis=1).max())
+            positions.append(0.5 * HEIGHT * clip[:, :2] / clip[:, 3:])
+        off.append(np.linalg.norm(positions[0] - positions[1], axis=1).max())
     assert 0.0 < max(off) < LAG
 
 
@@ -250,7 +256,7 @@ def test_what_is_late_is_as_late_as_if_it_had_been_drawn_all_the_time(drawn: lis
 @settings(max_examples=25)
 @given(st.lists(st.tuples(st.integers(0, 400), st.sets(st.integers(0, 2))), max_size=12), st.integers(0, 400))
 def test_a_fountain_that_was_not_looked_at_is_as_if_it_had_been(glances: list[tuple[int, set[int]]], last: int) -> None:
-    always, now_and_then = Fountains(3, 7), Fountains(3, 7)
+    always, now_and_then = FountainSimulation(3, 7), FountainSimulation(3, 7)
     everyone = np.arange(3)
     frames = sorted(frame for frame, _ in glances)
     last = max([last, *frames])
@@ -271,7 +277,7 @@ def test_a_fountain_that_was_not_looked_at_is_as_if_it_had_been(glances: list[tu
 
 def test_a_fountain_s_memory_is_no_longer_than_it_must_be() -> None:
     # The control: one step less, and a drop is where it was.
-    always, late = Fountains(1, 7), Fountains(1, 7)
+    always, late = FountainSimulation(1, 7), FountainSimulation(1, 7)
     for number in range(1, 301):
         always.step(np.zeros(1, np.int64), np.array([number]))
     for number in range(302 - DROPS, 301):
@@ -280,17 +286,17 @@ def test_a_fountain_s_memory_is_no_longer_than_it_must_be() -> None:
 
 
 def test_fewer_drops_are_some_of_those_that_there_would_be() -> None:
-    all_, some = Fountains(2, 7), Fountains(2, 7, 45)
-    assert some.interval == 2.0 * all_.interval
+    all_, fewer = FountainSimulation(2, 7), FountainSimulation(2, 7, 45)
+    assert fewer.interval == 2.0 * all_.interval
     for number in range(1, 301):
         all_.step(np.arange(2), np.full(2, number))
         if number % 2 == 0:
-            some.step(np.arange(2), np.full(2, number // 2))
-    assert some.position[:, (np.arange(106, 151)) % 45] == pytest.approx(all_.position[:, np.arange(212, 301, 2) % 90])
+            fewer.step(np.arange(2), np.full(2, number // 2))
+    assert fewer.position[:, (np.arange(106, 151)) % 45] == pytest.approx(all_.position[:, np.arange(212, 301, 2) % 90])
 
 
 def test_drops_stay_within_their_bounds_rise_and_fall() -> None:
-    fountains = Fountains(4, 1)
+    fountains = FountainSimulation(4, 1)
     highest = 0.0
     for number in range(1, 4 * DROPS):
         fountains.step(np.arange(4), np.full(4, number))
@@ -303,7 +309,7 @@ def test_drops_stay_within_their_bounds_rise_and_fall() -> None:
 
 
 def test_a_drop_flies_along_its_parabola() -> None:
-    fountains, seconds, heights = Fountains(1, 1), np.arange(60) / 60, []
+    fountains, seconds, heights = FountainSimulation(1, 1), np.arange(60) / 60, []
     for number in range(1, 61):
         fountains.step(np.zeros(1, np.int64), np.array([number]))
         heights.append(fountains.position[0, 1, 1])
@@ -312,7 +318,7 @@ def test_a_drop_flies_along_its_parabola() -> None:
 
 
 def test_a_fountain_begins_as_its_mesh() -> None:
-    assert (make_drops().vertices == Fountains(1, 0).vertices(np.zeros(1, np.int64))).all()
+    assert (make_drops().vertices == FountainSimulation(1, 0).vertices(np.zeros(1, np.int64))).all()
     assert np.linalg.norm(make_drops().vertices["normal"], axis=1) == pytest.approx(1.0)
 
 
@@ -328,7 +334,7 @@ def refusal(change: object) -> str:
 
 
 @pytest.mark.parametrize(("change", "rule"), [
-    (lambda b, n, bound, free, m: b.simulate(b.add_objects(n[0], free, m), Clock(1)), "scene-unbound-mesh"),
+    (lambda b, n, bound, free, m: b.simulate(b.add_objects(n[0], free, m), Clock(1)), "scene-unbounded-mesh"),
     (lambda b, n, bound, free, m: b.simulate(b.add_objects(n[:2], bound, m), Clock(2)), "scene-shared-mesh"),
     (lambda b, n, bound, free, m: b.simulate(b.add_objects(n[0], bound, m).repeat(2), Clock(2)), "scene-shared-mesh"),
     (lambda b, n, bound, free, m: b.simulate([4], Clock(1)), "scene-bad-index"),

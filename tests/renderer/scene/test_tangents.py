@@ -32,19 +32,19 @@ def strip(u: list[float], v: tuple[float, float] = (0.0, 1.0)) -> MeshGeometry:
 
 @pytest.mark.parametrize("name", list(BUILT_IN))
 def test_tangents_are_unit_and_perpendicular_to_normals(name: str) -> None:
-    made = add_tangents(BUILT_IN[name]())
-    tangent, normal = made.vertices["tangent"][:, :3], made.vertices["normal"]
+    with_tangents = add_tangents(BUILT_IN[name]())
+    tangent, normal = with_tangents.vertices["tangent"][:, :3], with_tangents.vertices["normal"]
     np.testing.assert_allclose(np.linalg.norm(tangent, axis=1), 1.0, atol=1e-6)
     np.testing.assert_allclose((tangent * normal).sum(1), 0.0, atol=1e-6)
-    assert (np.abs(made.vertices["tangent"][:, 3]) == 1.0).all()
+    assert (np.abs(with_tangents.vertices["tangent"][:, 3]) == 1.0).all()
 
 
 @pytest.mark.parametrize("name", list(BUILT_IN))
 def test_triangles_stay_what_they_were(name: str) -> None:
     geometry = BUILT_IN[name]()
-    made = add_tangents(geometry)
+    with_tangents = add_tangents(geometry)
     for field in ("position", "normal", "uv"):
-        assert np.array_equal(corners_of(made)[field], corners_of(geometry)[field])
+        assert np.array_equal(corners_of(with_tangents)[field], corners_of(geometry)[field])
 
 
 def test_tangents_lead_along_u_and_bitangents_up_in_the_image() -> None:
@@ -54,28 +54,28 @@ def test_tangents_lead_along_u_and_bitangents_up_in_the_image() -> None:
 
 
 def test_where_a_texture_is_mirrored_vertices_become_two() -> None:
-    made = add_tangents(strip([0, 1, 0], (1.0, 0.0)))
-    assert len(made.vertices) == 8
-    assert corners_of(made)["tangent"].tolist() == [[[1.0, 0, 0, 1]] * 3] * 2 + [[[-1.0, 0, 0, -1]] * 3] * 2
+    with_tangents = add_tangents(strip([0, 1, 0], (1.0, 0.0)))
+    assert len(with_tangents.vertices) == 8
+    assert corners_of(with_tangents)["tangent"].tolist() == [[[1.0, 0, 0, 1]] * 3] * 2 + [[[-1.0, 0, 0, -1]] * 3] * 2
 
 
 def test_without_splitting_vertices_keep_their_number_and_order() -> None:
     geometry = strip([0, 1, 0], (1.0, 0.0))
-    made = add_tangents(geometry, splits=False)
-    assert np.array_equal(made.indices, geometry.indices)
-    assert np.array_equal(made.vertices["position"], geometry.vertices["position"])
-    assert made.vertices["tangent"][0].tolist() == [1.0, 0.0, 0.0, 1.0]
+    with_tangents = add_tangents(geometry, splits=False)
+    assert np.array_equal(with_tangents.indices, geometry.indices)
+    assert np.array_equal(with_tangents.vertices["position"], geometry.vertices["position"])
+    assert with_tangents.vertices["tangent"][0].tolist() == [1.0, 0.0, 0.0, 1.0]
 
 
 def test_a_triangle_without_area_in_texture_coordinates_takes_its_neighbours_tangents() -> None:
-    made = add_tangents(strip([0, 1, 1, 2], (1.0, 0.0)))  # the middle quad is a line of the image
-    assert len(made.vertices) == 8
-    assert made.vertices["tangent"].tolist() == [[1.0, 0.0, 0.0, 1.0]] * 8
+    with_tangents = add_tangents(strip([0, 1, 1, 2], (1.0, 0.0)))  # the middle quad is a line of the image
+    assert len(with_tangents.vertices) == 8
+    assert with_tangents.vertices["tangent"].tolist() == [[1.0, 0.0, 0.0, 1.0]] * 8
 
 
 def test_without_any_texture_coordinates_tangents_are_perpendicular_to_normals() -> None:
-    made = add_tangents(strip([0, 0, 0], (0.0, 0.0)))
-    assert made.vertices["tangent"].tolist() == [[1.0, 0.0, 0.0, 1.0]] * 6
+    with_tangents = add_tangents(strip([0, 0, 0], (0.0, 0.0)))
+    assert with_tangents.vertices["tangent"].tolist() == [[1.0, 0.0, 0.0, 1.0]] * 6
 
 
 def test_triangles_of_no_size_give_no_nan() -> None:

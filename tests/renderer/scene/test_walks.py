@@ -7,36 +7,36 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import find_rule
+from refusals import refused_rule
 
-from renderer.content import find_path, load_scene, parse_camera
+from renderer.content import load_scene, parse_camera, parse_camera_path
 from renderer.scene import Camera, CameraPath, Depth, Orthographic, Perspective
 
-LENSES = [
+PROJECTIONS = [
     Perspective(fov=0.9, aspect=1.5, near=0.3),
     Perspective(near=0.3, far=90.0, depth=Depth.STANDARD),
     Orthographic(7.0),
 ]
 
 
-def walk(lens: object = LENSES[0]) -> list[Camera]:
+def walk(projection: object = PROJECTIONS[0]) -> list[Camera]:
     rng = np.random.default_rng(4)
-    places, targets, ups = rng.uniform(-9.0, 9.0, (3, 5, 3))
-    return [Camera.look_at(p, t, u, lens) for p, t, u in zip(places, targets, ups, strict=True)]
+    positions, targets, ups = rng.uniform(-9.0, 9.0, (3, 5, 3))
+    return [Camera.look_at(p, t, u, projection) for p, t, u in zip(positions, targets, ups, strict=True)]
 
 
 def assert_equal(path: CameraPath, cameras: list[Camera]) -> None:
     assert len(path) == len(cameras)
     for frame, camera in enumerate(cameras):
-        given = path.camera(frame)
-        assert (given.position == camera.position).all()
-        assert np.allclose(given.rotation, camera.rotation, atol=1e-12)
-        assert given.projection == camera.projection
+        actual = path.camera(frame)
+        assert (actual.position == camera.position).all()
+        assert np.allclose(actual.rotation, camera.rotation, atol=1e-12)
+        assert actual.projection == camera.projection
 
 
-@pytest.mark.parametrize("lens", LENSES, ids=str)
-def test_a_recorded_walk_comes_back_from_its_file(tmp_path: Path, lens: object) -> None:
-    cameras = walk(lens)
+@pytest.mark.parametrize("projection", PROJECTIONS, ids=str)
+def test_a_recorded_walk_comes_back_from_its_file(tmp_path: Path, projection: object) -> None:
+    cameras = walk(projection)
     CameraPath.record(cameras).save(tmp_path / "walk.json")
     assert_equal(CameraPath.load(tmp_path / "walk.json"), cameras)
 
@@ -51,31 +51,31 @@ def test_a_walk_is_found_by_its_file_and_a_path_by_its_name(tmp_path: Path) -> N
     scene = load_scene("grid:count=4")
     file = tmp_path / "walk.json"
     CameraPath.record(walk()).save(file)
-    assert_equal(find_path(str(file), scene), walk())
-    assert find_path("sky", scene) is scene.paths["sky"]
+    assert_equal(parse_camera_path(str(file), scene), walk())
+    assert parse_camera_path("sky", scene) is scene.paths["sky"]
     assert np.allclose(parse_camera(str(file), scene, 3).position, walk()[3].position)
 
 
 def test_a_walk_without_a_camera_is_refused() -> None:
-    assert find_rule(lambda: CameraPath.record([])) == "camera-bad-walk"
+    assert refused_rule(lambda: CameraPath.record([])) == "camera-bad-path"
 
 
 @pytest.mark.parametrize(
     ("change", "rule"),
     [
-        ({"lens": {}}, "camera-bad-walk"),
-        ({"lens": {"kind": "fisheye", "depth": "reversed"}}, "camera-bad-walk"),
-        ({"lens": {"kind": "perspective", "depth": "sideways"}}, "camera-bad-walk"),
-        ({"lens": {"kind": "perspective", "depth": "reversed", "near": -1.0}}, "camera-bad-value"),
-        ({"frames": []}, "camera-bad-walk"),
-        ({"frames": [[1.0] * 8]}, "camera-bad-walk"),
-        ({"frames": [[1.0] * 8 + [float("nan")]]}, "camera-bad-walk"),
+        ({"projection": {}}, "camera-bad-path"),
+        ({"projection": {"kind": "fisheye", "depth": "reversed"}}, "camera-bad-path"),
+        ({"projection": {"kind": "perspective", "depth": "sideways"}}, "camera-bad-path"),
+        ({"projection": {"kind": "perspective", "depth": "reversed", "near": -1.0}}, "camera-bad-value"),
+        ({"frames": []}, "camera-bad-path"),
+        ({"frames": [[1.0] * 8]}, "camera-bad-path"),
+        ({"frames": [[1.0] * 8 + [float("nan")]]}, "camera-bad-path"),
     ],
 )
 def test_a_file_that_holds_no_walk_is_refused(tmp_path: Path, change: dict[str, object], rule: str) -> None:
     file = tmp_path / "walk.json"
     CameraPath.record(walk()).save(file)
     file.write_text(json.dumps(json.loads(file.read_text()) | change))
-    assert find_rule(lambda: CameraPath.load(file)) == rule
+    assert refused_rule(lambda: CameraPath.load(file)) == rule
     file.write_text("no json")
-    assert find_rule(lambda: CameraPath.load(file)) == "camera-bad-walk"
+    assert refused_rule(lambda: CameraPath.load(file)) == "camera-bad-path"

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fog_reference import add_up
+from fog_reference import integrate_fog
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from renderer.frame.tones import find_light
 from renderer.scene import Fog
 from renderer.shaders import fog as shaders
 from renderer.shaders import tone_map
+from renderer.shaders.tone_mapping import inverse_tone_map
 from rhi.shading import evaluate
 
 
@@ -44,8 +44,8 @@ VIEWS = {
 def test_fog_is_the_integral_of_its_density(view: str, falloff: float) -> None:
     eye, position = VIEWS[view]
     fog = Fog(0.02, (0.5, 0.5, 0.5), falloff)
-    passing = evaluate(shaders.pass_fog, np.array(position), look(fog, eye), dtype=np.float32)
-    assert abs(float(passing) - add_up(fog, eye, np.array(position))) < 2e-5
+    passing = evaluate(shaders.fog_transmittance, np.array(position), look(fog, eye), dtype=np.float32)
+    assert abs(float(passing) - integrate_fog(fog, eye, np.array(position))) < 2e-5
 
 
 @given(
@@ -56,32 +56,34 @@ def test_fog_is_the_integral_of_its_density(view: str, falloff: float) -> None:
 def test_any_ray_passes_a_part_of_its_light(
     density: float, falloff: float, eye: float, position: tuple[float, float, float]
 ) -> None:
-    fog, place = Fog(density, (0.5, 0.5, 0.5), falloff), np.array(position)
-    passing = float(evaluate(shaders.pass_fog, place, look(fog, eye), dtype=np.float32))
-    assert abs(passing - add_up(fog, eye, place)) < 1e-3  # a quarter of a level
+    fog, point = Fog(density, (0.5, 0.5, 0.5), falloff), np.array(position)
+    passing = float(evaluate(shaders.fog_transmittance, point, look(fog, eye), dtype=np.float32))
+    assert abs(passing - integrate_fog(fog, eye, point)) < 1e-3  # a quarter of a level
 
 
 @pytest.mark.parametrize(("eye", "falloff"), [(1.7, 0.05), (80.0, 0.05), (-30.0, 0.05), (1.7, 3.0)])
 def test_the_sky_is_what_is_seen_at_the_end_of_a_long_ray(eye: float, falloff: float) -> None:
     fog = Fog(0.02, (0.5, 0.5, 0.5), falloff)
     for direction in (0.0, 1.0, 0.0), (1.0, 0.02, 0.0), (1.0, 1e-4, 1.0):
-        light = evaluate(shaders.through_all_fog, np.ones(3), np.array(direction), look(fog, eye), dtype=np.float32)
+        light = evaluate(
+            shaders.apply_fog_to_background, np.ones(3), np.array(direction), look(fog, eye), dtype=np.float32
+        )
         ray = 1000.0 / falloff / direction[1] * np.array(direction)  # beyond it, nothing is left
-        expected = 0.5 + 0.5 * add_up(fog, eye, ray)
+        expected = 0.5 + 0.5 * integrate_fog(fog, eye, ray)
         assert np.abs(light - expected).max() < 2e-5
 
 
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (1.0, -1e-6, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 0.0)])
 def test_a_ray_that_never_leaves_the_fog_sees_nothing_else(direction: tuple[float, float, float]) -> None:
     fog = look(Fog(1e-5, (0.25, 0.5, 0.75), 0.05), 500.0)
-    light = evaluate(shaders.through_all_fog, np.ones(3), np.array(direction), fog, dtype=np.float32)
+    light = evaluate(shaders.apply_fog_to_background, np.ones(3), np.array(direction), fog, dtype=np.float32)
     assert light.tolist() == [0.25, 0.5, 0.75]
     level = look(Fog(1e-5, (0.25, 0.5, 0.75)), 500.0)
-    up = evaluate(shaders.through_all_fog, np.ones(3), np.array([0.0, 1.0, 0.0]), level, dtype=np.float32)
+    up = evaluate(shaders.apply_fog_to_background, np.ones(3), np.array([0.0, 1.0, 0.0]), level, dtype=np.float32)
     assert up.tolist() == [0.25, 0.5, 0.75]
 
 
 def test_colours_lead_back_to_the_light_that_shows_them() -> None:
     for color in (0.0, 0.0, 0.0), (0.02, 0.5, 0.9), (1.0, 1.0, 1.0), (1e-4, 0.999, 1e-9):
-        assert evaluate(tone_map, np.array(find_light(color)), dtype=np.float64) == pytest.approx(color, abs=1e-6)
-    assert find_light((1.0, 1.0, 1.0))[0] == pytest.approx(12.07, abs=0.01)
+        assert evaluate(tone_map, np.array(inverse_tone_map(color)), dtype=np.float64) == pytest.approx(color, abs=1e-6)
+    assert inverse_tone_map((1.0, 1.0, 1.0))[0] == pytest.approx(12.07, abs=0.01)

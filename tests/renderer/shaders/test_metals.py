@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from renderer.shaders.lighting import tone_map
-from renderer.shaders.metals import SMOOTHEST, ambient_light_of_metal, metal_surface, metal_terms, reflected_by_metal
-from renderer.shaders.structs import Ambient, Incidence, SurfacePoint
+from renderer.light_kinds.incidence import Incidence
+from renderer.shaders.metals import (
+    MIN_ROUGHNESS,
+    ambient_light_metallic,
+    metallic_surface,
+    metallic_terms,
+    reflected_light_metallic,
+)
+from renderer.shaders.structs import Ambient, SurfacePoint
+from renderer.shaders.tone_mapping import tone_map
 from rhi.shading import evaluate
 
 Floats = NDArray[np.float64]
@@ -32,7 +39,7 @@ def gltf_brdf(base: Floats, metallic: Floats, roughness: Floats, n: Floats, v: F
     def dots(a: Floats, b: Floats) -> Floats:
         return np.asarray((a * b).sum(-1, keepdims=True))
 
-    alpha2 = np.maximum(roughness, SMOOTHEST)[:, None] ** 4
+    alpha2 = np.maximum(roughness, MIN_ROUGHNESS)[:, None] ** 4
     h = unit(light + v)
     nl, nv, nh, vh = dots(n, light), np.abs(dots(n, v)), dots(n, h), dots(v, h)
     d = alpha2 * (nh > 0) / (np.pi * (nh**2 * (alpha2 - 1) + 1) ** 2)
@@ -49,13 +56,13 @@ def surfaces(n: Floats, v: Floats, base: Floats, metallic: Any, roughness: Any) 
     points: Any = np.zeros(len(n), SurfacePoint.dtype)
     points["normal"], points["to_eye"], points["base_color"] = n, v, base
     points["occlusion"] = 1.0
-    return evaluate(metal_surface, points, np.asarray(metallic, np.float32), np.asarray(roughness, np.float32))
+    return evaluate(metallic_surface, points, np.asarray(metallic, np.float32), np.asarray(roughness, np.float32))
 
 
 def lights(direction: Floats, irradiance: Any = 1.0) -> Any:
-    given: Any = np.zeros(len(direction), Incidence.dtype)
-    given["direction"], given["irradiance"] = direction, irradiance
-    return given
+    incidences: Any = np.zeros(len(direction), Incidence.dtype)
+    incidences["direction"], incidences["irradiance"] = direction, irradiance
+    return incidences
 
 
 def random_views(seed: int, spread: float) -> tuple[Floats, Floats, Floats]:
@@ -82,11 +89,11 @@ def test_reflected_light_is_within_one_level_of_gltfs_formulas_in_float64(spread
     n, v, light = unit(n), unit(v), unit(light)
     seen = ((n * light).sum(1) > 1e-3) & ((n * v).sum(1) > 1e-3)
     exact = gltf_brdf(base, metallic, roughness, n, v, light) * (n * light).sum(1, keepdims=True)
-    ours = evaluate(reflected_by_metal, surfaces(n, v, base, metallic, roughness), lights(light))
+    ours = evaluate(reflected_light_metallic, surfaces(n, v, base, metallic, roughness), lights(light))
     assert np.isfinite(ours).all()
-    wanted, given = (encode(evaluate(tone_map, x, dtype=np.float64)) for x in (exact, ours.astype(np.float64)))
-    assert wanted[seen].std() > 20.0
-    assert np.abs(wanted - given)[seen].max() <= 1.0
+    expected, levels = (encode(evaluate(tone_map, x, dtype=np.float64)) for x in (exact, ours.astype(np.float64)))
+    assert expected[seen].std() > 20.0
+    assert np.abs(expected - levels)[seen].max() <= 1.0
 
 
 def test_smooth_metals_have_a_finite_highlight_everywhere() -> None:
@@ -95,12 +102,16 @@ def test_smooth_metals_have_a_finite_highlight_everywhere() -> None:
     v = np.stack([np.sin(away), 0 * away, np.cos(away)], axis=1)
     for light in (v * (-1, 1, 1), -v, n, v * (1, 1, 0), -n):
         ours = evaluate(
-            reflected_by_metal, surfaces(n, v, np.ones((COUNT, 3)), np.ones(COUNT), np.zeros(COUNT)), lights(light)
+            reflected_light_metallic,
+            surfaces(n, v, np.ones((COUNT, 3)), np.ones(COUNT), np.zeros(COUNT)),
+            lights(light),
         )
         assert np.isfinite(ours).all()
         assert (ours >= 0.0).all()
-    peak = evaluate(reflected_by_metal, surfaces(n[:1], n[:1], np.ones((1, 3)), np.ones(1), np.zeros(1)), lights(n[:1]))
-    np.testing.assert_allclose(peak, 0.25 / SMOOTHEST**4, rtol=1e-4)
+    peak = evaluate(
+        reflected_light_metallic, surfaces(n[:1], n[:1], np.ones((1, 3)), np.ones(1), np.zeros(1)), lights(n[:1])
+    )
+    np.testing.assert_allclose(peak, 0.25 / MIN_ROUGHNESS**4, rtol=1e-4)
 
 
 def test_vectors_of_no_length_give_no_nan() -> None:
@@ -108,9 +119,9 @@ def test_vectors_of_no_length_give_no_nan() -> None:
     for n, v, light in ((zero, up, up), (up, zero, up), (up, up, zero), (up, up, -up), (zero, zero, zero)):
         points = surfaces(n, v, np.ones((4, 3)), np.array([0, 0.5, 1, 1]), np.array([0, 0.1, 0.5, 1]))
         for result in (
-            evaluate(reflected_by_metal, points, lights(light)),
-            evaluate(metal_terms, points, light),
-            evaluate(ambient_light_of_metal, points, Ambient(sky=(1, 1, 1), ground=(0, 0, 0))),
+            evaluate(reflected_light_metallic, points, lights(light)),
+            evaluate(metallic_terms, points, light),
+            evaluate(ambient_light_metallic, points, Ambient(sky=(1, 1, 1), ground=(0, 0, 0))),
         ):
             assert np.isfinite(result).all()
 
@@ -119,10 +130,10 @@ def test_the_terms_times_their_colours_are_the_reflected_light() -> None:
     n, v, light = random_views(3, 0.2)
     random = np.random.default_rng(4)
     points = surfaces(n, v, random.random((COUNT, 3)), random.random(COUNT), random.random(COUNT))
-    terms = evaluate(metal_terms, points, light)
+    terms = evaluate(metallic_terms, points, light)
     facing = np.maximum((n * light).sum(1, keepdims=True), 0.0)
     total = points["base_color"] * terms[:, :1] + points["specular_color"] * terms[:, 1:2] + terms[:, 2:]
-    reflected = evaluate(reflected_by_metal, points, lights(light))
+    reflected = evaluate(reflected_light_metallic, points, lights(light))
     np.testing.assert_allclose(reflected, total * facing, rtol=2e-5, atol=1e-6)
 
 
@@ -137,7 +148,7 @@ def test_a_metal_scatters_nothing_and_a_dielectric_mirrors_a_twenty_fifth() -> N
 def test_no_metal_reflects_more_ambient_light_than_there_is(roughness: float) -> None:
     n, v, _ = random_views(5, 0.0)
     points = surfaces(n, v, np.ones((COUNT, 3)), np.ones(COUNT), np.full(COUNT, roughness))
-    light = evaluate(ambient_light_of_metal, points, Ambient(sky=(1, 1, 1), ground=(1, 1, 1)))
+    light = evaluate(ambient_light_metallic, points, Ambient(sky=(1, 1, 1), ground=(1, 1, 1)))
     assert light.max() <= 1.04
     assert light.min() >= 0.3
 
@@ -146,8 +157,8 @@ def test_occlusion_takes_from_ambient_light_alone() -> None:
     n, v, light = random_views(6, 0.5)
     points = surfaces(n, v, np.ones((COUNT, 3)), np.full(COUNT, 0.5), np.full(COUNT, 0.5))
     ambient = Ambient(sky=(1, 1, 1), ground=(0.5, 0.5, 0.5))
-    open_light = evaluate(ambient_light_of_metal, points, ambient)
-    direct = evaluate(reflected_by_metal, points, lights(light))
+    open_light = evaluate(ambient_light_metallic, points, ambient)
+    direct = evaluate(reflected_light_metallic, points, lights(light))
     points["occlusion"] = 0.25
-    np.testing.assert_allclose(evaluate(ambient_light_of_metal, points, ambient), open_light * 0.25, rtol=1e-6)
-    assert np.array_equal(evaluate(reflected_by_metal, points, lights(light)), direct)
+    np.testing.assert_allclose(evaluate(ambient_light_metallic, points, ambient), open_light * 0.25, rtol=1e-6)
+    assert np.array_equal(evaluate(reflected_light_metallic, points, lights(light)), direct)

@@ -13,7 +13,7 @@ from renderer.shadows.receiver import DISC
 Floats = NDArray[np.float64]
 
 
-def find_lit_share(
+def lit_fraction(
     filter: ShadowFilter, depths: Floats, at: Floats, depth: Floats, slope: Floats, tile: tuple[int, int, int]
 ) -> tuple[Floats, Floats]:
     """Return the lit share (n,) of points, and how near (n,) a texel's depth is to being neither lit nor in shadow.

@@ -18,7 +18,7 @@ from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES
 from renderer.techniques.inspection import INSPECTIONS, Inspection
-from renderer.techniques.watched import Watched
+from renderer.techniques.resource_capture import ResourceCapture
 from renderer.visibility import make_visibility
 
 EYE = Camera.look_at((0, 4, 12), (0, 0, 0), projection=Perspective(fov=1.0, near=0.1, far=100.0))
@@ -57,17 +57,17 @@ def test_a_scene_without_a_casting_light_or_a_caster_issues_no_command_of_shadow
 ) -> None:
     with make_renderer(null, stage(**missing).build()) as renderer:
         renderer.render(EYE)
-        needs, plan = renderer.plan(EYE)
-        assert "shadow maps" not in [one.name for one in plan.passes]
+        effects, plan = renderer.plan(EYE)
+        assert "shadow maps" not in [planned.name for planned in plan.passes]
         assert not any("shadow" in command.labels for command in null.stream)
-        assert needs.explain(Effect.SUN_SHADOWS) == "the scene has no directional light that casts shadows"
+        assert effects.explain(Effect.DIRECTIONAL_SHADOWS) == "the scene has no directional light that casts shadows"
 
 
 def test_maps_are_drawn_before_what_they_shade_and_the_plan_says_why(null: rhi.Device) -> None:
     with make_renderer(null, stage().build()) as renderer:
         _, plan = renderer.plan(EYE)
-        assert [one.name for one in plan.passes] == ["shadow maps", "forward"]
-        assert plan.passes[0].because == "the scene has 1 directional light that casts shadows"
+        assert [planned.name for planned in plan.passes] == ["shadow maps", "forward"]
+        assert plan.passes[0].reason == "the scene has 1 directional light that casts shadows"
 
 
 def test_a_map_is_kept_while_nothing_in_it_moves(null: rhi.Device) -> None:
@@ -76,7 +76,7 @@ def test_a_map_is_kept_while_nothing_in_it_moves(null: rhi.Device) -> None:
         null.stream.clear()
         assert draw(renderer) == {"kept": 2}
         assert not [command for command in null.stream.draws() if "shadow maps" in command.labels]
-        assert {report.because for report in renderer.shadows.reports} == {"nothing in it has moved"}
+        assert {report.reason for report in renderer.shadows.reports} == {"nothing in it has moved"}
 
 
 def test_a_moved_eye_draws_the_maps_again(null: rhi.Device) -> None:
@@ -104,7 +104,7 @@ def test_a_view_without_anything_in_reach_of_a_map_skips_it(null: rhi.Device) ->
     away = Camera.look_at((0, 400, 0), (0, 500, 0))
     with make_renderer(null, stage().build()) as renderer:
         assert draw(renderer, away) == {"skipped": 2}
-        assert renderer.shadows.reports[0].because == "nothing visible is in it"
+        assert renderer.shadows.reports[0].reason == "nothing visible is in it"
 
 
 def test_casters_that_shade_nothing_visible_arent_drawn(null: rhi.Device) -> None:
@@ -116,10 +116,10 @@ def test_casters_that_shade_nothing_visible_arent_drawn(null: rhi.Device) -> Non
         assert max(report.casters for report in renderer.shadows.reports) == 1
 
 
-def street(lamps: int = 64, *, car: bool = True) -> Scene:
-    """Make a street of casting lamps, 12 m apart, with a post each, and a car that passes at 10 m/s, or none."""
+def street(lights: int = 64, *, car: bool = True) -> Scene:
+    """Make a street of casting spot lights, 12 m apart, with a post each, and a car that passes at 10 m/s, or none."""
     builder, box, material = make_boxes(name="street"), 0, 0
-    along = 12.0 * np.arange(lamps)
+    along = 12.0 * np.arange(lights)
     for x in along:
         ground = translation((x, -0.5, 0)) @ scaling((12, 1, 20))
         builder.add_objects(builder.add_node(ground), box, material, casts_shadow=False)
@@ -136,7 +136,7 @@ ABOVE = Camera.look_at((378, 300, 0), (378, 0, 0), (0, 0, -1), Perspective(fov=1
 ALONG = Camera.look_at((-30, 40, 0), (378, 0, 0), projection=Perspective(fov=1.6, near=0.5))
 
 
-def test_a_static_street_of_64_lamps_draws_no_map_again(null: rhi.Device) -> None:
+def test_a_static_street_of_64_lights_draws_no_map_again(null: rhi.Device) -> None:
     with make_renderer(null, street(car=False)) as renderer:
         assert draw(renderer, ALONG) == {"drawn": 64}
         for _ in range(3):
@@ -145,9 +145,9 @@ def test_a_static_street_of_64_lamps_draws_no_map_again(null: rhi.Device) -> Non
             assert len(null.stream.draws()) == 1  # the scene
 
 
-def test_a_moving_eye_draws_no_map_of_a_lamp_again(null: rhi.Device) -> None:
+def test_a_moving_eye_draws_no_map_of_a_local_light_again(null: rhi.Device) -> None:
     with make_renderer(null, street(car=False)) as renderer:
-        renderer.shadows.settings = replace(SMALL, smallest=32, largest=32)
+        renderer.shadows.settings = replace(SMALL, min_size=32, max_size=32)
         draw(renderer, ALONG)
         moved = replace(ALONG, position=ALONG.position + np.array((3.0, 1.0, 0.0)))
         assert draw(renderer, moved) == {"kept": 64}
@@ -155,16 +155,16 @@ def test_a_moving_eye_draws_no_map_of_a_lamp_again(null: rhi.Device) -> None:
 
 def test_a_car_that_passes_draws_only_the_maps_that_it_touches(null: rhi.Device) -> None:
     with make_renderer(null, street()) as renderer:
-        renderer.shadows.settings = replace(SMALL, smallest=32, largest=32, far_size=16)
+        renderer.shadows.settings = replace(SMALL, min_size=32, max_size=32, far_size=16)
         draw(renderer, ALONG)
         for seconds in (1.2, 6.0, 6.3, 30.0):
             states = draw(renderer, ALONG, seconds)
             touched = [r.name for r in renderer.shadows.reports if r.state == "drawn"]
-            lamp = round(10 * seconds / 12)
-            assert f"spot light {lamp}" in touched
+            light_index = round(10 * seconds / 12)
+            assert f"spot light {light_index}" in touched
             assert len(touched) <= 4  # where it is, and where it was in the last frame
             assert states["kept"] == 64 - len(touched)
-            assert all(abs(int(name.split()[-1]) - lamp) <= 1 or seconds != 6.3 for name in touched)
+            assert all(abs(int(name.split()[-1]) - light_index) <= 1 or seconds != 6.3 for name in touched)
 
 
 def test_what_moves_without_shading_anything_visible_draws_no_map_again(null: rhi.Device) -> None:
@@ -179,7 +179,7 @@ def test_what_moves_without_shading_anything_visible_draws_no_map_again(null: rh
         draw(renderer, down)
         drawn = draw(renderer, down, 0.5)
         assert not drawn["drawn"]
-        reasons = {report.because for report in renderer.shadows.reports}
+        reasons = {report.reason for report in renderer.shadows.reports}
         assert "what moved in it shades nothing visible" in reasons
 
 
@@ -200,55 +200,57 @@ def test_far_maps_take_turns_when_there_are_more_than_the_budget(null: rhi.Devic
         assert Counter(turns) == dict.fromkeys((f"spot light {i}" for i in range(10)), 2)
 
 
-def test_a_lamp_without_a_caster_in_range_has_no_map(null: rhi.Device) -> None:
+def test_a_local_light_without_a_caster_in_range_has_no_map(null: rhi.Device) -> None:
     builder = stage(casts=False)
     builder.lights.add_point((0, 3, 0), 8.0, casts_shadow=True)
     builder.lights.add_point((5, 1, 0), 2.0, casts_shadow=True)  # in reach of the floor alone
     with make_renderer(null, builder.build()) as renderer:
         draw(renderer)
-        skipped = {r.name: r.because for r in renderer.shadows.reports if r.state == "skipped"}
+        skipped = {r.name: r.reason for r in renderer.shadows.reports if r.state == "skipped"}
         assert skipped["point light 1"] == "no caster is in its range"
-        assert all(name == "point light 1" or because == "no caster is in it" for name, because in skipped.items())
+        assert all(name == "point light 1" or reason == "no caster is in it" for name, reason in skipped.items())
         assert {key[1] for key in renderer.shadows.tiles} == {0}
 
 
 @pytest.mark.parametrize(("atlas", "dark"), [(512, 0), (256, 100 - 256 // 6)])
-def test_lamps_have_maps_as_long_as_there_is_room_for_the_smallest(null: rhi.Device, atlas: int, dark: int) -> None:
+def test_local_lights_have_maps_as_long_as_there_is_room_for_the_smallest(
+    null: rhi.Device, atlas: int, dark: int
+) -> None:
     builder = stage(casts=False)
-    places = np.random.default_rng(1).uniform((-4, -1, -4), (4, 7, 4), (100, 3))
-    builder.lights.add_points(places, 9.0, casts_shadow=True)
+    positions = np.random.default_rng(1).uniform((-4, -1, -4), (4, 7, 4), (100, 3))
+    builder.lights.add_points(positions, 9.0, casts_shadow=True)
     with make_renderer(null, builder.build()) as renderer:
-        renderer.shadows.settings = replace(SMALL, largest=128, largest_atlas=atlas)
+        renderer.shadows.settings = replace(SMALL, max_size=128, max_atlas_size=atlas)
         draw(renderer)
-        reasons = [r.because for r in renderer.shadows.reports if r.name.count("face") == 0]
+        reasons = [r.reason for r in renderer.shadows.reports if r.name.count("face") == 0]
         assert reasons.count("there is no room left for its maps: it lights nothing") == dark
-        assert renderer.shadows.dark_lamps == dark
+        assert renderer.shadows.unshadowed_lights == dark
         assert len({key[1] for key in renderer.shadows.tiles}) == 100 - dark
 
 
-def test_lamps_that_come_into_view_get_the_room_of_those_that_left(null: rhi.Device) -> None:
+def test_local_lights_that_come_into_view_get_the_room_of_those_that_left(null: rhi.Device) -> None:
     builder = stage(casts=False)
     for x in (0.0, 500.0, 1000.0):
         builder.add_objects(builder.add_node(translation((x, 1.0, 0.0))), 0, 0)
-        places = np.random.default_rng(1).uniform((x - 2, 1, -2), (x + 2, 5, 2), (20, 3))
-        builder.lights.add_points(places, 9.0, casts_shadow=True)
+        positions = np.random.default_rng(1).uniform((x - 2, 1, -2), (x + 2, 5, 2), (20, 3))
+        builder.lights.add_points(positions, 9.0, casts_shadow=True)
     with make_renderer(null, builder.build()) as renderer:
-        renderer.shadows.settings = replace(SMALL, largest=128, largest_atlas=256)
+        renderer.shadows.settings = replace(SMALL, max_size=128, max_atlas_size=256)
         first: dict[int, Counter[int]] = {}
         for step in range(7):
             states = draw(renderer, replace(EYE, position=EYE.position + np.array((500.0 * (step % 3), 0.0, 0.0))))
-            assert renderer.shadows.dark_lamps == 0
+            assert renderer.shadows.unshadowed_lights == 0
             assert states["kept"] == 0
             seen = Counter(tile.size for key, tile in renderer.shadows.tiles.items() if key[1] // 20 == step % 3)
             first.setdefault(step % 3, seen)
             assert seen == first[step % 3]
 
 
-def test_lamps_share_what_room_there_is(null: rhi.Device) -> None:
+def test_local_lights_share_the_room_of_the_atlas(null: rhi.Device) -> None:
     builder = stage()
     builder.lights.add_points(np.random.default_rng(1).uniform((-2, 1, -2), (2, 5, 2), (20, 3)), 9.0, casts_shadow=True)
     with make_renderer(null, builder.build()) as renderer:
-        renderer.shadows.settings = replace(SMALL, largest=128, largest_atlas=256)
+        renderer.shadows.settings = replace(SMALL, max_size=128, max_atlas_size=256)
         draw(renderer)
         assert renderer.shadows.atlas.size == (256, 256)
         sizes = {key: tile.size for key, tile in renderer.shadows.tiles.items() if key[0] == "point"}
@@ -300,7 +302,14 @@ def test_all_techniques_have_the_bindings_that_shadows_need(null: rhi.Device, te
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("cascades", 0), ("cascade_size", 100), ("distance", -1.0), ("split", 2.0), ("largest_atlas", 512), ("budget", 0)],
+    [
+        ("cascades", 0),
+        ("cascade_size", 100),
+        ("distance", -1.0),
+        ("split", 2.0),
+        ("max_atlas_size", 512),
+        ("budget", 0),
+    ],
 )
 def test_settings_out_of_their_range_are_refused(name: str, value: float) -> None:
     with pytest.raises(rhi.ValidationError, match=r"^\[shadow-settings\]"):
@@ -351,12 +360,12 @@ def test_maps_are_kept_if_materials_look_otherwise(null: rhi.Device, name: str) 
         assert draw(renderer)["drawn"] == 0
 
 
-@pytest.mark.parametrize("shown", INSPECTIONS)
-def test_pictures_of_a_frame_update_maps_only_if_they_show_light(null: rhi.Device, shown: str) -> None:
+@pytest.mark.parametrize("displayed", INSPECTIONS)
+def test_images_of_a_frame_update_maps_only_if_they_show_light(null: rhi.Device, displayed: str) -> None:
     with make_renderer(null, stage(moves=True).build()) as renderer:
         draw(renderer)
-        lit, renderer.technique = renderer.technique, Inspection(shown)
-        is_lit = shown in ("clusters", "tessellation", "tiles", "volumes")
+        lit, renderer.technique = renderer.technique, Inspection(displayed)
+        is_lit = displayed in ("clusters", "tessellation", "tiles", "volumes")
         null.stream.clear()
         renderer.render(EYE, 1.0)
         assert any("shadow maps" in command.labels for command in null.stream) == is_lit
@@ -367,5 +376,5 @@ def test_pictures_of_a_frame_update_maps_only_if_they_show_light(null: rhi.Devic
 def test_maps_are_up_to_date_when_one_buffer_of_a_lit_frame_is_read(null: rhi.Device) -> None:
     with make_renderer(null, stage(moves=True).build()) as renderer:
         draw(renderer)
-        renderer.technique = Watched(TECHNIQUES["deferred"](), "surface")
+        renderer.technique = ResourceCapture(TECHNIQUES["deferred"](), "surface")
         assert draw(renderer, seconds=1.0)["drawn"] == 2

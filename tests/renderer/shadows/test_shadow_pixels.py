@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from depth_textures import put_depths
-from filter_reference import find_lit_share
+from depth_textures import create_depth_texture
+from filter_reference import lit_fraction
 from frames import make_boxes, open_renderer, read_colors
 from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 from numpy.typing import NDArray
@@ -19,12 +19,12 @@ import rhi.shading as sl
 from renderer import scene as scenes
 from renderer.content import BUILT_IN
 from renderer.lab.exam import CASES
-from renderer.lab.exam.shadows import FLOOR, SETTINGS, SLOPES, find_acne, make_slope
+from renderer.lab.exam.shadow_cases import FLOOR_CAMERA, SETTINGS, SLOPES, make_slope, measure_shadow_acne
 from renderer.renderer import Renderer
 from renderer.scene import AlphaMode, Camera, Orthographic, Perspective, Scene, SceneBuilder, scaling, translation
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.shadows.maps import FarDepth
-from renderer.shadows.receiver import FILTERS, ShadowReader
+from renderer.shadows.receiver import FILTERS, ShadowFilterShader
 from renderer.techniques import TECHNIQUES, Deferred
 
 Pixels = NDArray[np.int64]
@@ -39,15 +39,15 @@ class Compared(sl.Struct):
     depth: float
 
 
-class FilterCheck(FarDepth, ShadowReader):
+class FilterCheck(FarDepth, ShadowFilterShader):
     """Shows the lit share of points, one in each pixel."""
 
     points: sl.Storage[Compared]
 
     def fragment(self) -> sl.vec4:
-        place = sl.fragment_coordinate().xy
-        point = self.points[int(place.x) + 64 * int(place.y)]
-        share = self.find_lit_share(point.at, point.depth, point.slope, sl.vec2(24.0, 40.0), 8.0)
+        pixel = sl.fragment_coordinate().xy
+        point = self.points[int(pixel.x) + 64 * int(pixel.y)]
+        share = self.lit_fraction(point.at, point.depth, point.slope, sl.vec2(24.0, 40.0), 8.0)
         return sl.vec4(sl.vec3(share), 1.0)
 
 
@@ -66,9 +66,9 @@ def test_filters_are_those_of_a_numpy_reference(drawing_device: rhi.Device, filt
     points["at"] = random.uniform((14, 30), (34, 50), (4096, 2))
     points["slope"] = random.uniform(-0.05, 0.05, (4096, 2))
     points["depth"] = random.uniform(0.3, 0.7, 4096)
-    given = (points["at"].astype(float), points["depth"].astype(float), points["slope"].astype(float))
-    want, doubt = find_lit_share(filter, depths.astype(float), *given, TILE)
-    atlas = put_depths(drawing_device, depths)
+    arguments = (points["at"].astype(float), points["depth"].astype(float), points["slope"].astype(float))
+    want, doubt = lit_fraction(filter, depths.astype(float), *arguments, TILE)
+    atlas = create_depth_texture(drawing_device, depths)
     image = drawing_device.texture((64, 64), rhi.Format.RGBA32F)
     bindings: dict[str, Any] = {"shadow_atlas": atlas}
     if filter is ShadowFilter.HARDWARE:
@@ -79,11 +79,11 @@ def test_filters_are_those_of_a_numpy_reference(drawing_device: rhi.Device, filt
         drawing_device.draw(
             drawing_device.program(check_variant(filter)), drawing_device.mesh(3), points=storage, **bindings
         )
-    shown = image.read()[..., 0].reshape(-1).astype(float)
+    shadowed = image.read()[..., 0].reshape(-1).astype(float)
     sure = doubt > 1e-5
     assert sure.mean() > 0.99
-    wrong = np.abs(shown - want)[sure]
-    # The turned texels of the Poisson disc are others where a place is at the edge of a texel.
+    wrong = np.abs(shadowed - want)[sure]
+    # The turned texels of the Poisson disc are others where a point is at the edge of a texel.
     bound = 0.998 if filter is ShadowFilter.POISSON else 1.0
     assert (wrong < 1 / 255).mean() >= bound
     assert 0.2 < want.mean() < 0.8
@@ -93,7 +93,7 @@ def render(
     device: rhi.Device, scene: Scene, camera: Camera, settings: ShadowSettings | None = None, size: int = 64,
     *, casts: bool | None = None, technique: str = "forward",
 ) -> Pixels:  # fmt: skip
-    """Return the picture (h, w, 3); all lights cast shadows or none does, unless `casts` is None."""
+    """Return the image (h, w, 3); all lights cast shadows or none does, unless `casts` is None."""
     for lights in (scene.lights.directional, scene.lights.point, scene.lights.spot):
         if casts is not None:
             lights["casts_shadow"] = casts
@@ -102,10 +102,10 @@ def render(
         return read_colors(renderer.render(camera))
 
 
-@pytest.mark.parametrize("filter", [one for one in ShadowFilter if one is not SETTINGS.filter])
+@pytest.mark.parametrize("filter", [filter for filter in ShadowFilter if filter is not SETTINGS.filter])
 def test_a_lit_plane_has_no_acne_at_any_slope_with_the_other_filters(gl: rhi.Device, filter: ShadowFilter) -> None:
-    found = find_acne(gl, replace(SETTINGS, filter=filter))
-    assert CASES[48].judge(found), found
+    acne = measure_shadow_acne(gl, replace(SETTINGS, filter=filter))
+    assert CASES[48].passes(acne), acne
 
 
 def block_scene(degrees: float, normal_map: NDArray[np.uint8] | None = None) -> tuple[Scene, NDArray[np.float64]]:
@@ -121,10 +121,10 @@ def block_scene(degrees: float, normal_map: NDArray[np.uint8] | None = None) -> 
     return scene_builder.build(), down
 
 
-def is_blocked(places: NDArray[np.float64], down: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return whether the unit block on the floor is between places (n, 3) and the sun."""
+def is_blocked(points: NDArray[np.float64], down: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return whether the unit block on the floor is between points (n, 3) and the sun."""
     with np.errstate(divide="ignore"):
-        ends = np.stack([(corner - places) / -down for corner in ((-0.5, 0, -0.5), (0.5, 1, 0.5))])
+        ends = np.stack([(corner - points) / -down for corner in ((-0.5, 0, -0.5), (0.5, 1, 0.5))])
     enters, leaves = ends.min(0).max(-1), ends.max(0).min(-1)
     return np.asarray(leaves > np.maximum(enters, 0.0))
 
@@ -136,9 +136,9 @@ def test_shadows_touch_their_casters_and_end_within_a_texel(
 ) -> None:
     scene, down = block_scene(degrees)
     above = Camera.look_at((0, 10, 0), (0, 0, 0), (0, 0, -1), Orthographic(height=8.0, aspect=1.0, near=1.0, far=10.5))
-    shown = render(gl, scene, above, replace(SETTINGS, filter=filter, cascade_size=256), size=256, casts=True)
+    shadowed = render(gl, scene, above, replace(SETTINGS, filter=filter, cascade_size=256), size=256, casts=True)
     scene.lights.directional["intensity"] *= 0.5
-    lit = shown[..., 0] >= render(gl, scene, above, size=256, casts=False)[..., 0]
+    lit = shadowed[..., 0] >= render(gl, scene, above, size=256, casts=False)[..., 0]
     across = (np.arange(256) + 0.5) / 256 * 8 - 4
     floor = np.stack(np.meshgrid(across, across), -1) @ np.array(((1, 0, 0), (0, 0, 1)))
     floor = floor.reshape(-1, 3)
@@ -147,7 +147,7 @@ def test_shadows_touch_their_casters_and_end_within_a_texel(
     axes = Camera.look_at((0, 0, 0), down).rotation
     angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     moved = [floor + texel * (np.cos(a) * axes[0] + np.sin(a) * axes[1]) for a in angles]
-    blocked = np.stack([is_blocked(places, down) for places in moved])
+    blocked = np.stack([is_blocked(points, down) for points in moved])
     sure = on_floor & (blocked.all(0) | ~blocked.any(0))
     assert sure.sum() > 0.9 * on_floor.sum()
     assert np.array_equal(lit.reshape(-1)[sure], ~blocked[0][sure])
@@ -163,25 +163,25 @@ def test_shadows_fade_at_the_edge_of_the_last_cascade_alone(gl: rhi.Device) -> N
     builder.lights.sky = builder.lights.ground = (0.0, 0.0, 0.0)
     eye = Camera.look_at((0.2, 6, 20), (0.2, 0, 8), projection=Perspective(fov=0.9, aspect=1.0, near=0.1))
     settings = ShadowSettings(cascades=3, cascade_size=256, distance=24.0)
-    shown, lit = (render(gl, builder.build(), eye, settings, casts=casts)[..., 0] for casts in (True, False))
+    shadowed, lit = (render(gl, builder.build(), eye, settings, casts=casts)[..., 0] for casts in (True, False))
     # The floor that the wall is between it and the sun of, below the middle of the image: x from -1.3 to 1.5.
-    shares = shown[:, 32] / np.maximum(lit[:, 32], 1)
+    shares = shadowed[:, 32] / np.maximum(lit[:, 32], 1)
     whole = int(np.argmax(shares <= 0.0))
-    assert 4 < whole < 20, "most of the floor in the picture is nearer than shadows end"
+    assert 4 < whole < 20, "most of the floor in the image is nearer than shadows end"
     assert not shares[whole:].any(), "a shadow ends at the edge of a cascade that isn't the last"
     assert 0.05 < shares[whole - 1] < 0.95, "shadows end without fading"
     assert (shares[: whole - 2] == 1.0).all()
 
 
 def leaf_scene(*, turned: bool = False, **material: Any) -> Scene:
-    """Make a sheet of 2 × 2 m, 2 m above a floor. The shadow that a sun throws of it is 2 m to its right. With
+    """Make a square leaf of 2 × 2 m, 2 m above a floor. The shadow that a sun throws of it is 2 m to its right. With
     `turned`, its front is below."""
     builder = SceneBuilder("leaf")
     corners = [(-1, 2, 1), (1, 2, 1), (1, 2, -1), (-1, 2, -1)]
     uv, order = [(0, 1), (1, 1), (1, 0), (0, 0)], [0, 1, 2, 0, 2, 3]
-    sheet = builder.add_mesh(scenes.make_geometry(corners, order[::-1] if turned else order, uv=uv))
+    leaf = builder.add_mesh(scenes.make_geometry(corners, order[::-1] if turned else order, uv=uv))
     images = {name: builder.add_image(value) for name, value in material.items() if isinstance(value, np.ndarray)}
-    builder.add_objects(builder.add_node(), sheet, builder.add_material(**{**material, **images}))
+    builder.add_objects(builder.add_node(), leaf, builder.add_material(**{**material, **images}))
     floor = builder.add_node(translation((0, -0.5, 0)) @ scaling((30, 1, 30)))
     plain = builder.add_material(specular_color=(0, 0, 0))
     builder.add_objects(floor, builder.add_mesh(BUILT_IN["box"]()), plain, casts_shadow=False)
@@ -189,11 +189,11 @@ def leaf_scene(*, turned: bool = False, **material: Any) -> Scene:
     return builder.build()
 
 
-def find_shadow(device: rhi.Device, scene: Scene) -> tuple[bool, bool]:
-    """Return whether the shadow of the sheet's left half is on the floor, and that of its right half."""
+def measure_shadow(device: rhi.Device, scene: Scene) -> tuple[bool, bool]:
+    """Return whether the shadow of the leaf's left half is on the floor, and that of its right half."""
     above = Camera.look_at((0, 10, 0), (0, 0, 0), (0, 0, -1), Orthographic(height=8.0, aspect=1.0, near=1.0, far=10.5))
-    shown, lit = (render(device, scene, above, casts=casts)[24:40, :, 0] for casts in (True, False))
-    halves = [columns < lit[:, :-1][:, :1] for columns in (shown[:, 42:45], shown[:, 51:54])]
+    shadowed, lit = (render(device, scene, above, casts=casts)[24:40, :, 0] for casts in (True, False))
+    halves = [columns < lit[:, :-1][:, :1] for columns in (shadowed[:, 42:45], shadowed[:, 51:54])]
     for half in halves:
         assert half.all() == half.any()
     return bool(halves[0].all()), bool(halves[1].all())
@@ -205,24 +205,26 @@ CUT = {"alpha_mode": AlphaMode.MASK, "alpha_cutoff": 0.5, "texture": RIGHT_HALF}
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_a_mask_casts_the_shadow_of_what_it_leaves(drawing_device: rhi.Device) -> None:
-    assert find_shadow(drawing_device, leaf_scene(**CUT)) == (False, True)
+    assert measure_shadow(drawing_device, leaf_scene(**CUT)) == (False, True)
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_an_opaque_material_casts_the_shadow_of_its_whole_surface(drawing_device: rhi.Device) -> None:
-    assert find_shadow(drawing_device, leaf_scene(texture=RIGHT_HALF)) == (True, True)
+    assert measure_shadow(drawing_device, leaf_scene(texture=RIGHT_HALF)) == (True, True)
 
 
 @pytest.mark.parametrize("two_sides", [False, True])
 def test_what_shows_its_back_to_the_sun_casts_a_shadow_if_it_has_two_sides(gl: rhi.Device, two_sides: bool) -> None:
     scene = leaf_scene(turned=True, double_sided=two_sides)
-    assert find_shadow(gl, scene) == (two_sides, two_sides)
+    assert measure_shadow(gl, scene) == (two_sides, two_sides)
 
 
 ROOM = 4.0  # half its width
 
 
-def lamp_scene(*, block: tuple[float, float, float] | None, at: tuple[float, float, float] = (0, 0, 0)) -> SceneBuilder:
+def light_scene(
+    *, block: tuple[float, float, float] | None, at: tuple[float, float, float] = (0, 0, 0)
+) -> SceneBuilder:
     """Make a room, of walls that are boxes, around `at`, with a block in it or not. It has no light yet."""
     boxes = []
     for axis in range(3):
@@ -236,7 +238,7 @@ def lamp_scene(*, block: tuple[float, float, float] | None, at: tuple[float, flo
     return builder
 
 
-def add_lamp(builder: SceneBuilder, kind: str, at: tuple[float, ...], range: float = 16.0, casts: bool = True) -> None:
+def add_light(builder: SceneBuilder, kind: str, at: tuple[float, ...], range: float = 16.0, casts: bool = True) -> None:
     if kind == "point":
         builder.lights.add_point(at, range, intensity=6.0, casts_shadow=casts)
     else:
@@ -246,15 +248,15 @@ def add_lamp(builder: SceneBuilder, kind: str, at: tuple[float, ...], range: flo
 
 def look_around(at: tuple[float, ...] = (0, 0, 0)) -> list[Camera]:
     """Return views of the corners of the room, in which three walls and seams of cube maps meet."""
-    lens = Perspective(fov=1.6, aspect=1.0, near=0.05)
-    places = [np.array(corner, float) for corner in ((1, 1, 1), (-1, -1, 1), (1, -1, -1))]
-    return [Camera.look_at(at - 1.5 * place, at + place, projection=lens) for place in places]
+    projection = Perspective(fov=1.6, aspect=1.0, near=0.05)
+    directions = [np.array(corner, float) for corner in ((1, 1, 1), (-1, -1, 1), (1, -1, -1))]
+    return [Camera.look_at(at - 1.5 * direction, at + direction, projection=projection) for direction in directions]
 
 
-LAMPS = ShadowSettings(smallest=64, largest=64)
+LIGHTS = ShadowSettings(min_size=64, max_size=64)
 
 
-render_lamps = partial(render, size=48)
+render_lights = partial(render, size=48)
 
 
 @pytest.mark.parametrize("filter", ShadowFilter)
@@ -262,18 +264,18 @@ render_lamps = partial(render, size=48)
 def test_lit_walls_have_neither_acne_nor_seams(gl: rhi.Device, filter: ShadowFilter, kind: str) -> None:
     for at in ((0.3, 0.5, -0.2), (3.5, -3.9, 3.0)):  # in the middle, and where light grazes two walls
         for camera in look_around():
-            shown = []
+            images = []
             for casts in (False, True):
-                builder = lamp_scene(block=None)
-                add_lamp(builder, kind, at, casts=casts)
-                shown.append(render_lamps(gl, builder.build(), camera, replace(LAMPS, filter=filter)))
+                builder = light_scene(block=None)
+                add_light(builder, kind, at, casts=casts)
+                images.append(render_lights(gl, builder.build(), camera, replace(LIGHTS, filter=filter)))
             flat = ~is_at_corner(camera, np.array(at), 48)
             assert flat.mean() > 0.5
-            assert np.array_equal(shown[0][flat], shown[1][flat])
+            assert np.array_equal(images[0][flat], images[1][flat])
 
 
-def is_at_corner(camera: Camera, lamp: NDArray[np.float64], size: int) -> NDArray[np.bool_]:
-    """Return (size, size), where another wall of the room is within four texels of a map, seen from a lamp: there a
+def is_at_corner(camera: Camera, light: NDArray[np.float64], size: int) -> NDArray[np.bool_]:
+    """Return (size, size), where another wall of the room is within four texels of a map, seen from a light: there a
     filter finds that wall's depth."""
     across = ((np.arange(size) + 0.5) / size * 2 - 1) * np.tan(0.8)
     rays = np.stack(np.broadcast_arrays(across, -across[:, None], -1.0), -1) @ camera.rotation
@@ -283,7 +285,7 @@ def is_at_corner(camera: Camera, lamp: NDArray[np.float64], size: int) -> NDArra
     for axis in range(3):
         edge = hit.copy()
         edge[..., axis] = np.sign(hit[..., axis]) * ROOM
-        ways = [place - lamp for place in (hit, edge)]
+        ways = [point - light for point in (hit, edge)]
         sine = np.linalg.norm(np.cross(*ways), axis=-1) / np.prod([np.linalg.norm(way, axis=-1) for way in ways], 0)
         near |= (sine < 4 / 29) & (ends.argmin(-1) != axis)
     return near
@@ -291,89 +293,89 @@ def is_at_corner(camera: Camera, lamp: NDArray[np.float64], size: int) -> NDArra
 
 @pytest.mark.parametrize("kind", ["point", "spot", "wide spot"])
 def test_without_bias_walls_shade_themselves(gl: rhi.Device, kind: str) -> None:
-    builder = lamp_scene(block=None)
-    add_lamp(builder, kind, (0.3, 0.5, -0.2))
+    builder = light_scene(block=None)
+    add_light(builder, kind, (0.3, 0.5, -0.2))
     scene, camera = builder.build(), look_around()[1]
-    want, shown = (render_lamps(gl, scene, camera, replace(LAMPS, bias=bias)) for bias in (1.0, 0.0))
-    assert (shown < want - 8).any(-1).mean() > 0.05
+    want, shadowed = (render_lights(gl, scene, camera, replace(LIGHTS, bias=bias)) for bias in (1.0, 0.0))
+    assert (shadowed < want - 8).any(-1).mean() > 0.05
 
 
 @pytest.mark.parametrize("away", [0.0, 1e5], ids=["at the origin", "100 km from it"])
 @pytest.mark.parametrize("kind", ["point", "spot"])
-def test_shadows_of_lamps_end_within_a_texel_also_over_seams(gl: rhi.Device, kind: str, away: float) -> None:
-    at, lamp = (away, 0.0, away), np.array((-0.6, 1.5, -0.4))
-    shown, halves = [], []
+def test_shadows_of_local_lights_end_within_a_texel_also_over_seams(gl: rhi.Device, kind: str, away: float) -> None:
+    at, light_position = (away, 0.0, away), np.array((-0.6, 1.5, -0.4))
+    images, halves = [], []
     for casts in (False, True):
-        builder = lamp_scene(block=(0.0, -1.0, 0.0), at=at)
-        add_lamp(builder, kind, tuple(lamp + at), casts=casts)
+        builder = light_scene(block=(0.0, -1.0, 0.0), at=at)
+        add_light(builder, kind, tuple(light_position + at), casts=casts)
         scene = builder.build()
         camera = Camera.look_at(
             np.add(at, (0, -1.6, 0)), np.add(at, (0, -2, 0)), (0, 0, -1),
             Orthographic(height=8.0, aspect=1.0, near=0.0, far=5.0),
         )  # fmt: skip
-        shown.append(render_lamps(gl, scene, camera, replace(LAMPS, smallest=128, largest=128), size=128)[..., 0])
+        images.append(render_lights(gl, scene, camera, replace(LIGHTS, min_size=128, max_size=128), size=128)[..., 0])
         scene.lights.point["intensity"] *= 0.5
         scene.lights.spot["intensity"] *= 0.5
-        halves.append(render_lamps(gl, scene, camera, LAMPS, size=128)[..., 0])
+        halves.append(render_lights(gl, scene, camera, LIGHTS, size=128)[..., 0])
     half = halves[0]
     across = (np.arange(128) + 0.5) / 128 * 8 - 4
     floor = np.stack(np.meshgrid(across, across), -1).reshape(-1, 2)
     floor = np.stack([floor[:, 0], np.full(len(floor), -ROOM), floor[:, 1]], 1)
-    to_lamp = lamp - floor
-    texel = np.linalg.norm(to_lamp, axis=1, keepdims=True) / 61  # at most: of half a map, to the side
-    aside = np.stack([np.cross(to_lamp, (1, 0, 0)), np.cross(to_lamp, (0, 0, 1))])
+    to_light = light_position - floor
+    texel = np.linalg.norm(to_light, axis=1, keepdims=True) / 61  # at most: of half a map, to the side
+    aside = np.stack([np.cross(to_light, (1, 0, 0)), np.cross(to_light, (0, 0, 1))])
     aside /= np.linalg.norm(aside, axis=-1, keepdims=True)
     angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     blocked = np.stack(
         [
-            is_between(floor + texel * (np.cos(a) * aside[0] + np.sin(a) * aside[1]), lamp, (0.0, -1.0, 0.0))
+            is_between(floor + texel * (np.cos(a) * aside[0] + np.sin(a) * aside[1]), light_position, (0.0, -1.0, 0.0))
             for a in angles
         ]
     )
-    is_lit = shown[0].reshape(-1) > half.reshape(-1) + 1
+    is_lit = images[0].reshape(-1) > half.reshape(-1) + 1
     is_middle = (np.abs(floor[:, [0, 2]]) < ROOM - 0.6).all(1)
     sure = is_lit & is_middle & (blocked.all(0) | ~blocked.any(0))
-    lit = (shown[1] >= half).reshape(-1)
+    lit = (images[1] >= half).reshape(-1)
     assert sure.sum() > 0.6 * is_lit.sum()
     assert (blocked.all(0) & sure).sum() > 100
     assert np.array_equal(lit[sure], ~blocked[0][sure])
 
 
-def is_between(places: NDArray[np.float64], lamp: NDArray[np.float64], block: tuple[float, ...]) -> NDArray[np.bool_]:
-    """Return whether a unit block is between places (n, 3) and a lamp."""
-    way = lamp - places
+def is_between(points: NDArray[np.float64], light: NDArray[np.float64], block: tuple[float, ...]) -> NDArray[np.bool_]:
+    """Return whether a unit block is between points (n, 3) and a light."""
+    way = light - points
     with np.errstate(divide="ignore", invalid="ignore"):
-        ends = np.stack([(np.array(block) + side - places) / way for side in (-0.5, 0.5)])
+        ends = np.stack([(np.array(block) + side - points) / way for side in (-0.5, 0.5)])
     enters, leaves = ends.min(0).max(-1), ends.max(0).min(-1)
     return np.asarray((leaves > np.maximum(enters, 0.0)) & (enters < 1.0))
 
 
 @pytest.mark.nightly_cases("6[34]", reason=FEWER_CASES)
 @pytest.mark.parametrize("number", [0, 63, 64, 130])
-def test_each_of_many_lamps_has_its_own_shadows(gl: rhi.Device, number: int) -> None:
+def test_each_of_many_local_lights_has_its_own_shadows(gl: rhi.Device, number: int) -> None:
     """One of 131 shines; the others have maps as well, 786 in all, and are too dim to be seen."""
-    shown = []
+    images = []
     for casts in (False, True):
-        builder = lamp_scene(block=(0.0, -1.0, 0.0))
+        builder = light_scene(block=(0.0, -1.0, 0.0))
         for each in range(131):
             is_lit = each == number
-            place = (-0.6, 1.5, -0.4) if is_lit else (3.0, 3.0, 3.0)
-            builder.lights.add_point(place, 12.0, intensity=6.0 if is_lit else 1e-6, casts_shadow=casts)
-        shown.append(render_lamps(gl, builder.build(), Camera.look_at((0, 3, 3), (0, -3, 0)), LAMPS)[..., 0])
-    assert not (shown[1] > shown[0]).any()
-    assert (shown[1] < shown[0] - 8).mean() > 0.03
-    assert (shown[1] == shown[0]).mean() > 0.3
+            position = (-0.6, 1.5, -0.4) if is_lit else (3.0, 3.0, 3.0)
+            builder.lights.add_point(position, 12.0, intensity=6.0 if is_lit else 1e-6, casts_shadow=casts)
+        images.append(render_lights(gl, builder.build(), Camera.look_at((0, 3, 3), (0, -3, 0)), LIGHTS)[..., 0])
+    assert not (images[1] > images[0]).any()
+    assert (images[1] < images[0] - 8).mean() > 0.03
+    assert (images[1] == images[0]).mean() > 0.3
 
 
 def test_a_spot_light_beside_point_lights_has_its_own_shadows(gl: rhi.Device) -> None:
-    shown = []
+    images = []
     for points, casts in ((0, False), (0, True), (3, True)):
-        builder = lamp_scene(block=(0.0, -1.0, 0.0))
+        builder = light_scene(block=(0.0, -1.0, 0.0))
         for _ in range(points):
             builder.lights.add_point((3.0, 3.0, 3.0), 12.0, intensity=0.0, casts_shadow=True)
-        add_lamp(builder, "spot", (-0.6, 1.5, -0.4), casts=casts)
-        shown.append(render_lamps(gl, builder.build(), Camera.look_at((0, 3, 3), (0, -3, 0)), LAMPS))
-    plain, alone, beside = shown
+        add_light(builder, "spot", (-0.6, 1.5, -0.4), casts=casts)
+        images.append(render_lights(gl, builder.build(), Camera.look_at((0, 3, 3), (0, -3, 0)), LIGHTS))
+    plain, alone, beside = images
     assert (alone < plain - 8).any(-1).mean() > 0.03
     assert np.array_equal(beside, alone)
 
@@ -382,37 +384,37 @@ def test_a_spot_light_beside_point_lights_has_its_own_shadows(gl: rhi.Device) ->
 def test_a_light_inside_a_closed_caster_shines_through_unless_back_faces_are_drawn(
     gl: rhi.Device, back_faces: bool, blocks: bool
 ) -> None:
-    builder = lamp_scene(block=(0, 0, 0))
-    add_lamp(builder, "point", (0.1, 0.2, 0.0))
+    builder = light_scene(block=(0, 0, 0))
+    add_light(builder, "point", (0.1, 0.2, 0.0))
     scene, camera = builder.build(), look_around()[2]
-    settings = replace(LAMPS, back_faces=back_faces)
-    shown = render_lamps(gl, scene, camera, settings)
+    settings = replace(LIGHTS, back_faces=back_faces)
+    shadowed = render_lights(gl, scene, camera, settings)
     scene.lights.point["casts_shadow"] = False
-    plain = render_lamps(gl, scene, camera, settings)
-    assert ((shown < plain - 20).any(-1).mean() > 0.3) == blocks
+    plain = render_lights(gl, scene, camera, settings)
+    assert ((shadowed < plain - 20).any(-1).mean() > 0.3) == blocks
     flat = ~is_at_corner(camera, np.array((0.1, 0.2, 0.0)), 48)
-    assert blocks or np.abs(shown[flat] - plain[flat]).max() <= 1  # another program, which may round otherwise
+    assert blocks or np.abs(shadowed[flat] - plain[flat]).max() <= 1  # another program, which may round otherwise
 
 
 @pytest.mark.parametrize("at", [(0.0, 0.501, 0.0), (0.501, 0.2, 0.0)], ids=["above it", "beside it"])
-def test_a_caster_a_millimetre_from_a_lamp_casts_a_shadow(gl: rhi.Device, at: tuple[float, ...]) -> None:
-    builder = lamp_scene(block=(0, 0, 0))
-    add_lamp(builder, "spot", at)  # beside the block, the near plane cuts through it
+def test_a_caster_a_millimetre_from_a_local_light_casts_a_shadow(gl: rhi.Device, at: tuple[float, ...]) -> None:
+    builder = light_scene(block=(0, 0, 0))
+    add_light(builder, "spot", at)  # beside the block, the near plane cuts through it
     scene, camera = builder.build(), Camera.look_at((0, -0.6, 0), (0, -4, 0), (0, 0, -1))
-    shown = render_lamps(gl, scene, camera, LAMPS)
+    shadowed = render_lights(gl, scene, camera, LIGHTS)
     scene.lights.spot["casts_shadow"] = False
-    plain = render_lamps(gl, scene, camera, LAMPS)
-    assert not (shown > plain).any()
-    assert (shown < plain - 20).any(-1).mean() > 0.1
+    plain = render_lights(gl, scene, camera, LIGHTS)
+    assert not (shadowed > plain).any()
+    assert (shadowed < plain - 20).any(-1).mean() > 0.1
 
 
 @pytest.mark.parametrize("size", [1, 2, 4])
 def test_maps_of_few_texels_are_looked_up(gl: rhi.Device, size: int) -> None:
     scene, _ = block_scene(30.0)
     scene.lights.add_point((1.5, 2.0, 0.5), 8.0, intensity=4.0, casts_shadow=True)
-    small = replace(SETTINGS, cascade_size=size, smallest=size, largest=size)
-    shown = render(gl, scene, Camera.look_at((3, 4, 5), (0, 0, 0)), small, casts=True)
-    assert len(np.unique(shown)) > 4
+    small = replace(SETTINGS, cascade_size=size, min_size=size, max_size=size)
+    shadowed = render(gl, scene, Camera.look_at((3, 4, 5), (0, 0, 0)), small, casts=True)
+    assert len(np.unique(shadowed)) > 4
 
 
 def test_a_map_is_the_same_to_the_bit_after_a_move_below_a_texel(gl: rhi.Device) -> None:
@@ -420,16 +422,18 @@ def test_a_map_is_the_same_to_the_bit_after_a_move_below_a_texel(gl: rhi.Device)
     scene.lights.directional["casts_shadow"] = True
     with open_renderer(gl, scene, size=(64, 64)) as renderer:
         renderer.shadows.settings = SETTINGS
-        renderer.render(FLOOR)
+        renderer.render(FLOOR_CAMERA)
         first, tiles = renderer.shadows.atlas.read().copy(), renderer.shadows.tiles
-        moved = [replace(FLOOR, position=FLOOR.position + share * 0.3) for share in np.linspace(0.0, 1.0, 7)]
+        moved = [
+            replace(FLOOR_CAMERA, position=FLOOR_CAMERA.position + share * 0.3) for share in np.linspace(0.0, 1.0, 7)
+        ]
         for camera in moved:
             renderer.render(camera)
             drawn = renderer.shadows.count("drawn")
-            shown = renderer.shadows.atlas.read()
+            depths = renderer.shadows.atlas.read()
             assert renderer.shadows.tiles == tiles
-            assert drawn or np.array_equal(shown, first)
-            first = shown.copy()
+            assert drawn or np.array_equal(depths, first)
+            first = depths.copy()
 
 
 def lit_block() -> Scene:
@@ -443,11 +447,11 @@ def lit_block() -> Scene:
 
 def test_all_techniques_show_the_same_shadows(gl: rhi.Device) -> None:
     scene, camera = lit_block(), Camera.look_at((3, 4, 5), (0, 0, 0))
-    shown = {name: render(gl, scene, camera, casts=True, technique=name) for name in TECHNIQUES}
-    for name, pixels in shown.items():
+    images = {name: render(gl, scene, camera, casts=True, technique=name) for name in TECHNIQUES}
+    for name, pixels in images.items():
         # Inferred lighting has light for 36 % of the pixels.
-        assert (np.abs(pixels - shown["forward"]).max(-1) > 3).mean() < (0.05 if name == "inferred" else 0.01), name
-    assert len(np.unique(shown["forward"][..., 0])) > 2
+        assert (np.abs(pixels - images["forward"]).max(-1) > 3).mean() < (0.05 if name == "inferred" else 0.01), name
+    assert len(np.unique(images["forward"][..., 0])) > 2
 
 
 def test_shadows_are_the_same_on_each_device(drawing_device: rhi.Device) -> None:
@@ -470,7 +474,7 @@ def render_plain_and_shadowed(
     device: rhi.Device, scene: Scene, camera: Camera, technique: str = "forward", filter: ShadowFilter = SETTINGS.filter
 ) -> list[Pixels]:
     """Return a frame of a scene without shadows, and one with those of all lights."""
-    settings = replace(SETTINGS, filter=filter, smallest=64, largest=64)
+    settings = replace(SETTINGS, filter=filter, min_size=64, max_size=64)
     return [render(device, scene, camera, settings, casts=casts, technique=technique) for casts in (False, True)]
 
 
@@ -487,12 +491,12 @@ def test_normal_maps_bring_no_acne_at_any_slope(gl: rhi.Device) -> None:
         renderer.shadows.settings = SETTINGS
         for degrees in SLOPES:
             scene.lights.directional["direction"] = make_bumps(degrees).lights.directional["direction"]
-            shown = []
+            images = []
             for casts in (False, True):
                 scene.lights.directional["casts_shadow"] = casts
-                shown.append(read_colors(renderer.render(FLOOR)))
-            assert (shown[0] > shown[0].min() + 20).any(-1).mean() > 0.1
-            assert np.abs(shown[1] - shown[0]).max() <= 1, degrees
+                images.append(read_colors(renderer.render(FLOOR_CAMERA)))
+            assert (images[0] > images[0].min() + 20).any(-1).mean() > 0.1
+            assert np.abs(images[1] - images[0]).max() <= 1, degrees
 
 
 @pytest.mark.nightly_cases("*_*", "inferred", "clustered", reason=FEWER_CASES)
@@ -502,8 +506,8 @@ def test_normal_maps_bring_no_acne_with_any_technique_and_light(gl: rhi.Device, 
     scene.lights.directional["intensity"] = 0.3
     scene.lights.add_point((2.0, 0.5, 1.0), 8.0, intensity=2.0)
     scene.lights.add_spot((-2.0, 0.5, 1.0), (1.0, -0.3, 0.0), 8.0, 0.4, 0.7, intensity=8.0)
-    plain, shown = render_plain_and_shadowed(gl, scene, FLOOR, technique)
-    assert np.abs(shown - plain).max() <= 1
+    plain, shadowed = render_plain_and_shadowed(gl, scene, FLOOR_CAMERA, technique)
+    assert np.abs(shadowed - plain).max() <= 1
 
 
 def test_normal_maps_neither_detach_shadows_nor_widen_them(gl: rhi.Device) -> None:
@@ -511,9 +515,9 @@ def test_normal_maps_neither_detach_shadows_nor_widen_them(gl: rhi.Device) -> No
     shadows = []
     for normal_map in (None, BUMPS):
         scene, _ = block_scene(60.0, normal_map)
-        plain, shown = render_plain_and_shadowed(gl, scene, camera, filter=ShadowFilter.HARD)
-        shadows.append((shown < plain - 1).any(-1))
-        is_lit = plain[..., 0] > np.median(shown[..., 0][shadows[-1]]) + 20
+        plain, shadowed = render_plain_and_shadowed(gl, scene, camera, filter=ShadowFilter.HARD)
+        shadows.append((shadowed < plain - 1).any(-1))
+        is_lit = plain[..., 0] > np.median(shadowed[..., 0][shadows[-1]]) + 20
     flat, bumpy = shadows
     assert (flat & is_lit).sum() > 50
     assert np.array_equal(flat[is_lit], bumpy[is_lit])
@@ -521,15 +525,15 @@ def test_normal_maps_neither_detach_shadows_nor_widen_them(gl: rhi.Device) -> No
 
 @pytest.mark.parametrize("technique", ["forward", "deferred", "deferred_plus"])
 @pytest.mark.parametrize("above", [True, False])
-def test_normal_maps_let_no_light_through_a_sheet(gl: rhi.Device, technique: str, above: bool) -> None:
+def test_normal_maps_let_no_light_through_a_leaf(gl: rhi.Device, technique: str, above: bool) -> None:
     scene = leaf_scene(double_sided=True, normal_texture=BUMPS, specular_color=(0, 0, 0))
     eye = (0.0, 2.0 + (1.2 if above else -1.2), 0.0)
     camera = Camera.look_at(eye, (0, 2, 0), (0, 0, -1))
-    plain, shown = render_plain_and_shadowed(gl, scene, camera, technique)
+    plain, shadowed = render_plain_and_shadowed(gl, scene, camera, technique)
     scene.lights.directional["intensity"] = 0.0
     dark = render_plain_and_shadowed(gl, scene, camera, technique)[0]
     assert ((plain > dark + 8).any(-1)).mean() > 0.05
-    assert np.abs(shown - (plain if above else dark)).max() <= 1
+    assert np.abs(shadowed - (plain if above else dark)).max() <= 1
 
 
 @pytest.mark.parametrize(("bends", "casts"), [(False, False), (False, True), (True, False), (True, True)])
@@ -544,52 +548,54 @@ def test_only_shadows_on_normal_maps_take_a_second_normal(bends: bool, casts: bo
             rhi.create_device("null") as device,
             Renderer(device, scene, technique=make(), size=(32, 16)) as renderer,
         ):
-            renderer.render(FLOOR)
-            _, plan = renderer.plan(FLOOR)
-            formats = {one.format for one in plan.textures if any(name.endswith("surface") for name in one.names)}
+            renderer.render(FLOOR_CAMERA)
+            _, plan = renderer.plan(FLOOR_CAMERA)
+            formats = {
+                texture.format for texture in plan.textures if any(name.endswith("surface") for name in texture.names)
+            }
         words = (1 if make is small else 2) * (2 if bends and casts else 1)
-        assert [one.channels for one in formats] == [words]
+        assert [format.channels for format in formats] == [words]
 
 
-def build_wall(lamps: int, spots: int = 0, *, walled: bool = True) -> Scene:
-    """Make a floor and a wall across it, behind which, at x < 0, all lamps are."""
+def build_wall(lights: int, spots: int = 0, *, walled: bool = True) -> Scene:
+    """Make a floor and a wall across it, behind which, at x < 0, all lights are."""
     builder = make_boxes(base_color=(0.8, 0.8, 0.8))
     floor = builder.add_node(translation((0, -0.5, 0)) @ scaling((60, 1, 60)))
     builder.add_objects(floor, 0, 0, casts_shadow=False)
     # Without the wall there is a caster in the range of each, in the way of nothing that is seen.
     caster = scaling((0.5, 20, 60)) if walled else translation((-2, -3, 0)) @ scaling((0.5, 0.5, 40))
     builder.add_objects(builder.add_node(caster), 0, 0)
-    places = np.random.default_rng(1).uniform((-4, 1, -8), (-1, 4, 2), (lamps + spots, 3))
-    builder.lights.add_points(places[:lamps], 8.0, intensity=6.0, casts_shadow=True)
+    positions = np.random.default_rng(1).uniform((-4, 1, -8), (-1, 4, 2), (lights + spots, 3))
+    builder.lights.add_points(positions[:lights], 8.0, intensity=6.0, casts_shadow=True)
     if spots:
-        builder.lights.add_spots(places[lamps:], (1, -0.5, 0), 8.0, 0.3, 0.7, intensity=6.0, casts_shadow=True)
+        builder.lights.add_spots(positions[lights:], (1, -0.5, 0), 8.0, 0.3, 0.7, intensity=6.0, casts_shadow=True)
     builder.lights.sky = builder.lights.ground = builder.background = (0.0, 0.0, 0.0)
     return builder.build()
 
 
-TIGHT = ShadowSettings(cascades=1, cascade_size=16, smallest=64, largest=64, largest_atlas=256)
+TIGHT = ShadowSettings(cascades=1, cascade_size=16, min_size=64, max_size=64, max_atlas_size=256)
 """Settings that have room for 16 maps: those of two point lights."""
 BESIDE_THE_WALL = Camera.look_at((6, 5, 5), (2, 0, -4))
 
 
 @pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("name", ["forward", "deferred", "clustered"])
-def test_lamps_without_room_for_maps_shine_through_no_wall(
+def test_local_lights_without_room_for_maps_shine_through_no_wall(
     drawing_device: rhi.Device, name: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     technique = TECHNIQUES[name]()
-    for lamps, spots, dark in ((2, 0, 0), (3, 0, 1), (12, 0, 10), (2, 4, 0), (2, 5, 1), (12, 6, 11)):
+    for lights, spots, dark in ((2, 0, 0), (3, 0, 1), (12, 0, 10), (2, 4, 0), (2, 5, 1), (12, 6, 11)):
         caplog.clear()
-        scene = build_wall(lamps, spots)
+        scene = build_wall(lights, spots)
         with open_renderer(drawing_device, scene, technique, size=(64, 36)) as renderer:
             renderer.shadows.settings = TIGHT
-            picture = read_colors(renderer.render(BESIDE_THE_WALL))
-            assert renderer.shadows.dark_lamps == dark, (lamps, spots)
-            warnings = [one for one in caplog.records if one.name == "rhi.shadows"]
-            assert len(warnings) == (renderer.shadows.dark_lamps > 0)
+            image = read_colors(renderer.render(BESIDE_THE_WALL))
+            assert renderer.shadows.unshadowed_lights == dark, (lights, spots)
+            warnings = [record for record in caplog.records if record.name == "rhi.shadows"]
+            assert len(warnings) == (renderer.shadows.unshadowed_lights > 0)
             renderer.render(BESIDE_THE_WALL)
-            assert len([one for one in caplog.records if one.name == "rhi.shadows"]) == len(warnings)
-        assert (picture.sum(2) > 30).sum() == 0, (lamps, spots)
+            assert len([record for record in caplog.records if record.name == "rhi.shadows"]) == len(warnings)
+        assert (image.sum(2) > 30).sum() == 0, (lights, spots)
     with open_renderer(drawing_device, build_wall(2, walled=False), technique, size=(64, 36)) as renderer:
         lit = read_colors(renderer.render(BESIDE_THE_WALL))
     assert (lit.sum(2) > 30).mean() > 0.1  # the control: without the wall they light the floor
@@ -598,18 +604,18 @@ def test_lamps_without_room_for_maps_shine_through_no_wall(
 @pytest.mark.parametrize("width", [64, 128])
 def test_the_foot_of_a_thin_wall_keeps_the_light_of_coarse_maps_off(drawing_device: rhi.Device, width: int) -> None:
     with open_renderer(drawing_device, build_wall(250), TECHNIQUES["clustered"](), size=(128, 72)) as renderer:
-        renderer.shadows.settings = ShadowSettings(smallest=width, largest=width)
-        picture = read_colors(renderer.render(BESIDE_THE_WALL))
+        renderer.shadows.settings = ShadowSettings(min_size=width, max_size=width)
+        image = read_colors(renderer.render(BESIDE_THE_WALL))
     # Of the filter, up to 2/3 may find the floor in front of the wall: its edge is drawn half a texel off.
-    assert (picture.sum(2) > 30).sum() == 0
+    assert (image.sum(2) > 30).sum() == 0
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
-def test_lamps_that_nothing_shades_are_lit_however_many_there_are(drawing_device: rhi.Device) -> None:
+def test_local_lights_that_nothing_shades_are_lit_however_many_there_are(drawing_device: rhi.Device) -> None:
     scene = build_wall(12)
     scene.objects.casts_shadow[:] = False
     with open_renderer(drawing_device, scene, size=(64, 36)) as renderer:
         renderer.shadows.settings = TIGHT
-        picture = read_colors(renderer.render(BESIDE_THE_WALL))
-        assert renderer.shadows.dark_lamps == 0
-    assert (picture.sum(2) > 30).mean() > 0.1
+        image = read_colors(renderer.render(BESIDE_THE_WALL))
+        assert renderer.shadows.unshadowed_lights == 0
+    assert (image.sum(2) > 30).mean() > 0.1

@@ -1,4 +1,4 @@
-"""Frames of two eyes: the pictures of each, and what they share."""
+"""Frames of two eyes: the images of each, and what they share."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
-from frames import need_algorithm
 from frames import open_renderer as open_any
+from frames import require_algorithm
 from numpy.typing import NDArray
 
 import rhi
@@ -41,19 +41,19 @@ def draw(
 ) -> tuple[FrameResult, list[NDArray[Any]]]:
     renderer.stereo = stereo
     result = renderer.render(camera, seconds)
-    return result, [picture.read() for picture in result.pictures]
+    return result, [image.read() for image in result.eye_images]
 
 
 def check_eyes(renderer: Renderer, camera: Camera, rig: StereoRig = RIG) -> None:
-    """Check that the eyes' pictures are those of their cameras, to the bit."""
+    """Check that the eyes' images are those of their cameras, to the bit."""
     _, both = draw(renderer, camera, Stereo(rig, "color"))
     alone = [draw(renderer, eye, None)[1][0] for eye in rig.place_eyes(camera)]
     assert not np.array_equal(*both)
-    for name, together, one in zip(("left", "right"), both, alone, strict=True):
-        assert np.array_equal(together, one), f"{name}: {(together != one).any(-1).sum()} pixels"
+    for name, together, single in zip(("left", "right"), both, alone, strict=True):
+        assert np.array_equal(together, single), f"{name}: {(together != single).any(-1).sum()} pixels"
 
 
-def test_each_picture_is_that_of_its_eye_with_queries(drawing_device: rhi.Device, city: Scene) -> None:
+def test_each_image_is_that_of_its_eye_with_queries(drawing_device: rhi.Device, city: Scene) -> None:
     with open_renderer(drawing_device, city, visibility="chc_plus_plus") as renderer:
         for frame in (600, 610):
             check_eyes(renderer, city.paths["ground"].camera(frame))
@@ -69,7 +69,7 @@ def test_each_eye_sees_through_glass(gl: rhi.Device, algorithm: str) -> None:
 @pytest.mark.nightly
 @pytest.mark.parametrize("scene_name", ["city", "hall"])
 @pytest.mark.parametrize("name", TECHNIQUES)
-def test_each_picture_of_each_technique_is_that_of_its_eye(
+def test_each_image_of_each_technique_is_that_of_its_eye(
     drawing_device: rhi.Device, request: pytest.FixtureRequest, scene_name: str, name: str
 ) -> None:
     scene: Scene = request.getfixturevalue(scene_name)
@@ -82,10 +82,10 @@ def test_each_picture_of_each_technique_is_that_of_its_eye(
 @pytest.mark.nightly
 @pytest.mark.parametrize("scene_name", ["city", "hall"])
 @pytest.mark.parametrize("name", ["none", "stop_and_wait", "conditional", "depth_pyramid", "two_pass", "auto"])
-def test_each_picture_with_each_algorithm_is_that_of_its_eye(
+def test_each_image_with_each_algorithm_is_that_of_its_eye(
     drawing_device: rhi.Device, request: pytest.FixtureRequest, scene_name: str, name: str
 ) -> None:
-    need_algorithm(drawing_device, name)
+    require_algorithm(drawing_device, name)
     scene: Scene = request.getfixturevalue(scene_name)
     with open_renderer(drawing_device, scene, visibility=name) as renderer:
         for frame in range(600, 660, 6):
@@ -95,7 +95,7 @@ def test_each_picture_with_each_algorithm_is_that_of_its_eye(
 @pytest.mark.parametrize("name", ["depth_pyramid", "two_pass"])
 def test_what_both_eyes_see_is_known_where_the_device_lists_it(gl: rhi.Device, hall: Scene, name: str) -> None:
     """The right eye's lists replace the left one's, which were read before."""
-    need_algorithm(gl, name)
+    require_algorithm(gl, name)
     with open_renderer(gl, hall, visibility=name) as renderer:
         camera = hall.paths["ground"].camera(600)
         alone = set(renderer.render(camera).visible.tolist())
@@ -105,16 +105,16 @@ def test_what_both_eyes_see_is_known_where_the_device_lists_it(gl: rhi.Device, h
     assert len(alone - both) <= 0.1 * len(alone)
 
 
-LENSES: Final = {
+PROJECTIONS: Final = {
     "parallel": Orthographic(30.0, near=-5.0, far=300.0),
     "parallel, standard depth": Orthographic(30.0, near=-5.0, far=300.0, depth=Depth.STANDARD),
     "with an end": Perspective(near=0.2, far=60.0, depth=Depth.STANDARD),
 }
 
 
-@pytest.mark.parametrize("name", LENSES)
-def test_each_lens_has_two_eyes(drawing_device: rhi.Device, city: Scene, name: str) -> None:
-    camera = city.paths["ground"].camera(600).with_projection(LENSES[name])
+@pytest.mark.parametrize("name", PROJECTIONS)
+def test_each_projection_has_two_eyes(drawing_device: rhi.Device, city: Scene, name: str) -> None:
+    camera = city.paths["ground"].camera(600).with_projection(PROJECTIONS[name])
     with open_renderer(drawing_device, city) as renderer:
         check_eyes(renderer, camera, StereoRig(2.0, 20.0))
 
@@ -124,8 +124,8 @@ def make_pillars(x: float) -> Scene:
     builder = scenes.SceneBuilder("pillars")
     mesh = builder.add_mesh(box())
     rng = np.random.default_rng(5)
-    places = rng.integers(-64, 64, (40, 3)) / 16.0 + (x, 0.0, -8.0)
-    nodes = builder.add_nodes(multiply(translation(places), scaling((0.25, 1.0, 0.25))))
+    positions = rng.integers(-64, 64, (40, 3)) / 16.0 + (x, 0.0, -8.0)
+    nodes = builder.add_nodes(multiply(translation(positions), scaling((0.25, 1.0, 0.25))))
     colors = rng.uniform(0.1, 1.0, (40, 4))
     builder.add_objects(nodes, mesh, [builder.add_material(base_color=tuple(color)) for color in colors])
     builder.lights.add_directional((-0.4, -1.0, -0.3), (1.0, 1.0, 1.0), 1.5)
@@ -133,40 +133,40 @@ def make_pillars(x: float) -> Scene:
 
 
 def test_eyes_far_from_the_origin_see_the_same(drawing_device: rhi.Device) -> None:
-    pictures = []
+    eye_images = []
     for x in (0.0, 131072.0):
         scene = make_pillars(x)
         camera = Camera.look_at((x, 1.0, 2.0), (x, 0.5, -8.0), projection=Perspective())
         with open_renderer(drawing_device, scene) as renderer:
-            pictures.append(draw(renderer, camera, Stereo(StereoRig(0.125, 8.0), "color"))[1])
-    here, there = pictures
+            eye_images.append(draw(renderer, camera, Stereo(StereoRig(0.125, 8.0), "color"))[1])
+    here, there = eye_images
     assert not np.array_equal(*here)
     assert np.array_equal(here, there)
 
 
-class Counted(FrustumCulling):
+class CountingCulling(FrustumCulling):
     """Frustum culling that counts how often it is asked."""
 
-    asked = 0
+    render_calls = 0
 
-    def render(self, camera: Camera, scene_pass: Any) -> Any:
-        self.asked += 1
-        return super().render(camera, scene_pass)
+    def render(self, camera: Camera, scene_drawer: Any) -> Any:
+        self.render_calls += 1
+        return super().render(camera, scene_drawer)
 
 
 def count(null: rhi.Device, scene: Scene, stereo: Stereo | None, technique: str = "forward") -> dict[str, Any]:
     """Return what the frames of a walk cost, after the first ones."""
-    algorithm = Counted(scene)
+    algorithm = CountingCulling(scene)
     with Renderer(null, scene, technique=TECHNIQUES[technique](), size=SIZE, visibility=algorithm) as renderer:
         renderer.stereo = stereo
         path = scene.paths["ground"]
         renderer.render(path.camera(599), 10.0)
-        algorithm.asked = 0
+        algorithm.render_calls = 0
         begin = len(null.stream)
         results = [renderer.render(path.camera(600 + i), 10.0 + i / 60) for i in range(4)]
         stream = null.stream[begin:]
     return {
-        "asked": algorithm.asked,
+        "asked": algorithm.render_calls,
         "bytes": sum(result.statistics.upload_bytes for result in results),
         "draws": sum(result.statistics.draws for result in results),
         "steps": sum(result.statistics.simulation_steps for result in results),
@@ -176,10 +176,10 @@ def count(null: rhi.Device, scene: Scene, stereo: Stereo | None, technique: str 
 
 
 def test_both_eyes_are_culled_once_and_upload_once(null: rhi.Device, city: Scene) -> None:
-    one, two = (count(null, city, stereo) for stereo in (None, Stereo(StereoRig(0.065, 3.0), "grey")))
-    assert one["asked"] == two["asked"] == 4
-    assert two["passes"] == 2 * one["passes"], "each eye; no pass shows both"
-    for alone, both in zip(one["visible"], two["visible"], strict=True):
+    mono, two = (count(null, city, stereo) for stereo in (None, Stereo(StereoRig(0.065, 3.0), "grey")))
+    assert mono["asked"] == two["asked"] == 4
+    assert two["passes"] == 2 * mono["passes"], "each eye; no pass shows both"
+    for alone, both in zip(mono["visible"], two["visible"], strict=True):
         assert np.isin(alone, both).all()
         assert len(both) <= 1.1 * len(alone)
     assert two["draws"] == 2 * sum(map(len, two["visible"]))
@@ -194,13 +194,13 @@ def test_the_second_eye_uploads_its_camera_and_no_lights(null: rhi.Device) -> No
             with open_renderer(null, scene) as renderer:
                 renderer.stereo = stereo
                 uploads.append([renderer.render(camera).statistics.upload_bytes for camera in path][1:])
-        one, two = uploads
-        lamps, view = len(scene.lights.point), ViewConstants.dtype.itemsize
-        assert one == [view + lamps * PointLight.dtype.itemsize] * 3
+        mono, two = uploads
+        light_count, view = len(scene.lights.point), ViewConstants.dtype.itemsize
+        assert mono == [view + light_count * PointLight.dtype.itemsize] * 3
         assert two == [2 * view] * 3
 
 
-def test_eyes_that_were_exchanged_see_lamps_where_they_are(gl: rhi.Device) -> None:
+def test_swapped_eyes_see_lights_at_their_positions(gl: rhi.Device) -> None:
     scene = load_scene("grid:count=9,lights=16")
     camera = next(iter(scene.views.values()))
     moved = replace(camera, position=camera.position + 0.5)
@@ -210,25 +210,25 @@ def test_eyes_that_were_exchanged_see_lamps_where_they_are(gl: rhi.Device) -> No
         assert np.array_equal(exchanged, draw(fresh, moved, Stereo(RIG, "side_by_side"))[1])
 
 
-def test_eyes_that_are_culled_by_queries_are_asked_one_by_one(null: rhi.Device, city: Scene) -> None:
+def test_eyes_culled_by_queries_are_queried_one_by_one(null: rhi.Device, city: Scene) -> None:
     # The control: what one eye's queries say doesn't hold for the other.
-    class Alone(Counted):
-        def render(self, camera: Camera, scene_pass: Any) -> Any:
-            return replace(super().render(camera, scene_pass), by_frustum=False)
+    class Alone(CountingCulling):
+        def render(self, camera: Camera, scene_drawer: Any) -> Any:
+            return replace(super().render(camera, scene_drawer), is_frustum_only=False)
 
     algorithm: VisibilityAlgorithm = Alone(city)
     with Renderer(null, city, size=SIZE, visibility=algorithm) as renderer:
         renderer.stereo = Stereo(RIG)
         renderer.render(city.paths["ground"].camera(600))
-    assert isinstance(algorithm, Counted)
-    assert algorithm.asked == 2
+    assert isinstance(algorithm, CountingCulling)
+    assert algorithm.render_calls == 2
 
 
 @pytest.mark.parametrize("technique", ["forward", "forward_plus", "deferred", "light_pre_pass"])
 def test_simulations_run_once_for_both_eyes(null: rhi.Device, hall: Scene, technique: str) -> None:
-    one, two = (count(null, hall, stereo, technique) for stereo in (None, Stereo(RIG, "color")))
-    assert one["asked"] == two["asked"] == 4
-    assert two["steps"] == one["steps"] > 0
+    mono, two = (count(null, hall, stereo, technique) for stereo in (None, Stereo(RIG, "color")))
+    assert mono["asked"] == two["asked"] == 4
+    assert two["steps"] == mono["steps"] > 0
 
 
 @pytest.mark.parametrize("name", ["city:blocks=6", "city:blocks=6,shadows=1"])
@@ -257,17 +257,17 @@ def test_commands_are_recorded_once_while_the_number_of_objects_is_the_same(
     assert recorded[1] > recorded[0] == recorded[2] == recorded[3] == 0
 
 
-def test_one_eye_and_two_take_turns(null: rhi.Device, city: Scene) -> None:
+def test_one_eye_and_two_alternate(null: rhi.Device, city: Scene) -> None:
     with open_renderer(null, city) as renderer:
         camera = city.paths["ground"].camera(600)
         sizes = []
         for output in (None, "color", "side_by_side", None, "over_under"):
             renderer.stereo = None if output is None else Stereo(RIG, output)
             result = renderer.render(camera)
-            sizes.append((result.image.size, [picture.size for picture in result.pictures]))
+            sizes.append((result.image.size, [image.size for image in result.eye_images]))
         renderer.size = (31, 21)
         result = renderer.render(camera)
-        sizes.append((result.image.size, [picture.size for picture in result.pictures]))
+        sizes.append((result.image.size, [image.size for image in result.eye_images]))
     assert sizes == [
         (SIZE, [SIZE]),
         (SIZE, [SIZE, SIZE]),

@@ -1,4 +1,4 @@
-"""Two pictures in one image: which pixel comes from which picture, and the colours that glasses let through."""
+"""Two images in one image: which pixel comes from which image, and the colours that glasses let through."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Eyes:
     renderer: Renderer
     camera: Camera
 
-    def show(self, output: str, rig: StereoRig = RIG, **given: Any) -> tuple[NDArray[Any], list[NDArray[Any]]]:
-        """Return the image, and the pictures of both eyes."""
-        self.renderer.stereo = Stereo(rig, output, **given)
+    def show(self, output: str, rig: StereoRig = RIG, **options: Any) -> tuple[NDArray[Any], list[NDArray[Any]]]:
+        """Return the image, and the images of both eyes."""
+        self.renderer.stereo = Stereo(rig, output, **options)
         result = self.render()
-        return result.image.read(), [picture.read() for picture in result.pictures]
+        return result.image.read(), [image.read() for image in result.eye_images]
 
     def render(self) -> FrameResult:
         return self.renderer.render(self.camera, 10.0)
@@ -43,13 +43,13 @@ def eyes(drawing_device: rhi.Device, city: Scene) -> Iterator[Eyes]:
         yield Eyes(renderer, city.paths["ground"].camera(600))
 
 
-def test_each_glass_lets_through_one_picture() -> None:
+def test_each_glass_lets_one_image_through() -> None:
     white, black = np.ones(3), np.zeros(3)
     for name in ("grey", "color", "half_color"):
         assert mix_anaglyph(name, white, black) == pytest.approx([1.0, 0.0, 0.0])
         assert mix_anaglyph(name, black, white) == pytest.approx([0.0, 1.0, 1.0])
-    for picture, seen in ((0, [1.0, 0.0, 0.0]), (1, [0.0, 1.0, 1.0])):
-        mixed = mix_anaglyph("dubois", *((white, black) if picture == 0 else (black, white)))
+    for image, seen in ((0, [1.0, 0.0, 0.0]), (1, [0.0, 1.0, 1.0])):
+        mixed = mix_anaglyph("dubois", *((white, black) if image == 0 else (black, white)))
         assert mixed == pytest.approx(seen, abs=0.14)
 
 
@@ -67,7 +67,7 @@ def test_even_rows_are_the_left_eye_s(eyes: Eyes) -> None:
     assert not np.array_equal(left[1::2], right[1::2])
 
 
-def test_halves_are_whole_pictures_of_both_eyes(eyes: Eyes) -> None:
+def test_halves_are_whole_images_of_both_eyes(eyes: Eyes) -> None:
     image, (left, right) = eyes.show("side_by_side")
     assert image.shape == (55, 97, 4)
     assert left.shape == right.shape == (55, 49, 4)
@@ -80,10 +80,10 @@ def test_halves_are_whole_pictures_of_both_eyes(eyes: Eyes) -> None:
     assert np.abs(full[::2].mean(axis=(0, 1)) - left.mean(axis=(0, 1))).max() < 4.0
 
 
-def test_swapped_eyes_exchange_their_pictures(eyes: Eyes) -> None:
+def test_swapped_eyes_exchange_their_images(eyes: Eyes) -> None:
     image, (left, right) = eyes.show("side_by_side")
-    swapped, pictures = eyes.show("side_by_side", is_swapped=True)
-    assert np.array_equal(pictures, [left, right]), "the eyes stay where they are"
+    swapped, eye_images = eyes.show("side_by_side", is_swapped=True)
+    assert np.array_equal(eye_images, [left, right]), "the eyes stay where they are"
     assert np.array_equal(swapped, np.concatenate([right, left], axis=1)[:, :97])
     assert not np.array_equal(swapped, image)
     grey, swapped = (eyes.show("grey", is_swapped=turned)[0] for turned in (False, True))

@@ -1,4 +1,4 @@
-"""The right eye's picture made from the left one's: where pixels move to, and the holes that they leave."""
+"""The right eye's image made from the left one's: where pixels move to, and the holes that they leave."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from renderer.content import load_scene
 from renderer.content.shapes import box
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Projection, Scene, StereoRig, scaling, translation
-from renderer.stereo import Stereo, find_holes
+from renderer.stereo import Stereo, read_hole_mask
 from rhi import Op
 from rhi.math import multiply
 
 SIZE: Final = (96, 54)
 open_renderer = partial(open_any, size=SIZE, visibility="frustum")
 NEAR, FAR = 3.0, 27.0
-# With this lens, P00 · width / 2 is 27 pixels: a wall moves by +2, the box before it by -6.
-LENS: Final = Perspective(np.pi / 2, SIZE[0] / SIZE[1])
+# With this projection, P00 · width / 2 is 27 pixels: a wall moves by +2, the box before it by -6.
+PROJECTION: Final = Perspective(np.pi / 2, SIZE[0] / SIZE[1])
 RIG: Final = StereoRig(1.0, 9.0)
 
 
@@ -37,34 +37,34 @@ def wall() -> Scene:
     rng = np.random.default_rng(1)
     columns, rows = np.meshgrid(np.arange(-60, 61, 4), np.arange(-32, 33, 4))
     tiles = np.stack([columns.ravel(), rows.ravel(), np.full(columns.size, -FAR - 2.0)], axis=1)
-    places = np.concatenate([tiles, [(0.0, 0.0, -NEAR - 0.5)]])
-    sizes = np.where(np.arange(len(places)) < len(tiles), 4.0, 1.0)[:, None] * np.ones(3)
-    nodes = builder.add_nodes(multiply(translation(places), scaling(sizes)))
-    colors = rng.uniform(0.1, 1.0, (len(places), 4))
-    materials = [builder.add_material(base_color=tuple(one), specular_color=(0, 0, 0)) for one in colors]
+    positions = np.concatenate([tiles, [(0.0, 0.0, -NEAR - 0.5)]])
+    sizes = np.where(np.arange(len(positions)) < len(tiles), 4.0, 1.0)[:, None] * np.ones(3)
+    nodes = builder.add_nodes(multiply(translation(positions), scaling(sizes)))
+    colors = rng.uniform(0.1, 1.0, (len(positions), 4))
+    materials = [builder.add_material(base_color=tuple(color), specular_color=(0, 0, 0)) for color in colors]
     builder.add_objects(nodes, mesh, materials)
     return builder.build()
 
 
-def look(lens: Projection = LENS) -> Camera:
-    return Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), projection=lens)
+def look(projection: Projection = PROJECTION) -> Camera:
+    return Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), projection=projection)
 
 
 def draw(renderer: Renderer, camera: Camera, rig: StereoRig, *, moved: bool) -> tuple[FrameResult, Any, Any]:
-    """Return the result and the pictures of both eyes."""
+    """Return the result and the images of both eyes."""
     renderer.stereo = Stereo(rig, "color", is_reprojected=moved)
     result = renderer.render(camera)
-    left, right = (picture.read() for picture in result.pictures)
+    left, right = (image.read() for image in result.eye_images)
     return result, left, right
 
 
 @pytest.mark.parametrize("depth", list(Depth))
 def test_pixels_move_by_the_parallax_of_their_depth(drawing_device: rhi.Device, wall: Scene, depth: Depth) -> None:
-    camera = look(Perspective(LENS.fov, LENS.aspect, depth=depth))
+    camera = look(Perspective(PROJECTION.fov, PROJECTION.aspect, depth=depth))
     with open_renderer(drawing_device, wall) as renderer:
         _, left, drawn = draw(renderer, camera, RIG, moved=False)
         result, same, moved = draw(renderer, camera, RIG, moved=True)
-        holes = find_holes(result.frames[1])
+        holes = read_hole_mask(result.frames[1])
     assert np.array_equal(same, left), "the left eye is drawn as before"
     assert np.array_equal(moved[~holes], drawn[~holes])
     # The box is 9 pixels high and wide: 27 / 3. Beside it the eye sees 8 pixels of the wall, P00 · e · (1/z1 - 1/z2).
@@ -82,7 +82,7 @@ def test_eyes_without_a_distance_move_nothing(drawing_device: rhi.Device, wall: 
     with open_renderer(drawing_device, wall) as renderer:
         result, left, right = draw(renderer, look(), StereoRig(0.0, 9.0), moved=True)
         assert np.array_equal(left, right)
-        assert not find_holes(result.frames[1]).any()
+        assert not read_hole_mask(result.frames[1]).any()
         assert np.array_equal(result.image.read(), left)
 
 
@@ -90,26 +90,26 @@ def test_all_converges_where_the_wall_is(drawing_device: rhi.Device, wall: Scene
     with open_renderer(drawing_device, wall) as renderer:
         for convergence, edge in ((FAR, []), (FAR * 0.9, [0]), (FAR * 1.1, [95])):
             result, left, right = draw(renderer, look(), StereoRig(6.0, convergence), moved=True)
-            holes = np.flatnonzero(find_holes(result.frames[1])[0]).tolist()
+            holes = np.flatnonzero(read_hole_mask(result.frames[1])[0]).tolist()
             assert holes == edge, "to the left of what moves to the right, and the other way round"
             if not edge:
                 assert np.array_equal(left[0], right[0])
 
 
-LENSES: Final = {
+PROJECTIONS: Final = {
     "parallel": (Orthographic(20.0, near=0.5, far=100.0), StereoRig(1.0, 9.0)),
     "parallel, standard depth": (Orthographic(20.0, near=0.5, far=100.0, depth=Depth.STANDARD), StereoRig(1.0, 9.0)),
-    "with an end": (Perspective(LENS.fov, near=0.5, far=60.0), RIG),
+    "with an end": (Perspective(PROJECTION.fov, near=0.5, far=60.0), RIG),
 }
 
 
-@pytest.mark.parametrize("name", LENSES)
-def test_each_lens_moves_pixels(drawing_device: rhi.Device, wall: Scene, name: str) -> None:
-    lens, rig = LENSES[name]
+@pytest.mark.parametrize("name", PROJECTIONS)
+def test_each_projection_shifts_pixels(drawing_device: rhi.Device, wall: Scene, name: str) -> None:
+    projection, rig = PROJECTIONS[name]
     with open_renderer(drawing_device, wall) as renderer:
-        _, left, drawn = draw(renderer, look(lens), rig, moved=False)
-        result, _, moved = draw(renderer, look(lens), rig, moved=True)
-        seen = ~find_holes(result.frames[1])
+        _, left, drawn = draw(renderer, look(projection), rig, moved=False)
+        result, _, moved = draw(renderer, look(projection), rig, moved=True)
+        seen = ~read_hole_mask(result.frames[1])
     errors = np.abs(moved.astype(int) - drawn)[..., :3].max(axis=2)
     unmoved = np.abs(left.astype(int) - drawn)[..., :3].max(axis=2)
     # A pixel moves by whole pixels: at most half a pixel off, at the seams of tiles that are wider than that.
@@ -137,27 +137,27 @@ def test_layers_find_the_depth_of_moved_pixels(drawing_device: rhi.Device, wall:
         renderer.layers.append(looker)
         draw(renderer, look(), RIG, moved=False)
         result, _, _ = draw(renderer, look(), RIG, moved=True)
-        seen = ~find_holes(result.frames[1])
+        seen = ~read_hole_mask(result.frames[1])
     left, right, same, moved = looker.depths
     assert np.array_equal(left, same)
     assert np.abs(moved - right)[seen].max() < 1e-6
     assert len(np.unique(moved.round(4))) >= 2
 
 
-def test_pictures_and_depth_are_the_same_where_rows_of_copies_are_aligned(
+def test_images_and_depth_are_the_same_where_rows_of_copies_are_aligned(
     drawing_device: rhi.Device, wall: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As on wgpu: rows of 96 pixels are then 128 apart in buffers."""
-    found = []
+    results = []
     for alignment in (drawing_device.capabilities.copy_row_alignment, 256):
         limits = replace(drawing_device.capabilities, copy_row_alignment=alignment)
         monkeypatch.setattr(drawing_device._core, "capabilities", limits)
         with open_renderer(drawing_device, wall) as renderer:
             renderer.layers.append(looker := Looker())
             result, _, moved = draw(renderer, look(), RIG, moved=True)
-            found.append((moved, looker.depths[1], find_holes(result.frames[1]), result.image.read()))
-    assert found[0][2].any()
-    for tight, aligned in zip(*found, strict=True):
+            results.append((moved, looker.depths[1], read_hole_mask(result.frames[1]), result.image.read()))
+    assert results[0][2].any()
+    for tight, aligned in zip(*results, strict=True):
         assert np.array_equal(tight, aligned)
 
 
@@ -174,7 +174,7 @@ def test_only_the_left_eye_draws_the_scene(null: rhi.Device) -> None:
     assert passes == [2, 1], "without layers, no depth is made either"
 
 
-def test_lights_are_not_placed_for_an_eye_that_draws_nothing(null: rhi.Device) -> None:
+def test_lights_are_not_positioned_for_an_eye_that_draws_nothing(null: rhi.Device) -> None:
     scene = load_scene("grid:count=9,lights=16")
     camera, placed = next(iter(scene.views.values())), []
     for moved in (False, True):
@@ -184,7 +184,7 @@ def test_lights_are_not_placed_for_an_eye_that_draws_nothing(null: rhi.Device) -
             aside = replace(camera, position=np.add(camera.position, (0.1, 0.0, 0.0)))
             null.stream.clear()
             renderer.render(aside)
-            placed.append(sum("places" in command.bindings for command in null.stream.filter(Op.DISPATCH)))
+            placed.append(sum("positions" in command.bindings for command in null.stream.filter(Op.DISPATCH)))
     assert placed == [1, 0]
 
 

@@ -29,20 +29,20 @@ def shade_plane(
     The plane is at right angles to the unit vector `plane`, by which it is lit too unless another `normal` is
     given. It has the scene's first material, with `albedo` for base colour times texel.
     """
-    return encode(look_at_plane(scene, camera, size, point, plane, albedo, normal)[0])
+    return encode(reference_plane_light(scene, camera, size, point, plane, albedo, normal)[0])
 
 
-def find_rays(camera: Camera, size: tuple[int, int]) -> Floats:
+def compute_pixel_rays(camera: Camera, size: tuple[int, int]) -> Floats:
     """Return the direction (height, width, 3) of each pixel, of length 1 along the view."""
-    lens = camera.projection
-    assert isinstance(lens, Perspective)
+    projection = camera.projection
+    assert isinstance(projection, Perspective)
     width, height = size
-    x = ((np.arange(width) + 0.5) / width * 2 - 1) * np.tan(lens.fov / 2) * width / height
-    y = (1 - (np.arange(height) + 0.5) / height * 2) * np.tan(lens.fov / 2)
+    x = ((np.arange(width) + 0.5) / width * 2 - 1) * np.tan(projection.fov / 2) * width / height
+    y = (1 - (np.arange(height) + 0.5) / height * 2) * np.tan(projection.fov / 2)
     return np.asarray(np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), -1) @ camera.rotation)
 
 
-def look_at_plane(
+def reference_plane_light(
     scene: Scene,
     camera: Camera,
     size: tuple[int, int],
@@ -55,14 +55,14 @@ def look_at_plane(
     """Return the linear colours (height, width, 3) of a plane, of another material than the first if that is given, and
     the distances (height, width) from the eye; see `shade_plane`."""
     normal = plane if normal is None else normal
-    rays = find_rays(camera, size)
+    rays = compute_pixel_rays(camera, size)
     distance = ((point - camera.position) @ plane) / (rays @ plane)
     assert (distance > 0).all(), "the plane must fill the image"
     hit = camera.position + rays * distance[..., None]
     color = shade(scene, scene.materials[material], hit, normal, _unit(camera.position - hit), albedo)
-    shown, away = tone_map(color), np.linalg.norm(hit - camera.position, axis=-1)
+    mapped, away = tone_map(color), np.linalg.norm(hit - camera.position, axis=-1)
     through = np.exp(-scene.haze * away)[..., None]
-    return shown * through + np.array(scene.background) * (1 - through), away
+    return mapped * through + np.array(scene.background) * (1 - through), away
 
 
 def shade(scene: Scene, material: Any, hit: Floats, normal: Floats, to_eye: Floats, albedo: Floats) -> Floats:

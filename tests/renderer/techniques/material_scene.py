@@ -23,7 +23,7 @@ def make_noise(size: tuple[int, int], seed: int, low: int = 0, high: int = 255) 
     return np.ascontiguousarray(image)
 
 
-def build_materials(*, lamps: bool = True, seed: int = 3) -> Scene:
+def build_materials(*, lights: bool = True, seed: int = 3) -> Scene:
     """Build nine spheres before a wall: metals, dielectrics and specular materials, with and without maps, a mask, two
     sides, mirrored transforms, and images of four sizes, one of them a single texel."""
     random = np.random.default_rng(seed)
@@ -34,7 +34,7 @@ def build_materials(*, lamps: bool = True, seed: int = 3) -> Scene:
     holes[..., 3] = 255 * random.integers(0, 2, (32, 32))
     images = [make_noise((64, 64), 1, 40), make_noise((16, 32), 2), make_noise((16, 16), 3), make_noise((1, 1), 4)]
     base, rough, occlusion, emissive, normal, mask = (builder.add_image(image) for image in (*images, bumps, holes))
-    given: list[dict[str, Any]] = [
+    parameters: list[dict[str, Any]] = [
         {"base_color": (0.9, 0.6, 0.3), "metallic": 1.0, "roughness": 0.0},
         {"base_color": (0.9, 0.6, 0.3), "metallic": 1.0, "roughness": 0.4},
         {"base_color": (0.2, 0.5, 0.9), "metallic": 0.0, "roughness": 0.25},
@@ -57,7 +57,7 @@ def build_materials(*, lamps: bool = True, seed: int = 3) -> Scene:
         {"texture": mask, "alpha_mode": AlphaMode.MASK, "double_sided": True},
         {"base_color": (0.9, 0.9, 0.9), "roughness": 1.0, "metallic": 0.5},
     ]
-    materials = [builder.add_material(**values) for values in given]
+    materials = [builder.add_material(**values) for values in parameters]
     sphere = BUILT_IN["sphere"]().vertices
     colors = np.append(random.uniform(0.5, 1.0, (len(sphere), 3)), np.ones((len(sphere), 1)), axis=1)
     geometry = make_geometry(
@@ -70,17 +70,17 @@ def build_materials(*, lamps: bool = True, seed: int = 3) -> Scene:
     )
     ball = builder.add_mesh(geometry)
     for number, material in enumerate(materials):
-        place = translation((1.3 * (number % 3 - 1), 1.3 * (number // 3 - 1), 0.0))
+        position = translation((1.3 * (number % 3 - 1), 1.3 * (number // 3 - 1), 0.0))
         sides = scaling((-1 if number in (3, 7) else 1, 1, 1))
-        builder.add_objects(builder.add_node(place @ sides), ball, material)
+        builder.add_objects(builder.add_node(position @ sides), ball, material)
     wall = translation((0, 0, -1.2)) @ scaling((6, 6, 0.1))
     builder.add_objects(builder.add_node(wall), builder.add_mesh(BUILT_IN["box"]()), materials[8])
     builder.lights.add_directional((-0.5, -0.7, -0.6), (1, 0.95, 0.9), 1.2)
-    for _ in range(12 if lamps else 0):
+    for _ in range(12 if lights else 0):
         builder.lights.add_point(random.uniform((-2, -2, 0.6), (2, 2, 1.6)), 1.6, random.uniform(0.2, 1, 3), 0.7)
-    for _ in range(4 if lamps else 0):
-        place = random.uniform((-2, -2, 1.5), (2, 2, 2))
-        builder.lights.add_spot(place, (0, 0, -1), 4.0, 0.3, 0.6, random.uniform(0.2, 1, 3), 3.0)
+    for _ in range(4 if lights else 0):
+        position = random.uniform((-2, -2, 1.5), (2, 2, 2))
+        builder.lights.add_spot(position, (0, 0, -1), 4.0, 0.3, 0.6, random.uniform(0.2, 1, 3), 3.0)
     builder.lights.sky, builder.lights.ground = (0.3, 0.35, 0.4), (0.15, 0.14, 0.12)
     builder.views["front"] = Camera.look_at((0.4, 0.5, 5.0), (0, 0, 0))
     return builder.build()

@@ -8,9 +8,9 @@ import pytest
 from frames import make_lit_boxes, open_renderer
 
 import rhi
-from renderer.lab.measure.plans import describe_plan
+from renderer.lab.measure.plan_report import describe_plan
 from renderer.techniques import Clustered, ClusteredDeferred, DeferredPlus, ForwardPlus, Technique, TiledDeferred
-from renderer.techniques.parts.cell_lists import CLUSTERS
+from renderer.techniques.parts.light_list_reader import CLUSTERS
 from rhi import Op
 
 SIZE = (64, 32)
@@ -34,7 +34,7 @@ PASSES: dict[str, tuple[Callable[[], Technique], list[str], dict[str, tuple[int,
         },
     ),
 }  # fmt: skip
-"""Techniques, the passes of a scene without lamps, and those of one with lamps, with their dispatches and draws."""
+"""Techniques, the passes of a scene without local lights, and of one with them, with their dispatches and draws."""
 
 
 @pytest.mark.parametrize("name", PASSES)
@@ -43,7 +43,7 @@ def test_lights_to_list_bring_their_passes_and_none_bring_none(name: str, points
     make, without, listed = PASSES[name]
     scene = make_lit_boxes(points, spots)
     report = describe_plan(scene, make(), scene.views["eye"], SIZE)
-    assert [one.name for one in report.passes] == (list(listed) if points + spots else without)
+    assert [measured.name for measured in report.passes] == (list(listed) if points + spots else without)
 
 
 @pytest.mark.parametrize("name", PASSES)
@@ -52,7 +52,7 @@ def test_lists_take_a_few_dispatches_and_objects_a_draw_however_many_lights_ther
     for points, spots in ((1, 0), (3, 2), (100, 0)):
         scene = make_lit_boxes(points, spots)
         report = describe_plan(scene, make(), scene.views["eye"], SIZE)
-        assert [(one.dispatches, one.draws) for one in report.passes] == list(listed.values())
+        assert [(measured.dispatches, measured.draws) for measured in report.passes] == list(listed.values())
 
 
 @pytest.mark.parametrize("name", PASSES)

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from frames import count_draws, find_eye, list_owned, list_passes, make_lit_boxes, open_renderer, record
+from frames import count_draws, first_view_camera, list_owned, list_passes, make_lit_boxes, open_renderer, record
 
 import rhi
 from renderer import techniques
@@ -24,34 +24,36 @@ ALL: list[Technique] = [*DEFERRED, *PRE_PASS, Inferred()]
 
 
 boxes = partial(make_lit_boxes, boxes=2)
-"""Makes two boxes in front of the eye, with lamps in view."""
+"""Makes two boxes in front of the eye, with local lights in view."""
 
 
 @pytest.mark.parametrize("technique", DEFERRED)
-def test_deferred_without_lamps_draws_geometry_and_one_triangle(null: rhi.Device, technique: Technique) -> None:
+def test_deferred_without_local_lights_draws_geometry_and_one_triangle(null: rhi.Device, technique: Technique) -> None:
     assert list_passes(null, boxes(), technique) == ["geometry", "resolve"]
     assert count_draws(null, boxes(), technique) == (2, 2)
 
 
 @pytest.mark.parametrize("technique", [LightPrePass(), LightPrePass(specular_channels=1), Inferred()])
-def test_a_light_pre_pass_without_lamps_is_forward_shading(null: rhi.Device, technique: Technique) -> None:
+def test_a_light_pre_pass_without_local_lights_is_forward_shading(null: rhi.Device, technique: Technique) -> None:
     with rhi.create_device("null") as other:
-        wanted = record(other, boxes(), Forward())
+        expected = record(other, boxes(), Forward())
         stream = record(null, boxes(), technique)
-        assert [(c.op, c.values) for c in stream] == [(c.op, c.values) for c in wanted]
+        assert [(c.op, c.values) for c in stream] == [(c.op, c.values) for c in expected]
 
 
-def test_a_lamp_adds_its_pass_and_one_draw(null: rhi.Device) -> None:
+def test_a_local_light_adds_its_pass_and_one_draw(null: rhi.Device) -> None:
     assert list_passes(null, boxes(1), Deferred()) == ["geometry", "point lights", "resolve"]
     assert count_draws(null, boxes(1), Deferred()) == (3, 3)
     assert list_passes(null, boxes(1), LightPrePass()) == ["normals", "point lights", "materials"]
     assert count_draws(null, boxes(1), LightPrePass()) == (3, 3)
-    assert list_passes(null, boxes(1), Inferred()) == ["normals", "shrink", "point lights", "materials"]
+    assert list_passes(null, boxes(1), Inferred()) == ["normals", "downscale", "point lights", "materials"]
     assert count_draws(null, boxes(1), Inferred()) == (4, 4)
 
 
 @pytest.mark.parametrize("technique", [Deferred(), LightPrePass()])
-def test_lamps_of_a_kind_are_one_draw_and_narrow_and_wide_spots_are_two(null: rhi.Device, technique: Technique) -> None:
+def test_local_lights_of_a_kind_are_one_draw_and_narrow_and_wide_spots_are_two(
+    null: rhi.Device, technique: Technique
+) -> None:
     assert count_draws(null, boxes(200), technique) == (3, 3)
     assert count_draws(null, boxes(0, spots=5), technique) == count_draws(null, boxes(0, wide=5), technique) == (3, 3)
     assert count_draws(null, boxes(0, spots=5, wide=3), technique) == (3, 4)
@@ -59,13 +61,13 @@ def test_lamps_of_a_kind_are_one_draw_and_narrow_and_wide_spots_are_two(null: rh
 
 
 @pytest.mark.parametrize("technique", [Deferred(), LightPrePass()])
-def test_one_draw_has_an_instance_for_each_lamp(null: rhi.Device, technique: Technique) -> None:
+def test_one_draw_has_an_instance_for_each_local_light(null: rhi.Device, technique: Technique) -> None:
     _, volumes, _ = record(null, boxes(200), technique).draws()
     assert volumes["instances"] == 200
 
 
 @pytest.mark.parametrize("technique", [Deferred(stencil=True), LightPrePass(stencil=True)])
-def test_a_masked_lamp_is_drawn_twice(null: rhi.Device, technique: Technique) -> None:
+def test_a_masked_local_light_is_drawn_twice(null: rhi.Device, technique: Technique) -> None:
     assert count_draws(null, boxes(7), technique) == (3, 2 + 2 * 7)
     stream = record(null, boxes(7), technique)
     marking, marked = stream.draws()[1:3]
@@ -82,7 +84,7 @@ def test_inferred_light_is_collected_in_smaller_buffers(null: rhi.Device, scale:
     assert sizes == [SIZE, size, size, SIZE]
 
 
-def test_a_lamp_that_a_far_plane_cuts_is_not_masked(null: rhi.Device) -> None:
+def test_a_local_light_that_a_far_plane_cuts_is_not_masked(null: rhi.Device) -> None:
     scene = boxes(7)
     near = scene.views["eye"].with_projection(Perspective(far=10.5))
     far = scene.views["eye"].with_projection(Perspective(far=100.0))
@@ -91,12 +93,12 @@ def test_a_lamp_that_a_far_plane_cuts_is_not_masked(null: rhi.Device) -> None:
 
 
 @pytest.mark.parametrize("technique", ALL)
-def test_a_lamp_out_of_view_costs_nothing(null: rhi.Device, technique: Technique) -> None:
+def test_a_local_light_out_of_view_costs_nothing(null: rhi.Device, technique: Technique) -> None:
     scene, dark = boxes(0), boxes(0)
     scene.lights.add_point((0, 1, 40), 3.0)
     with rhi.create_device("null") as other:
-        wanted = record(other, dark, technique)
-        assert [(c.op, c.values) for c in record(null, scene, technique)] == [(c.op, c.values) for c in wanted]
+        expected = record(other, dark, technique)
+        assert [(c.op, c.values) for c in record(null, scene, technique)] == [(c.op, c.values) for c in expected]
 
 
 def test_the_second_pass_of_a_light_pre_pass_draws_what_the_first_has_drawn_and_keeps_its_depth(
@@ -109,7 +111,7 @@ def test_the_second_pass_of_a_light_pre_pass_draws_what_the_first_has_drawn_and_
 
 
 @pytest.mark.parametrize(
-    ("technique", "text", "lamps", "bytes_per_pixel"),
+    ("technique", "text", "lights", "bytes_per_pixel"),
     [
         (Forward(), "boxes", 1, 4 + 4),
         (Deferred(), "boxes", 0, 8 + 4 + 4 + 4),
@@ -126,10 +128,10 @@ def test_the_second_pass_of_a_light_pre_pass_draws_what_the_first_has_drawn_and_
     ],
 )
 def test_a_pixel_takes_so_many_bytes(
-    null: rhi.Device, technique: Technique, text: str, lamps: int, bytes_per_pixel: int
+    null: rhi.Device, technique: Technique, text: str, lights: int, bytes_per_pixel: int
 ) -> None:
-    scene = boxes(lamps) if text == "boxes" else load_scene(text)
-    view = find_eye(scene)
+    scene = boxes(lights) if text == "boxes" else load_scene(text)
+    view = first_view_camera(scene)
     with open_renderer(null, scene, technique) as renderer:
         renderer.render(view)
         _, plan = renderer.plan(view)
@@ -137,7 +139,7 @@ def test_a_pixel_takes_so_many_bytes(
 
 
 @pytest.mark.parametrize("technique", [Deferred(), LightPrePass()])
-def test_a_second_frame_uploads_the_rows_of_its_lamps(null: rhi.Device, technique: Technique) -> None:
+def test_a_second_frame_uploads_the_rows_of_its_local_lights(null: rhi.Device, technique: Technique) -> None:
     scene = boxes(50)
     with open_renderer(null, scene, technique) as renderer:
         renderer.render(scene.views["eye"])
@@ -172,6 +174,6 @@ def test_everything_is_given_back(null: rhi.Device, technique: Technique) -> Non
     scene = boxes(3, spots=2, wide=1)
     with open_renderer(null, scene, technique) as renderer:
         renderer.render(scene.views["eye"])
-    made, left = list_owned(null)
-    assert len(made) > 10
+    created, left = list_owned(null)
+    assert len(created) > 10
     assert left == []

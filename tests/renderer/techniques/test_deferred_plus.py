@@ -7,23 +7,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-from frames import draw_each, find_difference, find_eye, make_boxes, open_renderer, read_colors
+from frames import draw_each, first_view_camera, make_boxes, max_difference, open_renderer, read_colors
 from nightly_reasons import ONLY_KERNELS
 from numpy.typing import NDArray
 
 import rhi
 from renderer import rules
 from renderer.content import BUILT_IN, load_scene
-from renderer.lab.measure.plans import describe_plan
+from renderer.lab.measure.plan_report import describe_plan
 from renderer.renderer import Renderer
 from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, TextureMap, make_geometry, scaling, translation
 from renderer.techniques import DeferredPlus, Forward, Technique, TiledDeferred
 from renderer.techniques.deferred_plus import PackedShading
-from renderer.techniques.parts.geometry_buffer import MOST_MATERIALS
+from renderer.techniques.parts.geometry_buffer import MAX_MATERIALS
 from renderer.techniques.parts.material_bins import PixelBins
 from renderer.techniques.parts.material_rectangles import MaterialRectangles
 from renderer.techniques.parts.packed_geometry import PackedPlain, PackedTextures
-from renderer.techniques.settings import TechniqueSettings
+from renderer.techniques.technique_settings import TechniqueSettings
 from renderer.visibility import FrustumCulling, TwoPassCulling
 from rhi import Op, Stage
 from rhi.shading import compile_shader
@@ -34,7 +34,7 @@ EYE = Camera.look_at((0, 6, 12), (0, 0, 0))
 
 def scatter(materials: int, *, images: bool = True, objects: int = 60, unused: int = 0) -> Scene:
     """Make boxes and spheres on a floor, with materials in turn; `unused` ones come first."""
-    random, places = np.random.default_rng(7), np.random.default_rng(8)
+    random, object_positions = np.random.default_rng(7), np.random.default_rng(8)
     builder = SceneBuilder("scatter")
     texture = builder.add_image(random.integers(0, 256, (32, 32, 4), np.uint8)) if images else -1
     for _ in range(unused):
@@ -46,10 +46,10 @@ def scatter(materials: int, *, images: bool = True, objects: int = 60, unused: i
     meshes = [builder.add_mesh(BUILT_IN[name]()) for name in ("box", "sphere")]
     builder.add_objects(builder.add_node(translation((0, -1, 0)) @ scaling((30, 1, 30))), meshes[0], rows[0])
     for number in range(objects):
-        node = builder.add_node(translation(places.uniform((-8, -0.5, -8), (8, 2, 8))))
+        node = builder.add_node(translation(object_positions.uniform((-8, -0.5, -8), (8, 2, 8))))
         builder.add_objects(node, meshes[number % 2], rows[number % materials])
-    for place in random.uniform((-8, 1, -8), (8, 4, 8), (6, 3)):
-        builder.lights.add_point(place, 6.0, random.uniform(0.3, 1.0, 3), 4.0)
+    for position in random.uniform((-8, 1, -8), (8, 4, 8), (6, 3)):
+        builder.lights.add_point(position, 6.0, random.uniform(0.3, 1.0, 3), 4.0)
     builder.lights.add_directional((-0.3, -1.0, -0.2), intensity=0.7)
     builder.views["eye"] = EYE
     return builder.build()
@@ -60,10 +60,10 @@ def draw(device: rhi.Device, scene: Scene, *, multi_pass: bool) -> dict[str, NDA
     with open_renderer(device, scene, DeferredPlus(multi_pass=multi_pass), size=SIZE) as renderer:
         targets = renderer.render(EYE).targets
         names = ("image", "depth", "packed", *(("material ids",) if multi_pass else ()))
-        found = {name: targets[name].read() for name in names}
+        resources = {name: targets[name].read() for name in names}
         if multi_pass:
-            found["rectangles"] = renderer.view.workspace(MaterialRectangles).read()
-    return found
+            resources["rectangles"] = renderer.view.workspace(MaterialRectangles).read()
+    return resources
 
 
 # the buffer
@@ -80,10 +80,10 @@ def test_a_pixel_takes_at_most_16_bytes_and_depth(images: bool) -> None:
 @pytest.mark.parametrize("shader", [PackedPlain, PackedTextures])
 def test_no_texel_and_no_material_is_read_when_geometry_is_drawn(shader: type[Any]) -> None:
     names = {binding.name for binding in compile_shader(shader).bindings}
-    assert names == {"view", "objects", "places"}
+    assert names == {"view", "objects", "object_positions"}
 
 
-def test_a_scene_without_images_or_lamps_binds_neither(null: rhi.Device) -> None:
+def test_a_scene_without_images_or_local_lights_binds_neither(null: rhi.Device) -> None:
     scene = scatter(3, images=False)
     scene.lights.point = scene.lights.point[:0]
     with open_renderer(null, scene, DeferredPlus(), size=SIZE) as renderer:
@@ -96,18 +96,18 @@ def test_a_scene_without_images_or_lamps_binds_neither(null: rhi.Device) -> None
 @pytest.mark.parametrize("technique", [DeferredPlus(), TiledDeferred(normal_bits=8)])
 def test_a_buffer_of_16_bits_refuses_more_materials(null: rhi.Device, technique: Technique) -> None:
     scene = scatter(1)
-    for count, is_refused in ((MOST_MATERIALS, False), (MOST_MATERIALS + 1, True)):
+    for count, is_refused in ((MAX_MATERIALS, False), (MAX_MATERIALS + 1, True)):
         scene.materials = np.repeat(scene.materials[:1], count)
         with open_renderer(null, scene, technique, size=SIZE) as renderer:
             if is_refused:
                 with pytest.raises(rhi.ValidationError) as refusal:
                     renderer.render(EYE)
-                assert refusal.value.rule is rules.MANY_MATERIALS
+                assert refusal.value.rule is rules.TOO_MANY_MATERIALS
             else:
                 renderer.render(EYE)
 
 
-# pictures
+# images
 
 
 def tiles(uv: float) -> Scene:
@@ -116,8 +116,8 @@ def tiles(uv: float) -> Scene:
     builder = SceneBuilder("wall")
     image = np.kron(random.integers(0, 256, (16, 16, 4), np.uint8), np.ones((8, 8, 1), np.uint8))
     corners = np.array([(-4, -3, 0), (4, -3, 0), (4, 3, 0), (-4, 3, 0)], float)
-    places = np.array([(0, 2), (3, 2), (3, 0), (0, 0)]) + uv
-    mesh = builder.add_mesh(make_geometry(corners, [0, 1, 2, 0, 2, 3], uv=places))
+    object_positions = np.array([(0, 2), (3, 2), (3, 0), (0, 0)]) + uv
+    mesh = builder.add_mesh(make_geometry(corners, [0, 1, 2, 0, 2, 3], uv=object_positions))
     builder.add_objects(builder.add_node(), mesh, builder.add_material(texture=builder.add_image(image)))
     builder.lights.sky = builder.lights.ground = (0.8, 0.8, 0.8)
     return builder.build()
@@ -129,7 +129,7 @@ def test_textures_are_filtered_as_in_forward_shading_wherever_they_begin(drawing
     scene, camera = tiles(uv), Camera.look_at((3.5, 1, 3), (0, 0, 0))
     lit, shaded = draw_each(drawing_device, scene, Forward(), DeferredPlus(), camera=camera, size=SIZE)
     assert np.ptp(lit[..., :3]) > 100
-    assert find_difference(lit, shaded) <= 2
+    assert max_difference(lit, shaded) <= 2
 
 
 # materials
@@ -137,8 +137,8 @@ def test_textures_are_filtered_as_in_forward_shading_wherever_they_begin(drawing
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_rectangles_hold_all_pixels_of_their_material_and_tile(drawing_device: rhi.Device) -> None:
-    found = draw(drawing_device, scatter(20, unused=3), multi_pass=True)
-    ids = np.round(found["material ids"].astype(np.float64) * 65535.0).astype(int)
+    resources = draw(drawing_device, scatter(20, unused=3), multi_pass=True)
+    ids = np.round(resources["material ids"].astype(np.float64) * 65535.0).astype(int)
     expected = {}
     for y in range(0, SIZE[1], 32):
         for x in range(0, SIZE[0], 32):
@@ -147,8 +147,8 @@ def test_rectangles_hold_all_pixels_of_their_material_and_tile(drawing_device: r
                 rows, columns = np.nonzero(part == material)
                 first = (x + columns.min(), y + rows.min())
                 expected[material, x // 32, y // 32] = (*first, np.ptp(columns) + 1, np.ptp(rows) + 1)
-    listed = {(m, x // 32, y // 32): (x, y, w, h) for m, x, y, w, h in found["rectangles"].tolist()}
-    assert len(listed) == len(found["rectangles"]) > 30
+    listed = {(m, x // 32, y // 32): (x, y, w, h) for m, x, y, w, h in resources["rectangles"].tolist()}
+    assert len(listed) == len(resources["rectangles"]) > 30
     assert listed == expected
     assert min(material for material, _, _ in listed) == 3
 
@@ -157,22 +157,22 @@ def test_rectangles_hold_all_pixels_of_their_material_and_tile(drawing_device: r
 def test_tiles_with_many_materials_have_all_their_rectangles(drawing_device: rhi.Device) -> None:
     """llvmpipe ends loops after 65,535 turns: with 64 materials in a tile the rest was missing."""
     scene, size = load_scene("bazaar"), (160, 90)
-    camera = find_eye(scene).with_aspect(size[0] / size[1])
+    camera = first_view_camera(scene).with_aspect(size[0] / size[1])
     with open_renderer(drawing_device, scene, DeferredPlus(multi_pass=True), size=size) as renderer:
-        shown = renderer.render(camera)
-        materials = shown.targets["packed"].read()[..., 1] & 0xFFFF
+        result = renderer.render(camera)
+        materials = result.targets["packed"].read()[..., 1] & 0xFFFF
         tiles = [materials[y : y + 32, x : x + 32] for y in (0, 32, 64) for x in range(0, 160, 32)]
         assert max(len(np.unique(tile)) for tile in tiles) > 64
-        image = read_colors(shown)
+        image = read_colors(result)
         renderer.technique = DeferredPlus()
-        assert find_difference(image, read_colors(renderer.render(camera))) == 0
+        assert max_difference(image, read_colors(renderer.render(camera))) == 0
 
 
 @pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
-@pytest.mark.parametrize("spec", ["yard:columns=3,lamps=2", "bazaar:instances=400,materials=70,meshes=40,lights=8"])
+@pytest.mark.parametrize("spec", ["yard:columns=3,lights=2", "bazaar:instances=400,materials=70,meshes=40,lights=8"])
 def test_bins_hold_each_pixel_once_by_shader_and_by_material(drawing_device: rhi.Device, spec: str) -> None:
     scene, size = load_scene(spec), (97, 61)
-    camera = find_eye(scene).with_aspect(size[0] / size[1])
+    camera = first_view_camera(scene).with_aspect(size[0] / size[1])
     with open_renderer(drawing_device, scene, DeferredPlus(binned=True), size=size) as renderer:
         for _ in range(2):
             targets = renderer.render(camera).targets
@@ -184,9 +184,9 @@ def test_bins_hold_each_pixel_once_by_shader_and_by_material(drawing_device: rhi
     assert len(together) == len(np.unique(together, axis=0)) == covered.sum() > 1000
     for number, pixels in enumerate(listed):
         assert covered[pixels[:, 1], pixels[:, 0]].all()
-        found = rows[pixels[:, 1], pixels[:, 0]]
-        assert (scene.materials["shader"][found] == number).all()
-        assert (np.diff(found) >= 0).all(), "those of a material side by side"
+        material_indices = rows[pixels[:, 1], pixels[:, 0]]
+        assert (scene.materials["shader"][material_indices] == number).all()
+        assert (np.diff(material_indices) >= 0).all(), "those of a material side by side"
     # Runs of the pixels of 8 × 8 groups: far fewer than pixels.
     groups = together // 8
     assert 1 + np.count_nonzero((np.diff(groups, axis=0) != 0).any(axis=1)) < len(together) / 4
@@ -197,7 +197,7 @@ def test_lists_of_pixels_take_a_dispatch_for_each_shader(null: rhi.Device) -> No
         scene = load_scene(spec)
         null.stream.clear()
         with open_renderer(null, scene, DeferredPlus(binned=True), size=SIZE) as renderer:
-            renderer.render(find_eye(scene))
+            renderer.render(first_view_camera(scene))
             assert len(null.stream.filter(Op.DISPATCH_INDIRECT)) == shaders
 
 
@@ -216,10 +216,10 @@ def test_pixels_are_shaded_in_one_way() -> None:
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_materials_come_back_from_the_packed_buffer(drawing_device: rhi.Device) -> None:
-    found = draw(drawing_device, scatter(20), multi_pass=True)
-    seen = found["depth"] > 0.0
-    ids = np.round(found["material ids"].astype(np.float64) * 65535.0).astype(int)
-    assert (ids[seen] == (found["packed"][..., 1] & 0xFFFF)[seen]).all()
+    resources = draw(drawing_device, scatter(20), multi_pass=True)
+    seen = resources["depth"] > 0.0
+    ids = np.round(resources["material ids"].astype(np.float64) * 65535.0).astype(int)
+    assert (ids[seen] == (resources["packed"][..., 1] & 0xFFFF)[seen]).all()
     assert (ids[~seen] == 65535).all()
     assert 0 < seen.sum() < seen.size
 
@@ -246,11 +246,11 @@ def test_a_material_is_shaded_where_it_is_seen_however_many_there_are(
     for materials in (2, 50):
         with monkeypatch.context() as patch:
             patch.setattr(rhi.Device, name, counted)
-            found = draw(drawing_device, scatter(materials), multi_pass=multi_pass)
+            resources = draw(drawing_device, scatter(materials), multi_pass=multi_pass)
         shaded.append(query.wait())
-        assert shaded[-1] == (found["depth"] > 0.0).sum() < found["depth"].size
+        assert shaded[-1] == (resources["depth"] > 0.0).sum() < resources["depth"].size
         if multi_pass:
-            areas.append(int((found["rectangles"][:, 3] * found["rectangles"][:, 4]).sum()))
+            areas.append(int((resources["rectangles"][:, 3] * resources["rectangles"][:, 4]).sum()))
     assert shaded[0] == shaded[1] > 1000  # 25 times as many materials, the same fragments
     # depth tests: with one rectangle a material, there are up to 50 images of them
     assert all(area < 8 * count for area, count in zip(areas[1:], shaded[1:], strict=bool(areas)))
@@ -272,21 +272,21 @@ def test_pixels_without_a_surface_are_left_out_before_they_are_shaded(null: rhi.
 def test_all_65536_materials_are_those_of_forward_shading(gl: rhi.Device) -> None:
     """Also the last one, which has the depth of the background: that isn't shaded for it."""
     random, parts = np.random.default_rng(12), vars(scatter(1, images=False))
-    materials = np.repeat(parts["materials"], MOST_MATERIALS)
-    materials["base_color"][:, :3] = random.uniform(0.1, 1.0, (MOST_MATERIALS, 3))
+    materials = np.repeat(parts["materials"], MAX_MATERIALS)
+    materials["base_color"][:, :3] = random.uniform(0.1, 1.0, (MAX_MATERIALS, 3))
     parts = {name: parts[name] for name in signature(Scene).parameters if name in parts} | {"materials": materials}
     scene = Scene(**parts)
     rows = scene.objects.material
-    rows[:] = random.integers(0, MOST_MATERIALS, len(rows))
-    rows[:2] = MOST_MATERIALS - 1, 0  # the floor, and a box
+    rows[:] = random.integers(0, MAX_MATERIALS, len(rows))
+    rows[:2] = MAX_MATERIALS - 1, 0  # the floor, and a box
     images = []
     with open_renderer(gl, scene, size=SIZE) as renderer:
         for renderer.technique in (Forward(), DeferredPlus(), DeferredPlus(multi_pass=True)):
             images.append(renderer.render(EYE).image.read().astype(int))
-        found = renderer.view.workspace(MaterialRectangles).read()
+        rectangles = renderer.view.workspace(MaterialRectangles).read()
     assert np.abs(images[1] - images[0]).max() <= 2
     assert (images[2] == images[1]).all()
-    assert {0, MOST_MATERIALS - 1} <= set(found[:, 0].tolist()) <= {*rows.tolist(), MOST_MATERIALS - 1}
+    assert {0, MAX_MATERIALS - 1} <= set(rectangles[:, 0].tolist()) <= {*rows.tolist(), MAX_MATERIALS - 1}
     assert len(np.unique(images[0].reshape(-1, 4), axis=0)) > 100
 
 
@@ -317,8 +317,8 @@ def test_the_second_pass_draws_little_and_nothing_is_missing(device: rhi.Device)
             if frame % 6 == 0:
                 assert (image == whole.render(camera).image.read()).all()
             if frame:
-                first += len(culling.first.read_rows())
-                second += len(culling.second.read_rows())
+                first += len(culling.first.read_object_indices())
+                second += len(culling.second.read_object_indices())
     culling.destroy()
     instances = 23 * len(scene.objects)
     assert 0 < first < 0.1 * instances
@@ -359,11 +359,11 @@ def mapped(scale: float, *, unlike: bool = False, uniform: bool = False) -> Scen
     meshes = [builder.add_mesh(BUILT_IN[name]()) for name in ("plane", "sphere")]
     builder.add_objects(builder.add_node(scaling((30, 1, 30))), meshes[0], rows[0])
     for number in range(24):
-        place = translation(random.uniform((-7, 0.5, -7), (7, 2.5, 7)))
+        position = translation(random.uniform((-7, 0.5, -7), (7, 2.5, 7)))
         turned = scaling((1.5, 1.5, -1.5) if number % 3 else (1.5, 1.5, 1.5))
-        builder.add_objects(builder.add_node(place @ turned), meshes[1], rows[number % 4])
-    for place in random.uniform((-7, 1, -7), (7, 4, 7), (6, 3)):
-        builder.lights.add_point(place, 7.0, random.uniform(0.3, 1.0, 3), 3.0)
+        builder.add_objects(builder.add_node(position @ turned), meshes[1], rows[number % 4])
+    for position in random.uniform((-7, 1, -7), (7, 4, 7), (6, 3)):
+        builder.lights.add_point(position, 7.0, random.uniform(0.3, 1.0, 3), 3.0)
     return builder.build()
 
 
@@ -376,7 +376,7 @@ def test_maps_are_evaluated_as_in_forward_shading(drawing_device: rhi.Device, sc
     with open_renderer(drawing_device, scene, size=SIZE) as renderer:
         for renderer.technique in (Forward(), DeferredPlus(), DeferredPlus(multi_pass=True)):
             images.append(renderer.render(EYE).image.read().astype(int))
-        assert [one.name for one in renderer.plan(EYE)[1].passes][-1] == "shading"
+        assert [frame_pass.name for frame_pass in renderer.plan(EYE)[1].passes][-1] == "shading"
     assert np.ptp(images[0][..., :3]) > 100
     off = np.abs(images[1] - images[0]).max(2)
     assert (off > 2).mean() <= 0.001
@@ -389,7 +389,7 @@ def test_normals_that_are_not_filtered_are_those_of_forward_shading(drawing_devi
     scene = mapped(1.7, uniform=True)
     lit, shaded = draw_each(drawing_device, scene, Forward(), DeferredPlus(), camera=EYE, size=SIZE)
     assert np.ptp(lit[..., :3]) > 100
-    assert 0 < find_difference(lit, shaded) <= 2
+    assert 0 < max_difference(lit, shaded) <= 2
 
 
 SQUARE = [(0, 1), (1, 1), (1, 0), (0, 0)]
@@ -416,7 +416,7 @@ def odd_squares() -> Scene:
     grey, holes = bumps.copy(), colors.copy()
     grey[:16] = 128
     holes[..., 3] = np.arange(61, 69).repeat(4)  # the cut, and both sides of it
-    given = {
+    pixels = {
         "colors": colors,
         "bumps": bumps,
         "grey": grey,
@@ -425,18 +425,18 @@ def odd_squares() -> Scene:
         "flat": np.full((1, 1, 4), (150, 100, 220, 255), np.uint8),
         "line": random.integers(0, 256, (1, 8, 4), np.uint8).repeat(1024, axis=1),
     }
-    images = {name: builder.add_image(image) for name, image in given.items()}
+    images = {name: builder.add_image(image) for name, image in pixels.items()}
     corners = np.array([(-0.95, -0.95, 0), (0.95, -0.95, 0), (0.95, 0.95, 0), (-0.95, 0.95, 0)])
     for number, (uv, values) in enumerate(ODD_SQUARES.values()):
         maps = {name: images.get(value, value) for name, value in values.items()}
         material = builder.add_material(**{"roughness": 0.4, **maps})
         mesh = builder.add_mesh(make_geometry(corners, [0, 1, 2, 0, 2, 3], uv=uv))
-        place = translation((2.0 * (number % 3) - 2.0, 2.0 - 2.0 * (number // 3), 0.0))
-        builder.add_objects(builder.add_node(place), mesh, material)
+        position = translation((2.0 * (number % 3) - 2.0, 2.0 - 2.0 * (number // 3), 0.0))
+        builder.add_objects(builder.add_node(position), mesh, material)
     builder.lights.sky = builder.lights.ground = (0.3, 0.3, 0.35)
     builder.lights.add_directional((-0.5, -0.7, -0.6), (1, 0.95, 0.9), 1.2)
-    for place in random.uniform((-3, -3, 0.6), (3, 3, 1.5), (6, 3)):
-        builder.lights.add_point(place, 3.0, random.uniform(0.2, 1, 3), 1.5)
+    for position in random.uniform((-3, -3, 0.6), (3, 3, 1.5), (6, 3)):
+        builder.lights.add_point(position, 3.0, random.uniform(0.2, 1, 3), 1.5)
     return builder.build()
 
 
@@ -447,11 +447,11 @@ def test_odd_squares_are_those_of_forward_shading(drawing_device: rhi.Device) ->
     with open_renderer(drawing_device, scene, size=(96, 96)) as renderer:
         for renderer.technique in (Forward(), DeferredPlus()):
             images.append(renderer.render(camera).image.read().astype(int))
-        assert [one.name for one in renderer.plan(camera)[1].passes][-1] == "shading"
+        assert [frame_pass.name for frame_pass in renderer.plan(camera)[1].passes][-1] == "shading"
     off = np.abs(images[1] - images[0]).max(2)
     assert (off > 3).mean() <= (0.001 if drawing_device.backend_name == "gl" else 0.0)  # as above
     squares = [images[0][y : y + 20, x : x + 20, :3] for y in (10, 38, 66) for x in (10, 38, 66)]
-    contrasts = dict(zip(ODD_SQUARES, (np.ptp(one.reshape(-1, 3), axis=0).max() for one in squares), strict=True))
+    contrasts = dict(zip(ODD_SQUARES, (np.ptp(square.reshape(-1, 3), axis=0).max() for square in squares), strict=True))
     assert min(contrasts.values()) > 10, contrasts
     hole = (squares[-1] == images[0][0, 0, :3]).all(2)
     assert 0.2 < hole.mean() < 0.6, "3 of 8 columns are below the cut"
@@ -492,6 +492,6 @@ def test_second_coordinates_and_colours_of_vertices_are_in_the_buffer(
     techniques = Forward(), DeferredPlus(), DeferredPlus(multi_pass=True), DeferredPlus(binned=True)
     forward, *others = draw_each(drawing_device, scene, *techniques, size=SIZE)
     assert forward[..., :3].std() > 15
-    assert max(find_difference(forward, image) for image in others) <= 3
+    assert max(max_difference(forward, image) for image in others) <= 3
     other = draw_each(drawing_device, painted_corners(uv_set=1 - uv_set, colored=colored).build(), Forward(), size=SIZE)
-    assert find_difference(forward, other[0]) > 40
+    assert max_difference(forward, other[0]) > 40

@@ -17,7 +17,7 @@ import rhi
 from renderer.content import BUILT_IN
 from renderer.frame import Effect
 from renderer.renderer import Renderer
-from renderer.scene import AlphaMode, Fog, Glow, Scene, SceneBuilder
+from renderer.scene import AlphaMode, Bloom, Fog, Scene, SceneBuilder
 from renderer.techniques import TECHNIQUES
 from rhi import Op
 
@@ -40,9 +40,11 @@ TRACES = {
     Effect.SPOT_LIGHTS: Trace("spot lights|cones", r"\bSpotLight\b", "spot"),
     Effect.IMAGES: Trace("images|texture", r"\bsampler2DArray\b|\bdecode_texel\b|\bencode_texel\b", "images"),
     Effect.EMISSION: Trace("^$", r"\.emission\b", "^$"),
-    Effect.HAZE: Trace("[Hh]aze", r"\bthrough_haze\b|\bHaze\b", "haze"),
-    Effect.FOG: Trace("[Ff]og", r"\bpass_fog\b|\bthrough_all_fog\b|\bFogConstants\b", "^fog$|^air$"),
-    Effect.GLOW: Trace("glow|bright", r"\bShare\b|\bread_spread\b|\bkeep_light\b", "spread|mixture"),
+    Effect.HAZE: Trace("[Hh]aze", r"\bapply_haze\b|\bHaze\b", "haze"),
+    Effect.FOG: Trace("[Ff]og", r"\bfog_transmittance\b|\bapply_fog_to_background\b|\bFogConstants\b", "^fog$|^air$"),
+    Effect.BLOOM: Trace(
+        "bloom|bright", r"\bBloomConstants\b|\bread_upsampled\b|\bfinite_light\b", "smaller_level|bloom"
+    ),
 }
 """The traces of each effect but shadows."""
 
@@ -50,7 +52,7 @@ TRACES = {
 def make(effects: set[Effect]) -> Scene:
     """Make a box with these effects and no others."""
     builder = SceneBuilder("box")
-    emission = 2.0 if Effect.GLOW in effects else 1.0 if Effect.EMISSION in effects else 0.0
+    emission = 2.0 if Effect.BLOOM in effects else 1.0 if Effect.EMISSION in effects else 0.0
     image = builder.add_image(np.zeros((4, 4, 4), np.uint8)) if Effect.IMAGES in effects else -1
     material = builder.add_material(emission=emission, texture=image)
     builder.add_objects(builder.add_node(), builder.add_mesh(BUILT_IN["box"]()), material)
@@ -64,8 +66,8 @@ def make(effects: set[Effect]) -> Scene:
         builder.haze = 0.1
     if Effect.FOG in effects:
         builder.fog = Fog(0.1)
-    if Effect.GLOW in effects:
-        builder.glow = Glow()
+    if Effect.BLOOM in effects:
+        builder.bloom = Bloom()
     return builder.build()
 
 
@@ -76,35 +78,37 @@ def open_technique(scene: Scene, name: str) -> Iterator[Renderer]:
         yield renderer
 
 
-def find_traces(scene: Scene, name: str, trace: Trace) -> set[str]:
+def list_traces(scene: Scene, name: str, trace: Trace) -> set[str]:
     """Return which kinds of traces a frame of this technique has."""
-    found = set()
+    traces = set()
     with open_technique(scene, name) as renderer:
         renderer.render(EYE)
         stream = renderer.device.stream
         for command in stream.filter((Op.CREATE_BUFFER, Op.CREATE_TEXTURE)):
             if re.search(trace.labels, command["descriptor"].label):
-                found.add(f"label {command['descriptor'].label}")
+                traces.add(f"label {command['descriptor'].label}")
         for command in stream.filter(Op.CREATE_PROGRAM):
             program = command["descriptor"]
             for stage in program.stages:
-                found.update(f"text {match}" for match in re.findall(trace.text, program.emit("glsl", stage).text))
-            found.update(f"binding {one.name}" for one in program.bindings if re.search(trace.bindings, one.name))
-    return found
+                traces.update(f"text {match}" for match in re.findall(trace.text, program.emit("glsl", stage).text))
+            traces.update(
+                f"binding {binding.name}" for binding in program.bindings if re.search(trace.bindings, binding.name)
+            )
+    return traces
 
 
 @pytest.mark.parametrize("name", TECHNIQUES)
 @pytest.mark.parametrize("effect", TRACES, ids=lambda effect: effect.value)
 def test_what_a_scene_lacks_leaves_no_trace(effect: Effect, name: str) -> None:
     trace, every = TRACES[effect], set(TRACES)
-    without = every - {effect, Effect.GLOW} if effect is Effect.EMISSION else every - {effect}
-    assert not find_traces(make(without), name, trace)
-    kinds = {one.partition(" ")[0] for one in find_traces(make(every), name, trace)}
+    without = every - {effect, Effect.BLOOM} if effect is Effect.EMISSION else every - {effect}
+    assert not list_traces(make(without), name, trace)
+    kinds = {found_trace.partition(" ")[0] for found_trace in list_traces(make(every), name, trace)}
     assert kinds >= ({"text"} if effect is Effect.EMISSION else {"label", "text", "binding"})
 
 
 MATERIAL_TRACES = {
-    Effect.METALS: r"\bmetal_surface\b",
+    Effect.METALS: r"\bmetallic_surface\b",
     Effect.NORMAL_MAPS: r"\.normal_texture\b",
     Effect.ROUGHNESS_MAPS: r"\.metallic_roughness_texture\b",
     Effect.OCCLUSION_MAPS: r"\.occlusion_texture\b",
@@ -128,8 +132,8 @@ def make_material(effects: set[Effect]) -> Scene:
         Effect.MASKS: {"alpha_mode": AlphaMode.MASK},
         Effect.TWO_SIDES: {"double_sided": True},
     }
-    given = {name: value for effect in effects for name, value in values[effect].items()}
-    material = builder.add_material(texture=image, **given)
+    parameters = {name: value for effect in effects for name, value in values[effect].items()}
+    material = builder.add_material(texture=image, **parameters)
     builder.add_objects(builder.add_node(), builder.add_mesh(BUILT_IN["box"]()), material)
     builder.lights.add_directional((0, -1, 0))
     return builder.build()
@@ -141,7 +145,9 @@ def write_programs(effects: frozenset[Effect], name: str) -> str:
     with open_technique(make_material(set(effects)), name) as renderer:
         renderer.render(EYE)
         programs = [command["descriptor"] for command in renderer.device.stream.filter(Op.CREATE_PROGRAM)]
-        return "\n".join(one.emit("glsl", stage).text for one in programs for stage in one.stages)
+        return "\n".join(
+            shader_program.emit("glsl", stage).text for shader_program in programs for stage in shader_program.stages
+        )
 
 
 @pytest.mark.parametrize("name", ["forward", "deferred_plus"])
@@ -153,15 +159,15 @@ def test_what_no_material_has_is_in_no_program(effect: Effect, name: str) -> Non
     assert re.findall(MATERIAL_TRACES[effect], write_programs(every, name))
 
 
-LAMPS = "light rows|light grid|light volume|light spheres|light cones|whole target|light indices"
+LIGHTS = "light rows|light grid|light volume|light spheres|light cones|whole target|light indices"
 
 
 @pytest.mark.parametrize("name", ["forward", "forward_multipass", "light_indexed", "forward_plus", "clustered"])
-def test_without_lamps_nothing_of_theirs_is_made(name: str) -> None:
-    lamps = {Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}
-    trace = Trace(LAMPS, r"\blight_rows\b|\bin_range\b|\bCellGrid\b", "light|grid")
-    assert not find_traces(make(set()), name, trace)
-    assert len(find_traces(make(lamps), name, trace)) > 3
+def test_without_local_lights_nothing_of_theirs_is_made(name: str) -> None:
+    lights = {Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}
+    trace = Trace(LIGHTS, r"\blight_list\b|\bin_range\b|\bClusterGrid\b", "light|grid")
+    assert not list_traces(make(set()), name, trace)
+    assert len(list_traces(make(lights), name, trace)) > 3
 
 
 NO_PASSES: tuple[list[str], list[str]] = ([], [])
@@ -170,14 +176,14 @@ ADDED: dict[str, tuple[list[str], list[str]]] = {
     "forward_multipass": (["base", "{}", "resolve"], ["forward"]),
     "deferred": (["{}"], []),
     "light_pre_pass": (["normals", "{}", "materials"], ["forward"]),
-    "inferred": (["normals", "shrink", "{}", "materials"], ["forward"]),
+    "inferred": (["normals", "downscale", "{}", "materials"], ["forward"]),
     "light_indexed": (["depth", "light indices"], []),
     "forward_plus": (["depth", "light lists"], []),
     "clustered": (["light lists"], []),
     "tiled_deferred": (["tiles"], []),
     "clustered_deferred": (["light lists"], []),
 }
-"""The passes that a first lamp adds, and those that they replace; `{}` is the kind of the lamp."""
+"""The passes that a first local light adds, and those that they replace; `{}` is the kind of the local light."""
 
 
 def list_passes(scene: Scene, name: str) -> list[str]:
@@ -185,20 +191,22 @@ def list_passes(scene: Scene, name: str) -> list[str]:
         renderer.render(EYE)
         events = [command["text"] for command in renderer.device.stream.filter(Op.PUSH_LABEL)]
         _, plan = renderer.plan(EYE)
-    assert events == [one.name for one in plan.passes]
+    assert events == [frame_pass.name for frame_pass in plan.passes]
     return events
 
 
 @pytest.mark.parametrize("name", ADDED)
 @pytest.mark.parametrize("effect", [Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS], ids=lambda effect: effect.value)
-def test_one_lamp_adds_exactly_its_passes(effect: Effect, name: str) -> None:
-    added, replaced = ([one.format(effect.value) for one in some] for some in ADDED[name])
+def test_one_local_light_adds_exactly_its_passes(effect: Effect, name: str) -> None:
+    added, replaced = ([name_of_pass.format(effect.value) for name_of_pass in pass_names] for pass_names in ADDED[name])
     without, lit = list_passes(make(set()), name), list_passes(make({effect}), name)
-    assert [one for one in lit if one not in without] == added
-    assert [one for one in without if one not in lit] == replaced
+    assert [name_of_pass for name_of_pass in lit if name_of_pass not in without] == added
+    assert [name_of_pass for name_of_pass in without if name_of_pass not in lit] == replaced
     both = list_passes(make({Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}), name)
     other = {"point lights", "spot lights"} - {effect.value}
-    assert [one for one in both if one not in lit] == [one for one in both if one in other]
+    assert [name_of_pass for name_of_pass in both if name_of_pass not in lit] == [
+        name_of_pass for name_of_pass in both if name_of_pass in other
+    ]
 
 
 @pytest.mark.parametrize("name", TECHNIQUES)
@@ -207,55 +215,59 @@ def test_one_lamp_adds_exactly_its_passes(effect: Effect, name: str) -> None:
     [Effect.DIRECTIONAL_LIGHTS, Effect.IMAGES, Effect.EMISSION, Effect.HAZE],
     ids=lambda effect: effect.value,
 )
-def test_what_is_no_lamp_adds_no_pass(effect: Effect, name: str) -> None:
-    lamps = {Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}
+def test_what_is_no_local_light_adds_no_pass(effect: Effect, name: str) -> None:
+    lights = {Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}
     assert list_passes(make({effect}), name) == list_passes(make(set()), name)
-    assert list_passes(make({effect} | lamps), name) == list_passes(make(lamps), name)
+    assert list_passes(make({effect} | lights), name) == list_passes(make(lights), name)
 
 
 @pytest.mark.parametrize("name", TECHNIQUES)
 def test_fog_adds_one_pass_of_one_draw_and_no_bytes(name: str) -> None:
-    lamps = {Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}
-    for others in (set(), lamps):
+    lights = {Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}
+    for others in (set(), lights):
         clear, foggy = (measure(make(others | more), name) for more in (set(), {Effect.FOG}))
-        assert [one for one in foggy.passes if one not in clear.passes] == ["sky"]
-        assert [one for one in foggy.passes if one != "sky"] == clear.passes
+        assert [pass_name for pass_name in foggy.passes if pass_name not in clear.passes] == ["sky"]
+        assert [pass_name for pass_name in foggy.passes if pass_name != "sky"] == clear.passes
         assert (foggy.draws - clear.draws, foggy.bytes - clear.bytes) == (1, 0)
 
 
 @pytest.mark.parametrize("name", TECHNIQUES)
-def test_glow_adds_two_passes_of_twelve_draws_and_its_images(name: str) -> None:
-    lamps = {Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}
+def test_bloom_adds_two_passes_of_twelve_draws_and_its_images(name: str) -> None:
+    lights = {Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}
     width, height = SIZE
     halves = sum((width >> i) * max(height >> i, 1) for i in range(1, 7))
-    for others in (set(), lamps):
-        # What only emits has no glow, so that the technique's own passes are the same.
-        dull, glowing = (measure(make(others | {one}), name) for one in (Effect.EMISSION, Effect.GLOW))
-        assert glowing.passes == [*dull.passes, "glow", "tones"]
-        assert glowing.draws - dull.draws == 6 + 5 + 1
+    for others in (set(), lights):
+        # What only emits has no bloom, so that the technique's own passes are the same.
+        dull, blooming = (measure(make(others | {effect}), name) for effect in (Effect.EMISSION, Effect.BLOOM))
+        assert blooming.passes == [*dull.passes, "bloom", "tone mapping"]
+        assert blooming.draws - dull.draws == 6 + 5 + 1
         # Linear light in half floats may share the texture of the technique's own light.
-        assert glowing.bytes - dull.bytes in {8 * halves, 8 * halves + 8 * width * height}
+        assert blooming.bytes - dull.bytes in {8 * halves, 8 * halves + 8 * width * height}
 
 
-def test_glow_needs_something_that_is_brighter_than_white() -> None:
-    scene = make({Effect.GLOW})
-    assert "tones" in list_passes(scene, "forward")
+def test_bloom_needs_something_that_is_brighter_than_white() -> None:
+    scene = make({Effect.BLOOM})
+    assert "tone mapping" in list_passes(scene, "forward")
     scene.materials["emission"] = 1.0
     scene.refresh()
     assert list_passes(scene, "forward") == list_passes(make({Effect.EMISSION}), "forward")
     scene.materials["emissive"] = (0.0, 0.5, 0.0)  # beside what the base colour emits
     scene.refresh()
-    assert "tones" in list_passes(scene, "forward")
+    assert "tone mapping" in list_passes(scene, "forward")
 
 
 @pytest.mark.parametrize("name", TECHNIQUES)
 @pytest.mark.parametrize("kind", ["point", "spot"])
-def test_lamps_that_are_points_leave_no_trace_of_spheres_and_spheres_add_no_draw(name: str, kind: str) -> None:
+def test_local_lights_that_are_points_leave_no_trace_of_spheres_and_spheres_add_no_draw(name: str, kind: str) -> None:
     trace = Trace("source radii", r"\bsphere_cosine\b", "source_radii")
     points, spheres = (make({Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}) for _ in range(2))
     getattr(spheres.lights, kind)["source_radius"] = 0.1
-    assert not find_traces(points, name, trace)
-    assert {one.partition(" ")[0] for one in find_traces(spheres, name, trace)} == {"text", "label", "binding"}
+    assert not list_traces(points, name, trace)
+    assert {found_trace.partition(" ")[0] for found_trace in list_traces(spheres, name, trace)} == {
+        "text",
+        "label",
+        "binding",
+    }
     assert measure(spheres, name) == measure(points, name)
 
 
@@ -273,4 +285,4 @@ def measure(scene: Scene, name: str) -> Measured:
         renderer.render(EYE)
         _, plan = renderer.plan(EYE)
         draws = len(renderer.device.stream.draws())
-    return Measured([one.name for one in plan.passes], draws, plan.count_bytes(SIZE))
+    return Measured([frame_pass.name for frame_pass in plan.passes], draws, plan.count_bytes(SIZE))

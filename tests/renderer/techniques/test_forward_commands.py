@@ -19,10 +19,10 @@ from rhi import Op
 from rhi.backends.null import NullBackend
 
 
-def boxes(*places: tuple[float, float, float], mirrored: int = 0) -> SceneBuilder:
+def boxes(*object_positions: tuple[float, float, float], mirrored: int = 0) -> SceneBuilder:
     """Make a box at each position, the first `mirrored` of them mirrored; no lights."""
-    sides = [scaling((-1 if number < mirrored else 1, 1, 1)) for number in range(len(places))]
-    return make_boxes(*(translation(place) @ side for place, side in zip(places, sides, strict=True)))
+    sides = [scaling((-1 if number < mirrored else 1, 1, 1)) for number in range(len(object_positions))]
+    return make_boxes(*(translation(position) @ side for position, side in zip(object_positions, sides, strict=True)))
 
 
 record = partial(record_any, visibility="auto")
@@ -92,8 +92,8 @@ def test_every_algorithm_culls_the_backs_of_materials_with_one_side(null: rhi.De
     with open_renderer(null, scene, visibility=name) as renderer:
         null.stream.clear()
         renderer.render(scene.views["eye"])
-        found = list_groups(null.stream.draws().filter(where=lambda draw: "materials" in draw.bindings))
-    assert set(found) == set(GROUPS)
+        groups = list_groups(null.stream.draws().filter(where=lambda draw: "materials" in draw.bindings))
+    assert set(groups) == set(GROUPS)
 
 
 def test_a_scene_without_two_sides_culls_all_backs(null: rhi.Device) -> None:
@@ -110,7 +110,7 @@ def test_a_depth_pass_of_materials_with_two_sides_has_no_fragment_to_discard(nul
         renderer.render(scene.views["eye"])
         depth = null.stream.filter(label="depth").draws()
         assert len(depth) == 4
-        assert {name for draw in depth for name in draw.bindings} == {"view", "objects", "places"}
+        assert {name for draw in depth for name in draw.bindings} == {"view", "objects", "object_positions"}
 
 
 def test_nothing_in_view_is_a_pass_without_a_draw(null: rhi.Device) -> None:

@@ -16,7 +16,7 @@ from renderer.frame import resources
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Perspective, SceneBuilder, make_geometry, scaling, translation
 
-LENS = Perspective(fov=0.9, aspect=SIZE[0] / SIZE[1])
+PROJECTION = Perspective(fov=0.9, aspect=SIZE[0] / SIZE[1])
 MIDDLE = np.array([10_000_000.3, 20.2, -30_000_000.3])
 """Far from the origin, where a step of float32 is a metre and more."""
 
@@ -35,11 +35,11 @@ def slope(*, texture: NDArray[np.uint8] | None = None, mirror: bool = False, **m
     """Make one tilted plane that fills the image, scaled differently along each axis."""
     builder = SceneBuilder("slope")
     image = -1 if texture is None else builder.add_image(texture)
-    made = builder.add_material(texture=image, **{"base_color": (0.7, 0.5, 0.3), **material})
+    material_index = builder.add_material(texture=image, **{"base_color": (0.7, 0.5, 0.3), **material})
     stretch = STRETCH * (1, 1, -1) if mirror else STRETCH
     node = builder.add_node(translation(MIDDLE) @ scaling(stretch))
-    builder.add_objects(node, builder.add_mesh(SLOPE), made)
-    builder.views["eye"] = Camera.look_at(MIDDLE + np.array([3.4, 4.0, 1.0]), MIDDLE, projection=LENS)
+    builder.add_objects(node, builder.add_mesh(SLOPE), material_index)
+    builder.views["eye"] = Camera.look_at(MIDDLE + np.array([3.4, 4.0, 1.0]), MIDDLE, projection=PROJECTION)
     return builder
 
 
@@ -47,7 +47,7 @@ def add_sun(builder: SceneBuilder) -> None:
     builder.lights.add_directional((-0.3, -0.9, 0.2), (1.0, 0.9, 0.8), 1.4)
 
 
-def add_lamp(builder: SceneBuilder) -> None:
+def add_light(builder: SceneBuilder) -> None:
     builder.lights.add_point(MIDDLE + np.array([1.0, 2.0, -0.5]), 4.5, (0.5, 0.8, 1.0), 3.0)
 
 
@@ -61,8 +61,8 @@ def add_haze(builder: SceneBuilder) -> None:
 
 @pytest.mark.parametrize(
     "parts",
-    [(), (add_sun,), (add_lamp,), (add_spot,), (add_haze,), (add_sun, add_sun, add_lamp, add_spot, add_haze)],
-    ids=["ambient", "sun", "lamp", "spot", "haze", "all"],
+    [(), (add_sun,), (add_light,), (add_spot,), (add_haze,), (add_sun, add_sun, add_light, add_spot, add_haze)],
+    ids=["ambient", "sun", "point", "spot", "haze", "all"],
 )
 def test_a_lit_plane_is_within_one_level_of_a_float64_evaluation(gl: rhi.Device, parts: Any) -> None:
     builder = slope(specular_color=(0.3, 0.4, 0.5), shininess=20.0, rim_strength=0.6, rim_power=3.0, emission=0.05)
@@ -70,9 +70,9 @@ def test_a_lit_plane_is_within_one_level_of_a_float64_evaluation(gl: rhi.Device,
         add(builder)
     scene = builder.build()
     albedo = scene.materials[0]["base_color"][:3].astype(float)
-    wanted = shade_plane(scene, scene.views["eye"], SIZE, MIDDLE, NORMAL, albedo)
-    assert wanted.std() > 1.0  # a picture, not one colour
-    assert np.abs(draw(gl, scene) - wanted).max() <= 1.0
+    expected = shade_plane(scene, scene.views["eye"], SIZE, MIDDLE, NORMAL, albedo)
+    assert expected.std() > 1.0  # an image, not one colour
+    assert np.abs(draw(gl, scene) - expected).max() <= 1.0
 
 
 def test_a_normal_stretched_along_with_the_object_would_be_noticed(gl: rhi.Device) -> None:
@@ -90,8 +90,8 @@ def test_textures_multiply_the_base_colour_in_linear_light(gl: rhi.Device) -> No
     scene = slope(texture=texture).build()
     linear = ((np.array([200, 100, 50]) / 255 + 0.055) / 1.055) ** 2.4
     albedo = scene.materials[0]["base_color"][:3] * linear
-    wanted = shade_plane(scene, scene.views["eye"], SIZE, MIDDLE, NORMAL, albedo)
-    assert np.abs(draw(gl, scene) - wanted).max() <= 1.0
+    expected = shade_plane(scene, scene.views["eye"], SIZE, MIDDLE, NORMAL, albedo)
+    assert np.abs(draw(gl, scene) - expected).max() <= 1.0
 
 
 def test_a_texture_shows_its_first_row_at_v_0_and_its_first_column_at_u_0(gl: rhi.Device) -> None:
@@ -103,14 +103,14 @@ def test_a_texture_shows_its_first_row_at_v_0_and_its_first_column_at_u_0(gl: rh
     builder.lights.sky = builder.lights.ground = (0.5, 0.5, 0.5)
     scene = builder.build()
     # From above, up is -z (v = 0) and right is +x (u = 1).
-    above = Camera.look_at(MIDDLE + np.array([0, 60, 0]), MIDDLE, up=(0, 0, -1), projection=LENS)
+    above = Camera.look_at(MIDDLE + np.array([0, 60, 0]), MIDDLE, up=(0, 0, -1), projection=PROJECTION)
     height, width = SIZE[1], SIZE[0]
-    picture = draw(gl, scene, camera=above)
+    image = draw(gl, scene, camera=above)
     corners = {
-        "top left": picture[height // 2 - 6, width // 2 - 6],
-        "top right": picture[height // 2 - 6, width // 2 + 5],
-        "bottom left": picture[height // 2 + 5, width // 2 - 6],
-        "bottom right": picture[height // 2 + 5, width // 2 + 5],
+        "top left": image[height // 2 - 6, width // 2 - 6],
+        "top right": image[height // 2 - 6, width // 2 + 5],
+        "bottom left": image[height // 2 + 5, width // 2 - 6],
+        "bottom right": image[height // 2 + 5, width // 2 + 5],
     }
     bright = {name: tuple(bool(c > 100) for c in color) for name, color in corners.items()}
     assert bright == {
@@ -127,8 +127,8 @@ def test_images_of_several_sizes_are_layers_of_one_texture(gl: rhi.Device) -> No
     other = builder.add_material(texture=wide, base_color=(1, 1, 1), specular_color=(0, 0, 0))
     node = builder.add_node(translation(MIDDLE + np.array([0, 0.5, 0])) @ scaling((0.5, 0.5, 0.5)))
     builder.add_objects(node, 0, other)
-    picture = draw(gl, builder.build())
-    middle, edge = picture[SIZE[1] // 2, SIZE[0] // 2], picture[1, 1]
+    image = draw(gl, builder.build())
+    middle, edge = image[SIZE[1] // 2, SIZE[0] // 2], image[1, 1]
     assert middle[1] > 4 * middle[0] + 40
     assert edge[0] > 4 * edge[1] + 40
 
@@ -141,15 +141,15 @@ def test_an_object_is_seen_from_its_front_mirrored_or_not(gl: rhi.Device, mirror
     scene = builder.build()
     assert Renderer(gl, scene)._resources.mirrored.tolist() == [mirror]
     albedo = scene.materials[0]["base_color"][:3].astype(float)
-    wanted = shade_plane(scene, scene.views["eye"], SIZE, MIDDLE, NORMAL, albedo)
-    assert np.abs(draw(gl, scene) - wanted).max() <= 1.0
+    expected = shade_plane(scene, scene.views["eye"], SIZE, MIDDLE, NORMAL, albedo)
+    assert np.abs(draw(gl, scene) - expected).max() <= 1.0
 
 
 def test_an_object_is_not_seen_from_behind(gl: rhi.Device) -> None:
     scene = slope().build()
-    behind = Camera.look_at(MIDDLE - np.array([3.4, 4.0, 1.0]), MIDDLE, projection=LENS)
-    picture = draw(gl, scene, camera=behind)
-    assert (picture == picture[0, 0]).all()
+    behind = Camera.look_at(MIDDLE - np.array([3.4, 4.0, 1.0]), MIDDLE, projection=PROJECTION)
+    image = draw(gl, scene, camera=behind)
+    assert (image == image[0, 0]).all()
 
 
 @pytest.mark.parametrize("depth", list(Depth))
@@ -162,10 +162,10 @@ def test_what_is_near_hides_what_is_far(gl: rhi.Device, depth: Depth, order: tup
     scene = builder.build()
     scene.objects.material[:] = scene.objects.material[list(order)]
     eye = scene.views["eye"]
-    camera = eye.with_projection(Perspective(LENS.fov, LENS.aspect, depth=depth))
-    picture = draw(gl, scene, camera=camera)
+    camera = eye.with_projection(Perspective(PROJECTION.fov, PROJECTION.aspect, depth=depth))
+    image = draw(gl, scene, camera=camera)
     near = 1 if order == (0, 1) else 0
-    assert (picture[..., near] > 4 * picture[..., 1 - near] + 20).all()
+    assert (image[..., near] > 4 * image[..., 1 - near] + 20).all()
 
 
 @pytest.mark.parametrize("text", ["city:blocks=8", "hall:columns=8,flags=4"])

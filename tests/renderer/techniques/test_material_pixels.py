@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from frames import draw, draw_each, find_difference, find_eye, open_renderer, read_colors
+from frames import draw, draw_each, first_view_camera, max_difference, open_renderer, read_colors
 from material_scene import build_materials, make_noise
 from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 from numpy.typing import NDArray
@@ -21,20 +21,23 @@ COMPARED: dict[str, Callable[[], Technique]] = {
     **{name: make for name, make in TECHNIQUES.items() if name != "forward"},
     "inferred": lambda: Inferred(scale=1.0),
 }
-"""All techniques but forward shading, with whose picture theirs are compared; `inferred` at full size."""
+"""All techniques but forward shading, with whose image theirs are compared; `inferred` at full size."""
 SIZE = (120, 90)
 NEAREST = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None)
 
 
 @pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.nightly_cases("gl-True", reason=FEWER_CASES)
-@pytest.mark.parametrize("lamps", [True, False])
-def test_all_techniques_draw_the_same_materials(drawing_device: rhi.Device, lamps: bool) -> None:
-    scene = build_materials(lamps=lamps)
-    techniques, camera = (Forward(), *(make() for make in COMPARED.values())), find_eye(scene).with_aspect(4 / 3)
+@pytest.mark.parametrize("lights", [True, False])
+def test_all_techniques_draw_the_same_materials(drawing_device: rhi.Device, lights: bool) -> None:
+    scene = build_materials(lights=lights)
+    techniques, camera = (
+        (Forward(), *(make() for make in COMPARED.values())),
+        first_view_camera(scene).with_aspect(4 / 3),
+    )
     expected, *images = draw_each(drawing_device, scene, *techniques, camera=camera, size=SIZE)
     assert expected[..., :3].std() > 30.0
-    off = {name: find_difference(image, expected) for name, image in zip(COMPARED, images, strict=True)}
+    off = {name: max_difference(image, expected) for name, image in zip(COMPARED, images, strict=True)}
     assert max(off.values()) <= 2, off
 
 
@@ -55,7 +58,7 @@ SMALL = (16, 16)
 
 def look(device: rhi.Device, builder: SceneBuilder) -> NDArray[Any]:
     scene = builder.build()
-    return draw(device, scene, camera=find_eye(scene).with_aspect(1.0), size=SMALL)
+    return draw(device, scene, camera=first_view_camera(scene).with_aspect(1.0), size=SMALL)
 
 
 @pytest.mark.parametrize(("alpha", "drawn"), [(0.25, True), (0.2499, False), (0.2501, True)])
@@ -106,7 +109,7 @@ def test_a_normal_map_without_a_direction_leaves_the_normal(gl: rhi.Device, texe
         builder = square(roughness=0.5, **maps)
         builder.lights.add_directional((0, -1, -1), (1, 1, 1), 1.0)
         images.append(look(gl, builder))
-    assert (find_difference(images[0], images[1]) > 10) == bends
+    assert (max_difference(images[0], images[1]) > 10) == bends
 
 
 @pytest.mark.parametrize(("texel", "towards"), [((255, 128, 128), (-1, 0, 0)), ((128, 255, 128), (0, -1, 0))])
@@ -145,25 +148,25 @@ def test_texture_coordinates_beyond_1_repeat(gl: rhi.Device, uv: tuple[float, fl
     """The square shows one texel: that of the fractional parts of its texture coordinates."""
     texture = make_noise((32, 32), 1)
     texture = texture[::4, ::4].copy()  # 8 × 8 different texels
-    place = TextureMap(0, scale=(0.0, 0.0), offset=uv, sampler=NEAREST)
+    texture_map = TextureMap(0, scale=(0.0, 0.0), offset=uv, sampler=NEAREST)
     builder = SceneBuilder("square")
     builder.add_image(texture)
     builder.lights.sky = builder.lights.ground = (0.5, 0.5, 0.5)
     geometry = make_geometry([(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)], [0, 1, 2, 0, 2, 3])
     white = {"base_color": (1, 1, 1), "specular_color": (0, 0, 0)}
-    material = builder.add_material(texture=place, **white)
+    material = builder.add_material(texture=texture_map, **white)
     builder.add_objects(builder.add_node(), builder.add_mesh(geometry), material)
     builder.views["front"] = Camera.look_at((0, 0, 3), (0, 0, 0))
     column, row = (int(np.floor(x % 1.0 * 8)) for x in uv)
     alike = np.full((8, 8, 4), texture[row, column], np.uint8)
-    assert find_difference(look(gl, builder), look(gl, square(texture=alike, **white))) <= 1
+    assert max_difference(look(gl, builder), look(gl, square(texture=alike, **white))) <= 1
 
 
 @pytest.mark.parametrize("name", ["frustum", "two_pass", "chc_plus_plus"])
 def test_masks_hide_nothing_behind_their_holes(gl: rhi.Device, name: str) -> None:
-    scene = build_materials(lamps=False)
+    scene = build_materials(lights=False)
     camera = scene.views["front"].with_aspect(SIZE[0] / SIZE[1])
-    images = [draw(gl, scene, camera=camera, visibility=one, frames=3, size=SIZE) for one in ("none", name)]
+    images = [draw(gl, scene, camera=camera, visibility=algorithm, frames=3, size=SIZE) for algorithm in ("none", name)]
     assert np.array_equal(*images)
 
 

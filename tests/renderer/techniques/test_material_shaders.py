@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 import rhi
 import rhi.shading as sl
 from renderer.content import load_scene, material_shaders
-from renderer.frame import Effect, find_needs
-from renderer.lab.accuracy.float64 import shade_exactly
+from renderer.frame import Effect, collect_frame_effects
+from renderer.lab.accuracy.float64 import shade_in_float64
 from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, scaling, translation
 from renderer.shaders import MaterialShader, SurfaceInput, SurfaceParameters
 from renderer.techniques import TECHNIQUES, Deferred, DeferredPlus, Forward, Inferred, LightPrePass, Technique
@@ -32,7 +32,7 @@ COMPARED: dict[str, Callable[[], Technique]] = {
 }
 SIZE = (120, 90)
 NEAR = Camera.look_at((0, 0, 3), (0, 0, 0)).with_aspect(SIZE[0] / SIZE[1])
-YARD = "yard:columns=2,lamps=2,shadows=1"
+YARD = "yard:columns=2,lights=2,shadows=1"
 
 
 class Halves(MaterialShader):
@@ -44,7 +44,7 @@ class Halves(MaterialShader):
         return described
 
 
-class Lamp(MaterialShader):
+class EmissiveMaterial(MaterialShader):
     """Says all that a shader can."""
 
     def describe(self, at: SurfaceInput) -> SurfaceParameters:
@@ -62,31 +62,31 @@ class Lamp(MaterialShader):
 def test_all_techniques_draw_materials_with_shaders_alike(drawing_device: rhi.Device) -> None:
     scene = load_scene(YARD)
     names = COMPARED if drawing_device.backend_name == "gl" else ("deferred", "deferred_plus", "forward_multipass")
-    camera = frames.find_eye(scene).with_aspect(4 / 3)
+    camera = frames.first_view_camera(scene).with_aspect(4 / 3)
     techniques = (Forward(), *(COMPARED[name]() for name in names))
     expected, *images = frames.draw_each(drawing_device, scene, *techniques, camera=camera, size=SIZE)
     assert expected[..., :3].std() > 30.0
-    off = {name: frames.find_difference(image, expected) for name, image in zip(names, images, strict=True)}
+    off = {name: frames.max_difference(image, expected) for name, image in zip(names, images, strict=True)}
     assert max(off.values()) <= 2, off
 
 
 @pytest.mark.parametrize("name", ["none", "frustum", "chc_plus_plus", "conditional", "depth_pyramid", "two_pass"])
 def test_all_algorithms_draw_each_object_by_its_shader(drawing_device: rhi.Device, name: str) -> None:
-    frames.need_algorithm(drawing_device, name)
+    frames.require_algorithm(drawing_device, name)
     scene = load_scene(YARD)
     expected = frames.draw(drawing_device, scene, size=SIZE)
     with frames.open_renderer(drawing_device, scene, visibility=name, size=SIZE) as renderer:
-        results = [renderer.render(frames.find_eye(scene)) for _ in range(3)]
-        assert frames.find_difference(frames.read_colors(results[-1]), expected) == 0
+        results = [renderer.render(frames.first_view_camera(scene)) for _ in range(3)]
+        assert frames.max_difference(frames.read_colors(results[-1]), expected) == 0
         assert set(results[-1].visible.tolist()) <= set(range(len(scene.objects)))
 
 
 def test_gl_and_cl_agree() -> None:
-    pictures = []
+    images = []
     for backend in ("gl", "cl"):
         with open_device(backend) as device:
-            pictures.append(frames.draw(device, load_scene(YARD), size=SIZE))
-    apart = np.abs(pictures[0] - pictures[1]).max(axis=2)
+            images.append(frames.draw(device, load_scene(YARD), size=SIZE))
+    apart = np.abs(images[0] - images[1]).max(axis=2)
     assert np.count_nonzero(apart > 3) <= 0.005 * apart.size, "edges alone"
 
 
@@ -106,22 +106,22 @@ def stand(*shaders: type[MaterialShader] | None, repeats: int = 1, **material: A
 
 def count_calls(device: rhi.Device, scene: Scene, **options: Any) -> tuple[int, int]:
     """Return the numbers of draw calls, and of programs that they use."""
-    ops = [one.op for one in frames.record(device, scene, Forward(), frames=1, **options)]
+    ops = [command.op for command in frames.record(device, scene, Forward(), frames=1, **options)]
     return sum(op in DRAWS for op in ops), ops.count(Op.BIND_PROGRAM)
 
 
 def test_objects_are_drawn_by_shader(null: rhi.Device) -> None:
     """A call and a program for each shader, however many objects there are, and in whatever order they are."""
     assert count_calls(null, stand(None, repeats=6)) == (1, 1)
-    assert count_calls(null, stand(Lamp, repeats=6)) == (1, 1)
-    assert count_calls(null, stand(None, Lamp, Halves, repeats=6)) == (3, 3)
+    assert count_calls(null, stand(EmissiveMaterial, repeats=6)) == (1, 1)
+    assert count_calls(null, stand(None, EmissiveMaterial, Halves, repeats=6)) == (3, 3)
 
 
 def test_a_scene_without_such_shaders_has_none_of_their_cost(null: rhi.Device) -> None:
-    plain, own = stand(None), stand(None, Lamp)
-    assert Effect.MATERIAL_SHADERS not in find_needs(plain, frames.find_eye(plain)).effects
-    assert Effect.MATERIAL_SHADERS in find_needs(own, frames.find_eye(own)).effects
-    assert Effect.MATERIAL_SHADERS not in find_needs(own, Camera.look_at((0, 0, 10), (0, 0, 20))).effects
+    plain, own = stand(None), stand(None, EmissiveMaterial)
+    assert Effect.MATERIAL_SHADERS not in collect_frame_effects(plain, frames.first_view_camera(plain)).enabled
+    assert Effect.MATERIAL_SHADERS in collect_frame_effects(own, frames.first_view_camera(own)).enabled
+    assert Effect.MATERIAL_SHADERS not in collect_frame_effects(own, Camera.look_at((0, 0, 10), (0, 0, 20))).enabled
     assert "material ids" not in frames.list_passes(null, plain, DeferredPlus())
     assert "material ids" in frames.list_passes(null, own, DeferredPlus())
 
@@ -131,27 +131,27 @@ def test_depth_alone_is_drawn_without_shaders_of_materials(null: rhi.Device) -> 
     for masks, programs in ((AlphaMode.OPAQUE, 1), (AlphaMode.MASK, 2)):
         scene = stand(None, Halves, alpha_mode=masks)
         stream = frames.record(null, scene, DeferredPlus(), frames=1)
-        first = list(stream)[: next(place for place, one in enumerate(stream) if one.op is Op.END_PASS)]
-        assert len({one["program"] for one in first if one.op is Op.BIND_PROGRAM}) == programs
+        first = list(stream)[: next(index for index, command in enumerate(stream) if command.op is Op.END_PASS)]
+        assert len({command["program"] for command in first if command.op is Op.BIND_PROGRAM}) == programs
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_all_that_a_shader_says_is_drawn_by_techniques_that_store_it(drawing_device: rhi.Device) -> None:
-    scene = stand(None, Lamp, base_color=(1, 1, 1), metallic=0.5, roughness=0.5, emissive=(0.6, 0.3, 0.1))
+    scene = stand(None, EmissiveMaterial, base_color=(1, 1, 1), metallic=0.5, roughness=0.5, emissive=(0.6, 0.3, 0.1))
     scene.lights.add_point((0, 2, 3), 8.0, intensity=3.0)
     forward, *others = frames.draw_each(
         drawing_device, scene, Forward(), Deferred(), LightPrePass(), DeferredPlus(), size=SIZE
     )
     assert np.abs(forward[:, : SIZE[0] // 2] - forward[:, : SIZE[0] // 2 - 1 : -1]).max() > 40
-    assert max(frames.find_difference(forward, image) for image in others) <= 2
+    assert max(frames.max_difference(forward, image) for image in others) <= 2
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
-def test_a_shader_cuts_masks_from_pictures_and_from_shadows(drawing_device: rhi.Device) -> None:
+def test_a_shader_cuts_masks_from_images_and_from_shadows(drawing_device: rhi.Device) -> None:
     def show(technique: Technique, alpha_mode: AlphaMode, casts: bool) -> NDArray[Any]:
         builder = frames.make_boxes(translation((0, 0, -2)) @ scaling((20, 20, 0.1)))
-        sheet = builder.add_material(shader=Halves, alpha_mode=alpha_mode, base_color=(1, 1, 1, 1))
-        builder.add_objects(builder.add_node(translation((1, 0, 0)) @ scaling((2.0, 2.0, 0.05))), 0, sheet)
+        material = builder.add_material(shader=Halves, alpha_mode=alpha_mode, base_color=(1, 1, 1, 1))
+        builder.add_objects(builder.add_node(translation((1, 0, 0)) @ scaling((2.0, 2.0, 0.05))), 0, material)
         builder.lights.add_directional((-1.0, 0.0, -1.0), casts_shadow=casts)
         return frames.draw(drawing_device, builder.build(), technique, size=SIZE)
 
@@ -162,7 +162,7 @@ def test_a_shader_cuts_masks_from_pictures_and_from_shadows(drawing_device: rhi.
     shadows = [np.count_nonzero((unshadowed - image)[..., 1] > 20) for image in (cut, whole)]
     assert 0.3 < shadows[0] / shadows[1] < 0.7, "the half that is cut casts none"
     for technique in (Deferred(), DeferredPlus(), DeferredPlus(multi_pass=True)):
-        assert frames.find_difference(show(technique, AlphaMode.MASK, True), cut) <= 2
+        assert frames.max_difference(show(technique, AlphaMode.MASK, True), cut) <= 2
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
@@ -203,15 +203,16 @@ class BoardProbe(material_shaders.Checker):
     """Describes points of a checkerboard."""
 
     points: sl.Storage[sl.vec4]
-    found: sl.StorageRW[float]
+    results: sl.StorageRW[float]
 
     def compute(self) -> None:
         i = sl.global_id().x
         at = SurfaceInput(
             position=sl.vec3(0.0), normal=sl.vec3(0.0, 0.0, 1.0), uv=self.points[2 * i].xy, uv2=sl.vec2(0.0),
-            changes=self.points[2 * i + 1], changes2=sl.vec4(0.0), tangent=sl.vec4(1.0), color=sl.vec4(1.0), material=0,
+            uv_gradients=self.points[2 * i + 1], uv2_gradients=sl.vec4(0.0), tangent=sl.vec4(1.0),
+            color=sl.vec4(1.0), material=0,
         )  # fmt: skip
-        self.found[i] = self.describe(at).color.r
+        self.results[i] = self.describe(at).color.r
 
 
 def test_a_checkerboard_is_its_mean_over_the_pixel() -> None:
@@ -224,19 +225,21 @@ def test_a_checkerboard_is_its_mean_over_the_pixel() -> None:
     board = np.zeros(1, material_shaders.CheckerParameters.dtype)
     board["squares"] = squares
     materials = np.zeros(1, load_scene("grid:mesh=box,count=1").materials.dtype)
-    found = run_compute(BoardProbe, count, points=points, found=count, parameters=board, materials=materials)["found"]
+    results = run_compute(BoardProbe, count, points=points, results=count, parameters=board, materials=materials)[
+        "results"
+    ]
     share = (np.arange(400) + 0.5) / 400 - 0.5
-    for one in range(count):
-        u, v = ((uv[one, axis] + share * size[one, axis]) * squares[axis] for axis in (0, 1))
+    for index in range(count):
+        u, v = ((uv[index, axis] + share * size[index, axis]) * squares[axis] for axis in (0, 1))
         white = (np.floor(u)[:, None] + np.floor(v)[None, :]) % 2 == 0
-        assert abs(found[one] - white.mean()) < 0.02
+        assert abs(results[index] - white.mean()) < 0.02
 
 
 class ReliefProbe(material_shaders.Parallax):
     """Follows rays into waves of height, instead of into a texture."""
 
     points: sl.Storage[sl.vec4]
-    found: sl.StorageRW[float]
+    results: sl.StorageRW[float]
 
     def read_data(self, texture: int, at: SurfaceInput) -> sl.vec4:
         return sl.vec4(0.5 + 0.5 * sl.sin(6.2831853 * at.uv.x))
@@ -246,10 +249,10 @@ class ReliefProbe(material_shaders.Parallax):
         point = self.points[i]
         at = SurfaceInput(
             position=point.xyz, normal=sl.vec3(0.0, 0.0, 1.0), uv=sl.vec2(point.w, 0.0), uv2=sl.vec2(0.0),
-            changes=sl.vec4(0.0), changes2=sl.vec4(0.0), tangent=sl.vec4(1.0, 0.0, 0.0, 1.0), color=sl.vec4(1.0),
-            material=0,
+            uv_gradients=sl.vec4(0.0), uv2_gradients=sl.vec4(0.0), tangent=sl.vec4(1.0, 0.0, 0.0, 1.0),
+            color=sl.vec4(1.0), material=0,
         )  # fmt: skip
-        self.found[i] = self.meet(at, self.parameters[0]).x
+        self.results[i] = self.intersect_relief(at, self.parameters[0]).x
 
 
 @pytest.mark.parametrize(("steps", "tolerance"), [(16, 0.012), (64, 0.001), (256, 0.0001)])
@@ -261,37 +264,39 @@ def test_parallax_finds_where_the_ray_meets_the_heights(steps: int, tolerance: f
     points = np.concatenate([-to_eye, start[:, None]], axis=1).astype(np.float32)
     relief = np.zeros(1, material_shaders.ParallaxParameters.dtype)
     relief["depth"], relief["steps"] = depth, steps
-    found = run_compute(ReliefProbe, count, points=points, found=count, parameters=relief)["found"]
+    results = run_compute(ReliefProbe, count, points=points, results=count, parameters=relief)["results"]
     down = np.linspace(0.0, 1.0, 100_001)
-    for one in range(count):
-        u = start[one] - to_eye[one, 0] / to_eye[one, 2] * depth * down
+    for index in range(count):
+        u = start[index] - to_eye[index, 0] / to_eye[index, 2] * depth * down
         met = np.argmax(1.0 - down <= 0.5 + 0.5 * np.sin(2 * np.pi * u))
-        assert abs(found[one] - u[met]) < tolerance * depth * 2 + 1e-5
+        assert abs(results[index] - u[met]) < tolerance * depth * 2 + 1e-5
 
 
 class NoiseProbe(sl.Shader):
     """Looks noise up."""
 
     work_group = (64,)
-    places: sl.Storage[sl.vec4]
-    found: sl.StorageRW[float]
+    positions: sl.Storage[sl.vec4]
+    results: sl.StorageRW[float]
 
     def compute(self) -> None:
         i = sl.global_id().x
-        self.found[i] = material_shaders.find_noise(self.places[i].xyz)
+        self.results[i] = material_shaders.value_noise(self.positions[i].xyz)
 
 
 def test_noise_is_smooth_within_its_bounds_and_has_no_direction() -> None:
     rng = np.random.default_rng(1)
-    places = np.zeros((4096, 4), np.float32)
-    places[:, :3] = rng.uniform(-50, 50, (4096, 3))
-    places[2048:] = places[:2048]
-    places[2048:, 0] += np.float32(1 / 64)
-    found = run_compute(NoiseProbe, 64, places=places, found=4096)["found"]
-    assert np.abs(found).max() <= 1.0
-    assert abs(found.mean()) < 0.05
-    assert found.std() > 0.15
-    assert np.abs(found[2048:] - found[:2048]).max() < 2.0 * 1.875 / 64 + 1e-3, "the steepest that the weights allow"
+    positions = np.zeros((4096, 4), np.float32)
+    positions[:, :3] = rng.uniform(-50, 50, (4096, 3))
+    positions[2048:] = positions[:2048]
+    positions[2048:, 0] += np.float32(1 / 64)
+    results = run_compute(NoiseProbe, 64, positions=positions, results=4096)["results"]
+    assert np.abs(results).max() <= 1.0
+    assert abs(results.mean()) < 0.05
+    assert results.std() > 0.15
+    assert np.abs(results[2048:] - results[:2048]).max() < 2.0 * 1.875 / 64 + 1e-3, (
+        "the steepest that the weights allow"
+    )
 
 
 def test_marble_goes_through_objects(gl: rhi.Device) -> None:
@@ -305,24 +310,24 @@ def test_marble_goes_through_objects(gl: rhi.Device) -> None:
     wide = frames.make_boxes()
     whole = wide.add_material(shader=material_shaders.Marble, base_color=(1, 1, 1), vein_color=(0, 0, 0), frequency=2.0)
     wide.add_objects(wide.add_node(scaling((2, 1, 1))), 0, whole)
-    for one in (builder, wide):
-        one.lights.sky = one.lights.ground = (1, 1, 1)
-    halves, one = (frames.draw(gl, each.build(), camera=NEAR, size=SIZE) for each in (builder, wide))
-    assert one.std() > 20.0
-    assert frames.find_difference(halves, one) <= 1
+    for boxes in (builder, wide):
+        boxes.lights.sky = boxes.lights.ground = (1, 1, 1)
+    halves, whole_box = (frames.draw(gl, each.build(), camera=NEAR, size=SIZE) for each in (builder, wide))
+    assert whole_box.std() > 20.0
+    assert frames.max_difference(halves, whole_box) <= 1
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
-def test_pictures_are_those_of_float64(drawing_device: rhi.Device) -> None:
+def test_images_are_those_of_float64(drawing_device: rhi.Device) -> None:
     """The same shaders by NumPy, from what the device has in its buffers: arithmetic is all that differs."""
-    scene = load_scene("yard:columns=2,lamps=2")
+    scene = load_scene("yard:columns=2,lights=2")
     with frames.open_renderer(drawing_device, scene, size=(80, 60)) as renderer:
-        exact = shade_exactly(renderer, frames.find_eye(scene))
-        drawn = frames.read_colors(renderer.render(frames.find_eye(scene)))
-    shown = exact.objects >= 0
-    assert 0.5 < shown.mean() < 1.0
-    shaders = scene.materials["shader"][scene.objects.material[exact.objects[shown]]]
+        exact = shade_in_float64(renderer, frames.first_view_camera(scene))
+        drawn = frames.read_colors(renderer.render(frames.first_view_camera(scene)))
+    is_covered = exact.objects >= 0
+    assert 0.5 < is_covered.mean() < 1.0
+    shaders = scene.materials["shader"][scene.objects.material[exact.objects[is_covered]]]
     assert np.unique(shaders).tolist() == [0, 1, 2, 3]
-    off = np.abs(exact.levels - drawn).max(axis=2)[shown]
+    off = np.abs(exact.levels - drawn).max(axis=2)[is_covered]
     assert np.quantile(off, 0.97) <= 1.5
     assert np.count_nonzero(off > 4.0) <= 0.005 * len(off), "steps of parallax that end elsewhere"

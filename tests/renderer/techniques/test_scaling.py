@@ -36,9 +36,9 @@ def stretch(texels: np.ndarray, width: int, height: int) -> np.ndarray:
     """Return texels at another size, interpolated between their middles in light, in float64."""
     light = decode_levels(texels[..., :3].astype(np.float64))
     for axis, size in ((0, height), (1, width)):
-        place = np.clip((np.arange(size) + 0.5) * light.shape[axis] / size - 0.5, 0, light.shape[axis] - 1)
-        first = np.minimum(place.astype(int), light.shape[axis] - 2)
-        part = (place - first).reshape(-1, *[1] * (2 - axis))
+        position = np.clip((np.arange(size) + 0.5) * light.shape[axis] / size - 0.5, 0, light.shape[axis] - 1)
+        first = np.minimum(position.astype(int), light.shape[axis] - 2)
+        part = (position - first).reshape(-1, *[1] * (2 - axis))
         light = light.take(first, axis) * (1.0 - part) + light.take(first + 1, axis) * part
     return encode_levels(light)
 
@@ -49,10 +49,10 @@ def test_a_scaled_image_is_what_was_drawn_interpolated_in_light(
 ) -> None:
     with open_scaled(drawing_device, scene, scale) as renderer:
         result = renderer.render(scene.views["overview"])
-        shown, texels = result.image.read()[..., :3], result.targets["image"].read()
+        output, texels = result.image.read()[..., :3], result.targets["image"].read()
     assert (texels.shape[1], texels.shape[0]) == result.depth.size == drawn
     assert len(np.unique(texels.reshape(-1, 4), axis=0)) > 50, "the scene is seen"
-    off = np.abs(shown - stretch(texels, *SIZE))
+    off = np.abs(output - stretch(texels, *SIZE))
     assert off.max() <= 2.0, "weights of samplers have 8 bits"
     assert off.mean() < 0.3
 
@@ -60,9 +60,9 @@ def test_a_scaled_image_is_what_was_drawn_interpolated_in_light(
 def test_an_image_of_twice_the_size_is_shown_as_means_of_four_pixels(drawing_device: rhi.Device, scene: Scene) -> None:
     with open_scaled(drawing_device, scene, 2.0) as renderer:
         result = renderer.render(scene.views["overview"])
-        shown, texels = result.image.read()[..., :3], result.targets["image"].read()[..., :3]
+        output, texels = result.image.read()[..., :3], result.targets["image"].read()[..., :3]
     light = decode_levels(texels.astype(np.float64)).reshape(SIZE[1], 2, SIZE[0], 2, 3).mean(axis=(1, 3))
-    assert np.abs(shown - encode_levels(light)).max() <= 1.0
+    assert np.abs(output - encode_levels(light)).max() <= 1.0
 
 
 def test_scaling_is_one_draw_and_none_at_the_size_that_is_shown(null: rhi.Device, scene: Scene) -> None:
@@ -126,7 +126,7 @@ def test_a_scale_that_ends_leaves_no_texture(null: rhi.Device, scene: Scene) -> 
     with open_scaled(null, scene, 1.0) as renderer:
         for renderer.scale in (1.0, 0.5, 1.0):
             renderer.render(scene.views["overview"])
-            counts.append(sum(made.op is Op.CREATE_TEXTURE for made in list_owned(null)[1]))
+            counts.append(sum(command.op is Op.CREATE_TEXTURE for command in list_owned(null)[1]))
     assert counts == [counts[0], counts[0] + 1, counts[0]]
 
 

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 import pytest
-from frames import count_draws, draw, draw_each, find_difference, list_passes, make_boxes, make_lit_boxes
+from frames import count_draws, draw, draw_each, list_passes, make_boxes, make_lit_boxes, max_difference
 from nightly_reasons import FEWER_CASES
 
 import rhi
@@ -26,10 +26,10 @@ from renderer.techniques import (
     Technique,
     TechniqueSettings,
     TiledDeferred,
-    deferred_cells,
+    deferred_by_cells,
     deferred_plus,
 )
-from renderer.techniques.parts import deferred_lighting, variants
+from renderer.techniques.parts import deferred_lighting, frame_bindings, variants
 from renderer.techniques.parts.scene_shader import ForwardShader
 
 SIZE = (96, 64)
@@ -45,23 +45,23 @@ def test_the_lists_of_cells_lack_no_light_of_any_sample(drawing_device: rhi.Devi
     scene = load_scene("hall:lights=64,columns=6,flags=2")
     techniques = Forward(), Forward(samples, all_lights=True), *(make(samples) for make in LISTED)
     camera = scene.paths["ground"].camera(100)
-    one, wanted, *drawn = draw_each(drawing_device, scene, *techniques, camera=camera, size=SIZE)
-    assert (np.abs(wanted - one).max(-1) > 8).sum() > 100  # at edges
-    assert [find_difference(picture, wanted) <= 1 for picture in drawn] == [True] * len(LISTED)
+    one_sample, expected, *drawn = draw_each(drawing_device, scene, *techniques, camera=camera, size=SIZE)
+    assert (np.abs(expected - one_sample).max(-1) > 8).sum() > 100  # at edges
+    assert [max_difference(image, expected) <= 1 for image in drawn] == [True] * len(LISTED)
 
 
 @pytest.mark.nightly_cases("cl", reason=FEWER_CASES)
 def test_what_covers_no_centre_is_lit_by_what_reaches_nothing_else(drawing_device: rhi.Device) -> None:
-    """A wire between two columns of centres, of which depth of one sample knows nothing, and a lamp beside it."""
+    """A wire between two columns of centres, of which depth of one sample knows nothing, and a light beside it."""
     wall = translation((0, 0, -20)) @ scaling((60, 40, 1))
     builder = make_boxes(scaling((0.1, 20, 0.1)), wall, base_color=(1, 1, 1), specular_color=(0, 0, 0))
     builder.lights.add_point((0.3, 0, 1), 3.0, (1, 1, 1), 4.0)
     techniques = Forward(), Forward(4), *(make(4) for make in LISTED)
-    one, wanted, *drawn = draw_each(drawing_device, builder.build(), *techniques, size=SIZE)
+    one_sample, expected, *drawn = draw_each(drawing_device, builder.build(), *techniques, size=SIZE)
     middle = np.s_[SIZE[1] // 2, SIZE[0] // 2 - 1 : SIZE[0] // 2 + 1]
-    assert (one == one[:1, :1]).all()
-    assert (wanted[middle][..., :3] - one[middle][..., :3] > 20).all()
-    assert [find_difference(picture, wanted) <= 1 for picture in drawn] == [True] * len(LISTED)
+    assert (one_sample == one_sample[:1, :1]).all()
+    assert (expected[middle][..., :3] - one_sample[middle][..., :3] > 20).all()
+    assert [max_difference(image, expected) <= 1 for image in drawn] == [True] * len(LISTED)
 
 
 @pytest.mark.parametrize(
@@ -83,8 +83,8 @@ def test_geometry_is_drawn_once_for_culling_and_as_often_as_the_technique_says_w
     not_drawn = ["light lists", "tiles", *(["resolve"] if "forward" in listed else [])]
     drawn = sum(name not in not_drawn for name in listed)
     assert count_draws(null, scene, make(4)) == (drawn, drawn)
-    of_lamps = ("light lists", "tiles", "depth samples")
-    assert list_passes(null, dark, make(4)) == [name for name in listed if name not in of_lamps]
+    light_passes = ("light lists", "tiles", "depth samples")
+    assert list_passes(null, dark, make(4)) == [name for name in listed if name not in light_passes]
     assert len(list_passes(null, scene, make(1))) < len(listed)
 
 
@@ -92,8 +92,8 @@ def test_geometry_is_drawn_once_for_culling_and_as_often_as_the_technique_says_w
 def test_settings_refuse_samples_that_a_technique_lacks(null: rhi.Device, name: str) -> None:
     assert TechniqueSettings(name).samples == 1
     if name in ("forward", "forward_plus", "clustered", "tiled_deferred", "clustered_deferred", "deferred_plus"):
-        made = TechniqueSettings(name, samples=4).make(load_scene("grid:count=1"), null)
-        assert (made.name, vars(made)["samples"]) == (name, 4)
+        technique = TechniqueSettings(name, samples=4).make(load_scene("grid:count=1"), null)
+        assert (technique.name, vars(technique)["samples"]) == (name, 4)
         return
     with pytest.raises(rhi.ValidationError, match="technique-one-sample"):
         TechniqueSettings(name, samples=4)
@@ -114,12 +114,12 @@ def test_pixels_inside_a_triangle_are_shaded_once(drawing_device: rhi.Device, mo
     builder = make_boxes(scaling((5, 5, 5)), base_color=(1, 1, 1))
     builder.lights.add_point((0, 8, 8), 30.0)
     scene, counts = builder.build(), []
-    for owner in (deferred_cells.SampledTiles, deferred_lighting.SampleMean):
+    for owner in (deferred_by_cells.SampledTiles, deferred_lighting.SampleMean):
         counting = type(owner.__name__, (CountedColors, owner), {"__module__": __name__})
-        for module in (deferred_cells, deferred_lighting, deferred_plus):
+        for module in (deferred_by_cells, deferred_lighting, deferred_plus):
             monkeypatch.setattr(module, owner.__name__, counting, raising=False)
     with drawing_device.storage(sl.uint, 1) as shaded:
-        monkeypatch.setitem(variants.SOURCES, "shaded", lambda frame: shaded)
+        monkeypatch.setitem(frame_bindings.BINDINGS, "shaded", lambda bindings: shaded)
         monkeypatch.setattr(Forward, "lighting", variants.Lighting(bases=(CountedColors, ForwardShader)))
         for technique in (Forward(4), *(make(4) for make in DEFERRED)):
             shaded.write(np.zeros(1, np.uint32))
@@ -132,7 +132,7 @@ def test_pixels_inside_a_triangle_are_shaded_once(drawing_device: rhi.Device, mo
     assert 500 < pixels <= deferred[0] <= 1.05 * forward < 1.3 * pixels
 
 
-AIR: Final = "night:lights=64,blocks=8,fog=0.02,glow=0.3"
+AIR: Final = "night:lights=64,blocks=8,fog=0.02,bloom=0.3"
 THINGS: Final = "bazaar:instances=300,materials=20,meshes=10,lights=16"
 
 
@@ -141,8 +141,10 @@ def test_sky_textures_and_weighted_surfaces_are_those_of_forward_shading(drawing
     scene = load_scene(name)
     techniques = Forward(4, all_lights=True), *(make(4) for make in DEFERRED)
     camera = next(iter(scene.paths.values())).camera(100)
-    wanted, *drawn = draw_each(drawing_device, scene, *techniques, camera=camera, size=SIZE, blending=Blending.WEIGHTED)
-    assert np.ptp(wanted[..., :3]) > 50
+    expected, *drawn = draw_each(
+        drawing_device, scene, *techniques, camera=camera, size=SIZE, blending=Blending.WEIGHTED
+    )
+    assert np.ptp(expected[..., :3]) > 50
     # A buffer that rounds how texture coordinates change may choose another mip level; without levels 1 is the most.
-    assert [find_difference(picture, wanted) <= 8 for picture in drawn] == [True] * len(DEFERRED)
-    assert all(np.mean(np.abs(picture - wanted).max(-1) > 3) < 1e-3 for picture in drawn)
+    assert [max_difference(image, expected) <= 8 for image in drawn] == [True] * len(DEFERRED)
+    assert all(np.mean(np.abs(image - expected).max(-1) > 3) < 1e-3 for image in drawn)

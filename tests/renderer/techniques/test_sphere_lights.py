@@ -1,4 +1,4 @@
-"""Lamps that are spheres, compared with a judge that adds up the light of all their parts, and with points."""
+"""Sphere lights, compared with a reference that adds up the light of all their parts, and with points."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from frames import draw, find_difference, find_eye, make_boxes
+from frames import draw, first_view_camera, make_boxes, max_difference
 
 import rhi
 from renderer.content import BUILT_IN
-from renderer.lab.measure.judge import Judge
-from renderer.lab.measure.judge.picture import unmap_tones
+from renderer.lab.measure.ray_tracer import RayTracer
+from renderer.lab.measure.ray_tracer.tracer import inverse_tone_map
 from renderer.scene import Camera, Perspective, Scene, scaling, translation
-from renderer.techniques import Deferred, Watched
+from renderer.techniques import Deferred, ResourceCapture
 
 SIZE = (48, 32)
 MATT = {"base_color": (0.6, 0.5, 0.4), "specular_color": (0.0, 0.0, 0.0)}
@@ -22,7 +22,7 @@ METAL = {"base_color": (0.5, 0.5, 0.5), "metallic": 1.0}
 
 
 def stage(*radii: float, height: float = 1.0, strength: float = 2.0, **material: Any) -> Scene:
-    """Make a floor and a ball, dark but for a lamp of each radius, all in one place."""
+    """Make a floor and a ball, dark but for a local light of each radius, all in one place."""
     builder = make_boxes(translation((0, -5, 0)) @ scaling((100, 10, 100)), **material)
     builder.add_objects(builder.add_node(translation((1.5, 0.6, 0))), builder.add_mesh(BUILT_IN["sphere"]()), 0)
     builder.lights.sky = builder.lights.ground = builder.background = (0.0, 0.0, 0.0)
@@ -38,18 +38,18 @@ def test_scattered_light_is_within_a_level_of_that_of_all_parts_of_the_sphere(
 ) -> None:
     """A level is what rounding takes; the sphere may be cut by the floor, which is then lit inside of it, too."""
     scene = stage(radius, height=height, **MATT)
-    exact = Judge(scene).draw(find_eye(scene), SIZE)
-    assert find_difference(draw(drawing_device, scene, size=SIZE), exact) <= 1
+    exact = RayTracer(scene).draw(first_view_camera(scene), SIZE)
+    assert max_difference(draw(drawing_device, scene, size=SIZE), exact) <= 1
     if height == 0.3:  # the control
-        assert find_difference(draw(drawing_device, stage(0.0, height=height, **MATT), size=SIZE), exact) > 10
+        assert max_difference(draw(drawing_device, stage(0.0, height=height, **MATT), size=SIZE), exact) > 10
 
 
 def measure_light(device: rhi.Device, scene: Scene, size: tuple[int, int] = SIZE) -> tuple[Any, Any]:
-    """Return the red light (h, w) of the lamps, as drawn and as judged."""
-    watched, eye = Watched(Deferred(), "light"), find_eye(scene)
+    """Return the red light (h, w) of the local lights, as drawn and of the reference."""
+    watched, eye = ResourceCapture(Deferred(), "light"), first_view_camera(scene)
     draw(device, scene, watched, size=size)
     y, x = np.indices(size[::-1]) + 0.5
-    exact = unmap_tones(Judge(scene).see(eye, size, np.stack([x.ravel(), y.ravel()], axis=1)))
+    exact = inverse_tone_map(RayTracer(scene).trace(eye, size, np.stack([x.ravel(), y.ravel()], axis=1)))
     return np.asarray(watched.texels)[..., 0], exact[:, 0].reshape(size[::-1])
 
 
@@ -78,4 +78,4 @@ def test_the_highlight_of_a_mirror_is_as_wide_as_the_sphere(drawing_device: rhi.
 def test_a_point_beside_a_sphere_is_lit_as_one_without(drawing_device: rhi.Device) -> None:
     point, both = stage(0.0), stage(0.0, 0.5)
     both.lights.point["intensity"][1] = 0.0
-    assert find_difference(*(draw(drawing_device, scene, size=SIZE) for scene in (point, both))) <= 1
+    assert max_difference(*(draw(drawing_device, scene, size=SIZE) for scene in (point, both))) <= 1

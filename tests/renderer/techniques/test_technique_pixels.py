@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from frames import draw_each, find_difference, forget_variants, make_boxes
+from frames import draw_each, forget_variants, make_boxes, max_difference
 from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 from numpy.typing import NDArray
 
@@ -17,7 +17,7 @@ from renderer.content import BUILT_IN, load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, SceneBuilder, scaling, translation
 from renderer.techniques import TECHNIQUES, Deferred, DeferredPlus, Forward, Inferred, LightPrePass, Technique, inferred
-from renderer.techniques.settings import TechniqueSettings
+from renderer.techniques.technique_settings import TechniqueSettings
 from renderer.visibility import ALGORITHMS, NoCulling, list_algorithms, make_visibility
 from tests.renderer.conftest import open_device
 
@@ -53,9 +53,9 @@ def stage(middle: tuple[float, float, float] = (0, 0, 0), *, textured: bool = Fa
         builder.add_node(at @ translation((0, -0.5, 0)) @ scaling((24, 1, 24))), meshes[0], materials[0]
     )
     for number in range(14):
-        place = (random.uniform(-6, 6), random.uniform(0, 1.5), random.uniform(-6, 5))
+        position = (random.uniform(-6, 6), random.uniform(0, 1.5), random.uniform(-6, 5))
         builder.add_objects(
-            builder.add_node(at @ translation(place) @ scaling((1.3, 1.3, 1.3))),
+            builder.add_node(at @ translation(position) @ scaling((1.3, 1.3, 1.3))),
             meshes[number % 2],
             materials[number % 3],
         )
@@ -68,24 +68,24 @@ def add_random_lights(builder: SceneBuilder, count: int, seed: int) -> None:
     """Add lights of all kinds and sizes; some behind `EYE`, around it, and below the floor."""
     random = np.random.default_rng(seed)
     for number in range(count):
-        place = random.uniform((-8, -0.5, -8), (8, 4, 12))
+        position = random.uniform((-8, -0.5, -8), (8, 4, 12))
         color = random.uniform(0.2, 1.0, 3)
         reach = float(random.choice([0.3, 1.0, 2.5, 6.0, 15.0]))
         if number % 2:
-            builder.lights.add_point(place, reach, color, 0.8 * reach)
+            builder.lights.add_point(position, reach, color, 0.8 * reach)
         else:
             outer = float(random.choice([0.1, 0.5, 0.9, 1.04, 1.06, 1.5, 2.2, np.pi]))
             direction = random.normal(size=3) - (0, 1, 0)
-            builder.lights.add_spot(place, direction, reach, 0.6 * outer, outer, color, 1.5 * reach)
+            builder.lights.add_spot(position, direction, reach, 0.6 * outer, outer, color, 1.5 * reach)
 
 
 def check_all(
     device: rhi.Device, scene: Scene, camera: Camera = EYE, size: tuple[int, int] = SIZE
 ) -> NDArray[np.int64]:
-    """Check that each technique gives forward shading's picture, which is returned."""
+    """Check that each technique gives forward shading's image, which is returned."""
     techniques = [Forward(), *(make() for make in OTHERS.values())]
     expected, *images = draw_each(device, scene, *techniques, camera=camera, size=size)
-    off = {name: find_difference(image, expected) for name, image in zip(OTHERS, images, strict=True)}
+    off = {name: max_difference(image, expected) for name, image in zip(OTHERS, images, strict=True)}
     # Deferred+ filters textures by stored derivatives, which are at most 0.3 % off.
     slack = {name: int(bool(scene.images)) for name in OTHERS if name.startswith("deferred_plus")}
     assert all(most <= 2 + slack.get(name, 0) for name, most in off.items()), off
@@ -96,22 +96,20 @@ def check_all(
 @pytest.mark.nightly_cases("*-True-*", "*-False-[12]", reason=FEWER_CASES)
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("textured", [False, True])
-def test_random_lights_give_the_picture_of_forward_shading(
-    drawing_device: rhi.Device, seed: int, textured: bool
-) -> None:
+def test_random_lights_give_the_image_of_forward_shading(drawing_device: rhi.Device, seed: int, textured: bool) -> None:
     builder = stage(textured=textured)
     add_random_lights(builder, 40, seed)
     check_all(drawing_device, builder.build())
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
-def test_spheres_give_the_picture_of_forward_shading(drawing_device: rhi.Device) -> None:
+def test_spheres_give_the_image_of_forward_shading(drawing_device: rhi.Device) -> None:
     builder = stage()
     metal = builder.add_material(base_color=(0.9, 0.8, 0.5), metallic=1.0, roughness=0.3)
     builder.add_objects(builder.add_node(translation((0, 1, 3))), 1, metal)
     add_random_lights(builder, 40, 6)
-    for some in (builder.lights.point, builder.lights.spot):
-        some["source_radius"] = some["range"] * np.random.default_rng(7).uniform(0.0, 0.3, len(some))
+    for lights in (builder.lights.point, builder.lights.spot):
+        lights["source_radius"] = lights["range"] * np.random.default_rng(7).uniform(0.0, 0.3, len(lights))
     check_all(drawing_device, builder.build())
 
 
@@ -127,7 +125,7 @@ def test_what_every_webgpu_has_suffices_for_all_but_packed_lists(monkeypatch: py
         techniques = [TechniqueSettings(name, scale=1.0).make(scene, device) for name in names]
         expected, *images = draw_each(device, scene, *techniques, camera=EYE, size=SIZE)
         assert np.ptp(expected[:, :, :3]) > 20
-        assert max(find_difference(image, expected) for image in images) <= 3
+        assert max(max_difference(image, expected) for image in images) <= 3
         assert {"two_pass", "conditional"} == ALGORITHMS.keys() - set(list_algorithms(device))
         with pytest.raises(rhi.DeviceError, match="unblendable_formats"):
             draw_each(device, scene, TechniqueSettings("light_indexed").make(scene, device), camera=EYE, size=SIZE)
@@ -142,29 +140,29 @@ CAMERAS = {
     "parallel, from behind the eye, standard depth": EYE.with_projection(
         Orthographic(9.0, near=-3.0, far=12.0, depth=Depth.STANDARD)
     ),
-    "a narrow lens": EYE.with_projection(Perspective(fov=0.2)),
-    "a wide lens": EYE.with_projection(Perspective(fov=2.6)),
+    "a narrow field of view": EYE.with_projection(Perspective(fov=0.2)),
+    "a wide field of view": EYE.with_projection(Perspective(fov=2.6)),
     "a near plane of a millimetre": EYE.with_projection(Perspective(near=1e-3, far=1e7)),
     "straight down": Camera.look_at((0, 9, 0), (0, 0, 0)),
 }
 
 
 @pytest.mark.nightly_cases(
-    "*-a far plane *", "*-a near plane of a millimetre", "*-a wide lens", "*-parallel*", reason=FEWER_CASES
+    "*-a far plane *", "*-a near plane of a millimetre", "*-a wide field of view", "*-parallel*", reason=FEWER_CASES
 )
-@pytest.mark.parametrize("lens", CAMERAS)
-def test_any_lens_gives_the_picture_of_forward_shading(drawing_device: rhi.Device, lens: str) -> None:
+@pytest.mark.parametrize("projection", CAMERAS)
+def test_any_projection_gives_the_image_of_forward_shading(drawing_device: rhi.Device, projection: str) -> None:
     builder = stage()
     add_random_lights(builder, 30, seed=7)
     builder.haze, builder.background = 0.05, (0.3, 0.5, 0.7)
     builder.add_objects(builder.add_node(translation((-1, 1, 4)) @ scaling((-1, 1, 1))), 0, 1)
-    image = check_all(drawing_device, builder.build(), CAMERAS[lens])
+    image = check_all(drawing_device, builder.build(), CAMERAS[projection])
     assert np.ptp(image[:, :, :3]) > 20, "the scene can be seen"
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("size", [(1, 1), (7, 3), (85, 48)])
-def test_any_size_of_the_image_gives_the_picture_of_forward_shading(
+def test_any_size_of_the_image_gives_the_image_of_forward_shading(
     drawing_device: rhi.Device, size: tuple[int, int]
 ) -> None:
     builder = stage()
@@ -203,7 +201,7 @@ def test_a_light_reaches_what_it_reaches_in_forward_shading(drawing_device: rhi.
     LIGHTS[where](light)
     image = check_all(drawing_device, light.build())
     (unlit,) = draw_each(drawing_device, stage().build(), Forward(), camera=EYE, size=SIZE)
-    assert find_difference(image, unlit) > 2, "the light can be seen"
+    assert max_difference(image, unlit) > 2, "the light can be seen"
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
@@ -212,7 +210,7 @@ def test_a_light_of_radius_0_lights_nothing(drawing_device: rhi.Device) -> None:
     builder.lights.add_point((0, 0.5, 3), 0.0, intensity=1e4)
     builder.lights.add_spot((0, 0.5, 3), (0, -1, 0), 0.0, 0.3, 0.5, intensity=1e4)
     builder.lights.add_point((0, 2.0, 3), 5.0, intensity=9.0)
-    builder.haze, builder.background = 0.05, (0.3, 0.5, 0.7)  # the shaders of the test of lenses, which cl has built
+    builder.haze, builder.background = 0.05, (0.3, 0.5, 0.7)  # the shaders of the test of projections, built already
     check_all(drawing_device, builder.build())
 
 
@@ -230,8 +228,8 @@ def test_light_beyond_the_range_of_a_half_is_white(drawing_device: rhi.Device) -
 def test_a_place_far_from_the_origin_is_as_exact(drawing_device: rhi.Device) -> None:
     middle = (1e6 + 0.3, -2e5, 3e6)
     builder = stage(middle)
-    for place in ((-2, 1.5, 0), (2, 1.0, 2)):
-        builder.lights.add_point(np.add(place, middle), 5.0, intensity=6.0)
+    for offset in ((-2, 1.5, 0), (2, 1.0, 2)):
+        builder.lights.add_point(np.add(offset, middle), 5.0, intensity=6.0)
     camera = replace(EYE, position=EYE.position + np.array(middle))
     check_all(drawing_device, builder.build(), camera)
 
@@ -253,22 +251,22 @@ def test_every_visibility_algorithm_draws_to_geometry_buffers(gl: rhi.Device) ->
                 renderer.visibility = visibility = make_visibility(name, scene, gl)
                 for frame in (300, 304, 308):
                     image = renderer.render(path.camera(frame)).image.read().astype(np.int64)
-                assert find_difference(image, expected) <= 2, (name, renderer.technique)
+                assert max_difference(image, expected) <= 2, (name, renderer.technique)
                 renderer.visibility = none
                 visibility.destroy()
 
 
 @pytest.mark.nightly_cases("cl-*", reason=ONLY_KERNELS)
 @pytest.mark.parametrize("count", [16, 1500])
-def test_light_of_many_lamps_is_added_up_as_exactly_by_blending_as_in_a_shader(
+def test_light_of_many_local_lights_is_added_up_as_exactly_by_blending_as_in_a_shader(
     drawing_device: rhi.Device, count: int
 ) -> None:
     builder = make_boxes(
         translation((0, -0.5, 0)) @ scaling((20, 1, 20)), name="lit by many", specular_color=(0.1, 0.1, 0.1)
     )
     builder.lights.sky = builder.lights.ground = (0.0, 0.0, 0.0)
-    places = np.random.default_rng(0).normal((0, 1.5, 0), 0.3, (count, 3))
-    builder.lights.add_points(places, 8.0, (1, 0.8, 0.6), 3.0 / count)
+    positions = np.random.default_rng(0).normal((0, 1.5, 0), 0.3, (count, 3))
+    builder.lights.add_points(positions, 8.0, (1, 0.8, 0.6), 3.0 / count)
     scene, camera, size = builder.build(), Camera.look_at((0, 3, 6), (0, 0, 0)), (32, 18)
     kinds: tuple[Callable[..., Technique], ...] = (
         TECHNIQUES["forward_multipass"],
@@ -281,20 +279,20 @@ def test_light_of_many_lamps_is_added_up_as_exactly_by_blending_as_in_a_shader(
         expected, image, halves = draw_each(
             drawing_device, scene, Forward(), kind(), kind(light_bits=16), camera=camera, size=size
         )
-        assert find_difference(image, expected) <= 1, kind
-        assert (find_difference(halves, expected) > 1) == (count > 16), kind  # the control
+        assert max_difference(image, expected) <= 1, kind
+        assert (max_difference(halves, expected) > 1) == (count > 16), kind  # the control
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_a_missing_light_is_seen_by_the_comparison(drawing_device: rhi.Device) -> None:
     # The control of all comparisons above.
     builder, without = stage(), stage()
-    for one in (builder, without):
-        one.lights.add_point((0, 1.5, 3), 2.0, intensity=2.0)
+    for lit in (builder, without):
+        lit.lights.add_point((0, 1.5, 3), 2.0, intensity=2.0)
     builder.lights.add_spot((0, 3.5, 3), (0, -1, 0), 5.0, 0.4, 0.8, intensity=6.0)
     (expected,) = draw_each(drawing_device, builder.build(), Forward(), camera=EYE, size=SIZE)
     images = draw_each(drawing_device, without.build(), *(make() for make in OTHERS.values()), camera=EYE, size=SIZE)
-    assert min(find_difference(image, expected) for image in images) > 2
+    assert min(max_difference(image, expected) for image in images) > 2
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
@@ -302,13 +300,13 @@ def test_one_specular_channel_is_exact_for_one_light_and_loses_hues_for_two(draw
     techniques: list[Technique] = [Forward(), LightPrePass(specular_channels=1), LightPrePass()]
     builder = stage()
     builder.lights.add_point((-3, 2, 3), 9.0, (1.0, 0.2, 0.1), intensity=9.0)
-    expected, one, three = draw_each(drawing_device, builder.build(), *techniques, camera=EYE, size=SIZE)
-    assert find_difference(one, expected) <= 2
-    assert find_difference(three, expected) <= 2
+    expected, one_channel, three = draw_each(drawing_device, builder.build(), *techniques, camera=EYE, size=SIZE)
+    assert max_difference(one_channel, expected) <= 2
+    assert max_difference(three, expected) <= 2
     builder.lights.add_point((3, 2, 3), 9.0, (0.1, 0.2, 1.0), intensity=9.0)
-    expected, one, three = draw_each(drawing_device, builder.build(), *techniques, camera=EYE, size=SIZE)
-    assert find_difference(one, expected) > 2
-    assert find_difference(three, expected) <= 2
+    expected, one_channel, three = draw_each(drawing_device, builder.build(), *techniques, camera=EYE, size=SIZE)
+    assert max_difference(one_channel, expected) > 2
+    assert max_difference(three, expected) <= 2
 
 
 def find_signal_to_noise(image: NDArray[np.int64], expected: NDArray[np.int64]) -> float:

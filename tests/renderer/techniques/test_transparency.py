@@ -7,15 +7,15 @@ from collections.abc import Callable, Sequence
 import frames
 import numpy as np
 import pytest
-from frames import SIZE, count_draws, draw, find_difference, make_boxes, open_renderer, read_colors, record
-from lighting_reference import encode, look_at_plane
+from frames import SIZE, count_draws, draw, make_boxes, max_difference, open_renderer, read_colors, record
+from lighting_reference import encode, reference_plane_light
 from nightly_reasons import ONLY_KERNELS
 from numpy.typing import NDArray
 from test_technique_pixels import EYE, add_random_lights, stage
 
 import rhi
 from renderer.content import BUILT_IN
-from renderer.frame import Blending, Effect, find_needs
+from renderer.frame import Blending, Effect, collect_frame_effects
 from renderer.frame.frame import sort_back_to_front
 from renderer.renderer import Renderer
 from renderer.scene import (
@@ -31,7 +31,7 @@ from renderer.scene import (
     translation,
 )
 from renderer.shadows.casters import SceneCasters
-from renderer.techniques import TECHNIQUES, Clustered, Forward, ForwardPlus, Inferred, Smoothed, inferred
+from renderer.techniques import TECHNIQUES, Clustered, Forward, ForwardPlus, FxaaTechnique, Inferred, inferred
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.transparency import TransparentShader, WeightedShader
 from renderer.visibility import ALGORITHMS, NoCulling, TwoPassCulling, list_algorithms
@@ -85,22 +85,24 @@ def composite(scene: Scene, layers: list[tuple[float, Sequence[float]]], blendin
     seen = []
     for row, (z, color) in enumerate(layers):
         plane, albedo = np.array([0.0, 0.0, 1.0]), np.array(color[:3], np.float32).astype(float)
-        shown, away = look_at_plane(scene, FRONT, SIZE, np.array([0, 0, z]), plane, albedo, material=row)
-        seen.append((z, color[3] if len(color) == 4 else None, shown, away))
+        color_before, away = reference_plane_light(scene, FRONT, SIZE, np.array([0, 0, z]), plane, albedo, material=row)
+        seen.append((z, color[3] if len(color) == 4 else None, color_before, away))
     image = np.broadcast_to(scene.background, (*SIZE[::-1], 3)).astype(float)
     nearest = -np.inf
-    for z, alpha, shown, _ in seen:
+    for z, alpha, color_before, _ in seen:
         if alpha is None and z > nearest:
-            image, nearest = shown, z
-    visible = sorted((one for one in seen if one[1] is not None and one[0] > nearest), key=lambda one: one[0])
+            image, nearest = color_before, z
+    visible = sorted(
+        (layer for layer in seen if layer[1] is not None and layer[0] > nearest), key=lambda layer: layer[0]
+    )
     if blending is Blending.SORTED:
-        for _, alpha, shown, _ in visible:
-            image = alpha * shown + (1 - alpha) * image
+        for _, alpha, color_before, _ in visible:
+            image = alpha * color_before + (1 - alpha) * image
         return encode(image)
     weights = [
         alpha * np.clip(0.03 / (1e-5 + (away / 200) ** 4), 1e-2, 1e3)[..., None] for _, alpha, _, away in visible
     ]
-    mean = sum(w * shown for w, (_, _, shown, _) in zip(weights, visible, strict=True)) / sum(weights)
+    mean = sum(w * color_before for w, (_, _, color_before, _) in zip(weights, visible, strict=True)) / sum(weights)
     left = np.prod([1 - alpha for _, alpha, _, _ in visible])
     return encode((1 - left) * mean + left * image)
 
@@ -110,19 +112,19 @@ def composite(scene: Scene, layers: list[tuple[float, Sequence[float]]], blendin
 def test_panes_are_within_two_levels_of_compositing_in_float64(drawing_device: rhi.Device, blending: Blending) -> None:
     layers = LAYERS[:-1]
     scene = panes(*layers).build()
-    wanted = composite(scene, layers, blending)
-    assert wanted.std() > 3.0  # a picture, not one colour
+    expected = composite(scene, layers, blending)
+    assert expected.std() > 3.0  # an image, not one colour
     # Each layer is rounded to 8 bits.
-    assert np.abs(draw(drawing_device, scene, blending=blending) - wanted).max() <= 2.0
+    assert np.abs(draw(drawing_device, scene, blending=blending) - expected).max() <= 2.0
     other = composite(scene, [(-z, color) for z, color in layers], blending)
-    assert find_difference(other, wanted) > 20.0
+    assert max_difference(other, expected) > 20.0
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
 def test_a_pane_of_opacity_1_hides_what_is_behind_it(drawing_device: rhi.Device) -> None:
     scene = panes(*LAYERS).build()
-    wanted = composite(scene, LAYERS, Blending.SORTED)
-    assert np.abs(draw(drawing_device, scene) - wanted).max() <= 2.0
+    expected = composite(scene, LAYERS, Blending.SORTED)
+    assert np.abs(draw(drawing_device, scene) - expected).max() <= 2.0
     alone = draw(drawing_device, panes(*(layer for layer in LAYERS if layer[0] >= 2.0)).build())
     assert (draw(drawing_device, scene) == alone).all()
 
@@ -135,14 +137,14 @@ def test_a_texels_alpha_multiplies_the_materials(gl: rhi.Device) -> None:
         glass = builder.add_material(base_color=(1, 0, 0, alpha), alpha_mode=AlphaMode.BLEND, texture=image)
         builder.add_objects(builder.add_node(scaling((9, 9, 1))), builder.add_mesh(PANE), glass)
         images.append(draw(gl, builder.build()))
-    assert find_difference(images[0], images[1]) <= 1
+    assert max_difference(images[0], images[1]) <= 1
     assert np.abs(images[0] - draw(gl, panes((-3.0, (0.5, 0.5, 0.4))).build())).max() > 10
 
 
 def test_weighted_surfaces_look_the_same_in_any_order(drawing_device: rhi.Device) -> None:
     scenes = [panes(*LAYERS[:-1]).build(), panes(*LAYERS[-2::-1]).build()]
     first, second = (draw(drawing_device, scene, blending=Blending.WEIGHTED) for scene in scenes)
-    assert find_difference(first, second) <= 1
+    assert max_difference(first, second) <= 1
 
 
 def glassy(seed: int = 0, *, textured: bool = False) -> Scene:
@@ -158,32 +160,32 @@ def glassy(seed: int = 0, *, textured: bool = False) -> Scene:
             shininess=60.0,
         )
         size = (-2.0 if number % 4 == 0 else 2.0, 2.0, 0.1 if number % 2 else 1.5)
-        place = random.uniform((-5, 0.3, -3), (5, 2, 6))
-        builder.add_objects(builder.add_node(translation(place) @ scaling(size)), meshes[number % 2], glass)
+        position = random.uniform((-5, 0.3, -3), (5, 2, 6))
+        builder.add_objects(builder.add_node(translation(position) @ scaling(size)), meshes[number % 2], glass)
     builder.haze, builder.background = 0.02, (0.3, 0.4, 0.5)
     builder.views["eye"] = EYE
     return builder.build()
 
 
 def check_all(device: rhi.Device, scene: Scene, blending: Blending) -> None:
-    """Check that each technique gives forward shading's picture."""
+    """Check that each technique gives forward shading's image."""
     expected = draw(device, scene, Forward(), blending=blending)
     off = {}
     for name, make in TECHNIQUES.items():
         if name != "inferred":
             image = draw(device, scene, make(), blending=blending)
-            off[name] = int(find_difference(image, expected))
+            off[name] = int(max_difference(image, expected))
     assert max(off.values()) <= 2, off
 
 
-def test_every_technique_gives_the_picture_of_forward_shading(gl: rhi.Device) -> None:
+def test_every_technique_gives_the_image_of_forward_shading(gl: rhi.Device) -> None:
     check_all(gl, glassy(), Blending.SORTED)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("blending", Blending)
 @pytest.mark.parametrize("seed", [1, 2])
-def test_every_technique_gives_the_picture_of_forward_shading_of_any_glass(
+def test_every_technique_gives_the_image_of_forward_shading_of_any_glass(
     drawing_device: rhi.Device, seed: int, blending: Blending
 ) -> None:
     check_all(drawing_device, glassy(seed, textured=seed == 2), blending)
@@ -209,11 +211,11 @@ def test_inferred_light_reaches_three_transparent_surfaces_behind_each_other(
     monkeypatch.setattr(inferred, "_LAYERS", 1)  # the control: all three have the same texel
     wrong = draw(gl, scene, Inferred(scale=scale))
     frames.forget_variants()
-    assert find_difference(image, expected) <= 8
+    assert max_difference(image, expected) <= 8
     if scale < 1.0:
-        assert find_difference(wrong, expected) > 15
+        assert max_difference(wrong, expected) > 15
     else:  # at full size nothing is stippled
-        assert find_difference(wrong, image) == 0
+        assert max_difference(wrong, image) == 0
 
 
 @pytest.mark.nightly
@@ -233,11 +235,11 @@ def test_every_visibility_algorithm_shows_transparent_objects_and_what_they_cove
     add_pane(builder, 0.0, (0.9, 0.1, 0.1), size=0.5)  # behind the glass
     add_pane(builder, -4.0, (0.1, 0.9, 0.1, 0.5), size=0.5)  # behind the wall
     scene = builder.build()
-    wanted = draw(gl, scene)
+    expected = draw(gl, scene)
     with open_renderer(gl, scene, visibility=name) as renderer:
         for _ in range(5):  # until what was hidden has been asked about
             result = renderer.render(FRONT)
-            assert find_difference(read_colors(result), wanted) <= 1
+            assert max_difference(read_colors(result), expected) <= 1
             assert {0, 1, 2} <= {*result.visible.tolist()}
 
 
@@ -272,15 +274,15 @@ def test_a_transparent_object_out_of_view_costs_nothing(null: rhi.Device, name: 
     builder = panes(WALL)
     add_pane(builder, 20.0, (1.0, 1.0, 1.0, 0.5))
     with rhi.create_device("null") as other:
-        wanted = record(other, panes(WALL).build(), TECHNIQUES[name](), blending=blending)
+        expected = record(other, panes(WALL).build(), TECHNIQUES[name](), blending=blending)
         stream = record(null, builder.build(), TECHNIQUES[name](), blending=blending)
-        assert [c.op for c in stream] == [c.op for c in wanted]
+        assert [c.op for c in stream] == [c.op for c in expected]
 
 
 def test_transparent_objects_add_a_pass_and_a_draw_for_each_run_of_a_winding(null: rhi.Device) -> None:
     assert count_draws(null, panes(WALL).build()) == (1, 1)
-    one = (1.0, (1.0, 1.0, 1.0, 0.5))
-    assert count_draws(null, panes(WALL, one).build()) == (2, 2)
+    pane = (1.0, (1.0, 1.0, 1.0, 0.5))
+    assert count_draws(null, panes(WALL, pane).build()) == (2, 2)
     builder = panes(WALL)
     for number, mirrored in enumerate((False, False, True, True, True, False)):
         add_pane(builder, number, (1.0, 1.0, 1.0, 0.5), mirrored=mirrored)
@@ -289,13 +291,13 @@ def test_transparent_objects_add_a_pass_and_a_draw_for_each_run_of_a_winding(nul
 
 
 @pytest.mark.parametrize(("stippled", "passes"), [(True, 6), (False, 5)])
-def test_stippling_is_one_more_pass_where_a_lamp_reaches_something(
+def test_stippling_is_one_more_pass_where_a_local_light_reaches_something(
     null: rhi.Device, stippled: bool, passes: int
 ) -> None:
-    one = (1.0, (1.0, 1.0, 1.0, 0.5))
-    stream = record(null, panes(WALL, one).build(), Inferred(stippled=stippled))
+    pane = (1.0, (1.0, 1.0, 1.0, 0.5))
+    stream = record(null, panes(WALL, pane).build(), Inferred(stippled=stippled))
     assert len(stream.filter(Op.BEGIN_PASS)) == len(stream.draws()) == passes
-    unlit = panes(WALL, one)
+    unlit = panes(WALL, pane)
     unlit.lights.point = unlit.lights.point[:0]
     stream = record(null, unlit.build(), Inferred(stippled=stippled))
     assert len(stream.draws()) == 2
@@ -314,9 +316,9 @@ def test_transparent_surfaces_write_no_depth_and_are_tested_against_that_of_opaq
 
 def test_a_transparent_object_that_is_hidden_is_not_drawn(null: rhi.Device) -> None:
     class Choosing(NoCulling):
-        def render(self, camera: Camera, scene_pass: object) -> object:
+        def render(self, camera: Camera, drawer: object) -> object:
             self._rows = np.array([0])
-            return super().render(camera, scene_pass)
+            return super().render(camera, drawer)
 
     scene = panes(WALL, (1.0, (1.0, 1.0, 1.0, 0.5))).build()
     renderer = Renderer(null, scene, visibility=Choosing(scene), size=SIZE)
@@ -338,16 +340,18 @@ def test_a_material_that_becomes_transparent_changes_its_objects(null: rhi.Devic
 
 
 @pytest.mark.parametrize("depth", Depth)
-@pytest.mark.parametrize("lens", [Perspective, lambda depth: Orthographic(20.0, depth=depth)])
-def test_objects_are_sorted_by_the_distance_of_their_boxes_centres(lens: Callable[..., object], depth: Depth) -> None:
+@pytest.mark.parametrize("projection", [Perspective, lambda depth: Orthographic(20.0, depth=depth)])
+def test_objects_are_sorted_by_the_distance_of_their_boxes_centres(
+    projection: Callable[..., object], depth: Depth
+) -> None:
     random = np.random.default_rng(7)
     # Far from the origin, where a step of float32 is half a metre.
-    places = np.add(random.uniform(-30, 30, (200, 3)), (1e7, 0, -1e7))
-    camera = Camera.look_at((1e7, 1, -1e7), (1e7 + 3, 2, -1e7 + 5), projection=lens(depth=depth))
+    positions = np.add(random.uniform(-30, 30, (200, 3)), (1e7, 0, -1e7))
+    camera = Camera.look_at((1e7, 1, -1e7), (1e7 + 3, 2, -1e7 + 5), projection=projection(depth=depth))
     rows = random.permutation(200)[:150]
-    away = places - camera.position
+    away = positions - camera.position
     far = away @ camera.forward if isinstance(camera.projection, Orthographic) else np.linalg.norm(away, axis=1)
-    order = sort_back_to_front(make_boxes(*places).build(), camera, rows)
+    order = sort_back_to_front(make_boxes(*positions).build(), camera, rows)
     assert sorted(order.tolist()) == sorted(rows.tolist())
     assert (np.diff(far[order]) < 1e-6).all()
 
@@ -358,16 +362,16 @@ def test_nothing_of_the_last_frame_is_left_where_all_objects_are_transparent(gl:
     add_pane(builder, 1.0, (0.9, 0.9, 0.9, 0.8), size=1.0)
     scene = builder.build()
     aside = Camera.look_at((2, 0, 8), (2, 0, 0), projection=FRONT.projection)
-    wanted = draw(gl, scene, camera=aside)
+    expected = draw(gl, scene, camera=aside)
     with open_renderer(gl, scene, TECHNIQUES[name]()) as renderer:
         renderer.render(FRONT)
-        assert find_difference(read_colors(renderer.render(aside)), wanted) <= 2
+        assert max_difference(read_colors(renderer.render(aside)), expected) <= 2
 
 
 def test_transparent_objects_cast_no_shadows() -> None:
     casters = SceneCasters(panes(WALL, (1.0, (1.0, 1.0, 1.0, 0.5)), (2.0, (1.0, 1.0, 1.0))).build())
-    assert casters.still.tolist() == [0, 2]
-    assert not len(casters.moving)
+    assert casters.static.tolist() == [0, 2]
+    assert not len(casters.dynamic)
 
 
 def test_a_material_that_becomes_transparent_casts_no_shadow_from_then_on(null: rhi.Device) -> None:
@@ -387,17 +391,22 @@ def test_a_frame_says_why_it_has_a_pass_of_transparent_surfaces() -> None:
     builder = panes(WALL, (1.0, (1.0, 1.0, 1.0, 0.5)))
     add_pane(builder, 20.0, (1.0, 1.0, 1.0, 0.5))
     scene = builder.build()
-    assert find_needs(scene, FRONT).explain(Effect.TRANSPARENCY) == "1 of 2 transparent objects is in view"
+    assert collect_frame_effects(scene, FRONT).explain(Effect.TRANSPARENCY) == "1 of 2 transparent objects is in view"
     away = Camera.look_at((0, 0, 30), (0, 0, 40))
-    assert find_needs(scene, away).explain(Effect.TRANSPARENCY) == "none of 2 transparent objects are in view"
-    assert find_needs(panes(WALL).build(), FRONT).explain(Effect.TRANSPARENCY) == "the scene has no transparent object"
+    assert (
+        collect_frame_effects(scene, away).explain(Effect.TRANSPARENCY) == "none of 2 transparent objects are in view"
+    )
+    assert (
+        collect_frame_effects(panes(WALL).build(), FRONT).explain(Effect.TRANSPARENCY)
+        == "the scene has no transparent object"
+    )
 
 
 @pytest.mark.parametrize("blending", Blending)
 def test_smooth_edges_go_with_transparent_surfaces(gl: rhi.Device, blending: Blending) -> None:
     builder = panes(WALL, (1.0, (0.2, 0.9, 0.3, 0.5)))
     plain = draw(gl, builder.build(), blending=blending)
-    for technique in (Smoothed(Forward()), Forward(4), ForwardPlus(4), Clustered(4)):
+    for technique in (FxaaTechnique(Forward()), Forward(4), ForwardPlus(4), Clustered(4)):
         # Without edges they change nothing.
         assert np.abs(draw(gl, builder.build(), technique, blending=blending) - plain).max() <= 1
 
@@ -410,5 +419,5 @@ def test_a_fragment_reads_its_texture_and_tests_its_mask_once(shader: type[Shade
         .emit("glsl", Stage.FRAGMENT)
         .text
     )
-    assert text.count("find_color(") == text.count("see(") == 2, "where it is defined, and one call"
-    assert text.count("discard") == 1
+    assert text.count("sample_base_color(") == text.count("evaluate(") == 2, "where it is defined, and one call"
+    assert text.count("discard;") == 1

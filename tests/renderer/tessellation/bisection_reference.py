@@ -33,28 +33,28 @@ def make_scene(field: HeightField, local: Any = None) -> Scene:
 def list_cameras() -> dict[str, Camera]:
     """Return cameras in and around a field of 256 m at the origin: random ones, and hard cases."""
     rng = np.random.default_rng(7)
-    lens = Perspective(fov=0.9, aspect=2.0, near=0.5)
+    projection = Perspective(fov=0.9, aspect=2.0, near=0.5)
     cameras = {
         f"random {number}": Camera.look_at(
             rng.uniform((-160, 0, -160), (160, 90, 160)),
             rng.uniform((-128, -20, -128), (128, 20, 128)),
-            projection=lens,
+            projection=projection,
         )
         for number in range(8)
     }
     high = Orthographic(120.0, aspect=2.0, far=900.0)
     return cameras | {
-        "below the ground": Camera.look_at((3.0, -60.0, 5.0), (20.0, 0.0, 30.0), projection=lens),
+        "below the ground": Camera.look_at((3.0, -60.0, 5.0), (20.0, 0.0, 30.0), projection=projection),
         "far away": Camera.look_at((1e5, 3e4, -1e5), (0.0, 0.0, 0.0), projection=Perspective(fov=0.002, aspect=2.0)),
-        "straight down": Camera.look_at((1.0, 200.0, 1.0), (1.0, 0.0, 1.0), projection=lens),
-        "off the edge": Camera.look_at((140.0, 4.0, 0.0), (300.0, 0.0, 0.0), projection=lens),
+        "straight down": Camera.look_at((1.0, 200.0, 1.0), (1.0, 0.0, 1.0), projection=projection),
+        "off the edge": Camera.look_at((140.0, 4.0, 0.0), (300.0, 0.0, 0.0), projection=projection),
         "parallel": Camera.look_at((200.0, 200.0, 200.0), (0.0, 0.0, 0.0), projection=high),
     }
 
 
 def decode(keys: NDArray[np.int64], width: int) -> NDArray[np.int64]:
-    """Return the triangles (k, 3) of keys (k,): 2 and 3 are the halves of the field, and the bits after the second are
-    the children from the root down, 0 the one at the left end of the longest edge."""
+    """Return the triangles (k, 3) of keys (k,): 2 and 3 are the halves of the field, and the bits after the second
+    are the children from the root down, 0 the one at the left end of the longest edge."""
     last = width * width - 1
     roots = np.array([(0, last - width + 1, last), (last, width - 1, 0)])
     depth = np.floor(np.log2(keys)).astype(np.int64) - 1
@@ -69,47 +69,49 @@ def decode(keys: NDArray[np.int64], width: int) -> NDArray[np.int64]:
     return triangles
 
 
-def find_keys(field: HeightField, view: FieldView) -> tuple[NDArray[np.int64], bool]:
+def compute_keys(field: HeightField, view: FieldView) -> tuple[NDArray[np.int64], bool]:
     """Return the keys of the triangles that a view calls for, and whether there would be more than the limit."""
     width = len(field.heights)
-    wanted = is_wanted(field, view)
-    keys, kept = np.array([2, 3]), [np.zeros(0, np.int64)]
+    splitting = should_split(field, view)
+    keys, leaf_keys = np.array([2, 3]), [np.zeros(0, np.int64)]
     for _ in range(field.levels):
         triangles = decode(keys, width)
         middle = (triangles[:, 0] + triangles[:, 2]) // 2
-        splits = wanted[middle]
-        if sum(map(len, kept)) + len(keys) + int(splits.sum()) > field.limit:
-            return np.concatenate([*kept, keys]), True
-        kept.append(keys[~splits])
+        splits = splitting[middle]
+        if sum(map(len, leaf_keys)) + len(keys) + int(splits.sum()) > field.limit:
+            return np.concatenate([*leaf_keys, keys]), True
+        leaf_keys.append(keys[~splits])
         keys = (2 * keys[splits, None] + (0, 1)).reshape(-1)
-    return np.concatenate([*kept, keys]), False
+    return np.concatenate([*leaf_keys, keys]), False
 
 
-def is_wanted(field: HeightField, view: FieldView) -> NDArray[np.bool_]:
+def should_split(field: HeightField, view: FieldView) -> NDArray[np.bool_]:
     """Return for each vertex whether the edges that it is the middle of are split, in float32 step by step."""
     f32 = np.float32
     width = len(field.heights)
-    row, column = np.divmod(np.arange(width * width), width)
+    object_index, column = np.divmod(np.arange(width * width), width)
     length, reach = (np.nextafter(bound.reshape(-1).astype(f32), f32(np.inf)) for bound in field.bounds)
     x, z = (
         f32(-0.5 * side) + f32(step) * at.astype(f32)
-        for side, step, at in zip(field.size, field.steps, (column, row), strict=True)
+        for side, step, at in zip(field.size, field.steps, (column, object_index), strict=True)
     )
     p = (x, field.heights.reshape(-1), z)
 
     def along(n: Any) -> NDArray[np.float32]:
         return f32(n[0]) * p[0] + f32(n[1]) * p[1] + f32(n[2]) * p[2]
 
-    lens, far = f32(view.is_lens), np.asarray(view.depth, f32)
-    wanted = along(far) - lens * reach - length * f32(view.scale) <= far[3]
+    perspective, far = f32(view.is_perspective), np.asarray(view.depth, f32)
+    is_large = along(far) - perspective * reach - length * f32(view.scale) <= far[3]
     for plane in np.asarray(view.planes, f32):
-        wanted &= along(plane) + reach >= plane[3]
+        is_large &= along(plane) + reach >= plane[3]
     eye = np.asarray(view.eye, f32)
-    away = [place - centre for place, centre in zip(p, eye, strict=True)]
-    near = length * f32(view.unseen) + lens * reach
+    away = [coordinate - centre for coordinate, centre in zip(p, eye, strict=True)]
+    near = length * f32(view.out_of_view_scale) + perspective * reach
     square = away[0] * away[0] + away[1] * away[1] + away[2] * away[2]
-    found: NDArray[np.bool_] = wanted | (lens * f32(view.squeeze) * square + (f32(1) - lens) <= near * near)
-    return found
+    result: NDArray[np.bool_] = is_large | (
+        perspective * f32(view.squared_axis_ratio) * square + (f32(1) - perspective) <= near * near
+    )
+    return result
 
 
 def check_conforming(triangles: NDArray[np.int64], width: int) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import bisection_reference
 import numpy as np
 import pytest
-from bisection_reference import HEIGHT, check_conforming, decode, find_keys, is_wanted, make_hills, make_scene
+from bisection_reference import HEIGHT, check_conforming, compute_keys, decode, make_hills, make_scene, should_split
 from frames import open_renderer
 from nightly_reasons import ONLY_KERNELS
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ import rhi
 from renderer.content import load_scene
 from renderer.frame import SceneResources
 from renderer.scene import Camera, HeightField, Perspective, Scene, make_height_field, scaling, translation
-from renderer.tessellation import Tessellation, TessellationSettings, Tessellator
+from renderer.tessellation import FieldTessellation, TessellationSettings, Tessellator
 from renderer.tessellation.tessellator import view_field
 from rhi import ValidationError
 
@@ -25,13 +25,13 @@ CAMERAS = bisection_reference.list_cameras()
 
 def choose(field: HeightField, camera: Camera, edge_pixels: float = 6.0) -> tuple[NDArray[np.int64], bool]:
     """Return the reference's triangles (k, 3) of a field at the origin, and whether its limit is reached."""
-    keys, is_cut = find_keys(field, view_field(np.eye(4), camera, TessellationSettings(edge_pixels), HEIGHT))
+    keys, is_cut = compute_keys(field, view_field(np.eye(4), camera, TessellationSettings(edge_pixels), HEIGHT))
     return decode(keys, len(field.heights)), is_cut
 
 
-def read_triangles(resources: SceneResources, one: Tessellation) -> NDArray[np.int64]:
+def read_triangles(resources: SceneResources, tessellation: FieldTessellation) -> NDArray[np.int64]:
     """Return the triangles that a device has written, sorted."""
-    indices = resources.indices.read()[: 3 * one.read_count()].astype(np.int64).reshape(-1, 3)
+    indices = resources.indices.read()[: 3 * tessellation.read_count()].astype(np.int64).reshape(-1, 3)
     return indices[np.lexsort(indices.T)]
 
 
@@ -66,9 +66,9 @@ def test_without_reaches_that_hold_each_other_there_are_cracks(monkeypatch: pyte
     monkeypatch.setitem(field.__dict__, "bounds", (length, 0.0 * reach))
     with pytest.raises(AssertionError):
         for camera in CAMERAS.values():
-            keys, _ = find_keys(field, view_field(np.eye(4), camera, TessellationSettings(6.0), HEIGHT))
-            wanted = is_wanted(field, view_field(np.eye(4), camera, TessellationSettings(6.0), HEIGHT))
-            assert wanted.any()
+            keys, _ = compute_keys(field, view_field(np.eye(4), camera, TessellationSettings(6.0), HEIGHT))
+            splitting = should_split(field, view_field(np.eye(4), camera, TessellationSettings(6.0), HEIGHT))
+            assert splitting.any()
             check_conforming(decode(keys, len(field.heights)), len(field.heights))
 
 
@@ -118,14 +118,14 @@ def test_a_device_chooses_the_reference_s_keys(device: rhi.Device) -> None:
     for camera in CAMERAS.values():
         moved = Camera(0.5 * camera.position + (1e5, 300.0, -2e5), camera.rotation, camera.projection)
         tessellator.update(resources, moved, HEIGHT)
-        one = tessellator.fields[0]
-        keys, _ = find_keys(field, view_field(local, moved, TessellationSettings(), HEIGHT))
-        wanted = decode(keys, len(field.heights))
-        assert (read_triangles(resources, one) == wanted[np.lexsort(wanted.T)]).all()
-        after = resources.indices.read().reshape(-1, 3)[len(wanted) : field.limit]
-        assert not after[: field.limit - len(wanted)].any() or resources.tessellations == 1
-        assert resources.tessellated_draws.read()["count"].tolist() == [3 * len(wanted)]
-        assert resources.parts.read()["count"].tolist() == [3 * len(wanted)]
+        tessellation = tessellator.fields[0]
+        keys, _ = compute_keys(field, view_field(local, moved, TessellationSettings(), HEIGHT))
+        expected = decode(keys, len(field.heights))
+        assert (read_triangles(resources, tessellation) == expected[np.lexsort(expected.T)]).all()
+        after = resources.indices.read().reshape(-1, 3)[len(expected) : field.limit]
+        assert not after[: field.limit - len(expected)].any() or resources.tessellations == 1
+        assert resources.tessellated_draws.read()["count"].tolist() == [3 * len(expected)]
+        assert resources.mesh_parts.read()["count"].tolist() == [3 * len(expected)]
     assert resources.tessellations == len(CAMERAS)
     tessellator.destroy()
     resources.destroy()
@@ -138,10 +138,10 @@ def test_a_device_keeps_the_limit_and_counts_the_cut_views(device: rhi.Device) -
     for height in (400, 401):  # the second one learns of the first
         tessellator.update(resources, CAMERAS["straight down"], height)
         device.finish()
-    one = tessellator.fields[0]
-    assert one.cuts == 1
-    assert one.read_count() <= 256
-    check_conforming(read_triangles(resources, one), len(field.heights))
+    tessellation = tessellator.fields[0]
+    assert tessellation.limited_views == 1
+    assert tessellation.read_count() <= 256
+    check_conforming(read_triangles(resources, tessellation), len(field.heights))
     tessellator.destroy()
     resources.destroy()
 
@@ -189,9 +189,9 @@ def test_nothing_is_dispatched_while_the_camera_stands_still(null: rhi.Device) -
 
 def test_a_ground_out_of_view_has_as_few_triangles_as_is_asked_for() -> None:
     field, counts = make_hills(), list[int]()
-    for unseen in (1.0, 8.0, 64.0):
-        settings = TessellationSettings(2.0, unseen)
-        keys, _ = find_keys(field, view_field(np.eye(4), CAMERAS["random 0"], settings, HEIGHT))
+    for out_of_view_scale in (1.0, 8.0, 64.0):
+        settings = TessellationSettings(2.0, out_of_view_scale)
+        keys, _ = compute_keys(field, view_field(np.eye(4), CAMERAS["random 0"], settings, HEIGHT))
         triangles = decode(keys, len(field.heights))
         check_conforming(triangles, len(field.heights))
         counts.append(len(triangles))
@@ -217,8 +217,8 @@ def test_a_length_that_is_none_is_refused(edge_pixels: float) -> None:
     assert TessellationSettings(1e-3).edge_pixels == 1e-3
 
 
-@pytest.mark.parametrize("unseen", [0.99, float("nan"), float("inf")])
-def test_edges_out_of_view_that_are_shorter_than_those_in_view_are_refused(unseen: float) -> None:
+@pytest.mark.parametrize("out_of_view_scale", [0.99, float("nan"), float("inf")])
+def test_edges_out_of_view_that_are_shorter_than_those_in_view_are_refused(out_of_view_scale: float) -> None:
     with pytest.raises(ValidationError, match="tessellation-edge"):
-        TessellationSettings(unseen=unseen)
-    assert TessellationSettings(unseen=1.0).unseen == 1.0
+        TessellationSettings(out_of_view_scale=out_of_view_scale)
+    assert TessellationSettings(out_of_view_scale=1.0).out_of_view_scale == 1.0

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from renderer.scene import Camera, CameraPath
-from renderer.viewer.recording import CameraRecorder, CameraReplay
+from renderer.viewer.camera_recording import CameraRecorder, CameraReplay
 
 
 def turn(seconds: float) -> Camera:
-    place = np.array((np.sin(0.4 * seconds), 0.3, np.cos(0.4 * seconds)))
-    return Camera.look_at(place, (0.0, 0.0, 0.0))
+    position = np.array((np.sin(0.4 * seconds), 0.3, np.cos(0.4 * seconds)))
+    return Camera.look_at(position, (0.0, 0.0, 0.0))
 
 
 def record(rate: float, seconds: float = 2.0) -> CameraPath:

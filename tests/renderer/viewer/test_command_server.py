@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from renderer.viewer.server import ADDRESS, CommandServer
+from renderer.viewer.command_server import ADDRESS, CommandServer
 from rhi import DeviceError
 
 RAN: list[str] = []
@@ -22,28 +22,28 @@ def answer(line: str) -> tuple[str, bool]:
 @pytest.fixture
 def server() -> Iterator[CommandServer]:
     RAN.clear()
-    made = CommandServer(0, answer)
-    yield made
-    made.close()
+    command_server = CommandServer(0, answer)
+    yield command_server
+    command_server.close()
 
 
 @pytest.fixture
 def client(server: CommandServer) -> Iterator[socket.socket]:
-    with connect(server) as made:
-        yield made
+    with connect(server) as connection:
+        yield connection
 
 
 def connect(server: CommandServer, greeting: str | None = None) -> socket.socket:
     """Return a connection that has greeted, or one with other words, or with "" none."""
-    made = socket.create_connection((ADDRESS, server.port))
-    made.settimeout(5.0)
+    connection = socket.create_connection((ADDRESS, server.port))
+    connection.settimeout(5.0)
     server.poll()
     if greeting != "":
-        made.sendall(f"{server.greeting if greeting is None else greeting}\n".encode())
+        connection.sendall(f"{server.greeting if greeting is None else greeting}\n".encode())
         assert server.poll() == 0
         if greeting is None:
-            assert made.recv(9) == b"ok\n"
-    return made
+            assert connection.recv(9) == b"ok\n"
+    return connection
 
 
 def receive(client: socket.socket, lines: int) -> bytes:
@@ -113,8 +113,8 @@ def test_idle_connections_lock_nobody_out(server: CommandServer) -> None:
         client.sendall(b"pong\n")
         server.poll()
         assert client.recv(99) == b"ok PONG\n"
-    for one in (*idle, *more):
-        one.close()
+    for connection in (*idle, *more):
+        connection.close()
 
 
 def test_each_line_is_run_and_answered(server: CommandServer, client: socket.socket) -> None:
@@ -158,8 +158,8 @@ def test_of_nine_clients_the_one_that_was_silent_for_longest_makes_room(server: 
         client.sendall(b"time\n")
         server.poll()
         assert receive(client, 2 - bool(number)).endswith(b"ok TIME\n")
-    for one in (*clients, *strangers):
-        one.close()
+    for connection in (*clients, *strangers):
+        connection.close()
 
 
 def test_one_that_makes_room_may_be_about_to_speak(server: CommandServer) -> None:
@@ -168,8 +168,8 @@ def test_one_that_makes_room_may_be_about_to_speak(server: CommandServer) -> Non
     with socket.create_connection((ADDRESS, server.port)):
         server.poll()
         assert is_closed(idle[0])
-    for one in idle:
-        one.close()
+    for connection in idle:
+        connection.close()
 
 
 def test_it_listens_to_this_computer_only(server: CommandServer) -> None:

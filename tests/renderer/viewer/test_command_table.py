@@ -12,17 +12,17 @@ from rhi import RhiError, ValidationError
 
 
 @pytest.fixture
-def told() -> list[object]:
+def calls() -> list[object]:
     return []
 
 
 @pytest.fixture
-def table(told: list[object]) -> CommandTable:
+def table(calls: list[object]) -> CommandTable:
     def note(*values: object) -> str:
-        told.append(values)
+        calls.append(values)
         return "done"
 
-    colors = Parameter("COLOR", words=lambda: ("red", "green", "grey"), is_closed=True)
+    colors = Parameter("COLOR", words=lambda: ("red", "green", "grey"), is_exhaustive=True)
     count = Parameter("COUNT", int, is_optional=True)
     paint = ViewerCommand("paint", "paint it", note, (colors, count))
     return CommandTable([paint, ViewerCommand("pause", "stop", note)])
@@ -37,15 +37,15 @@ def table(told: list[object]) -> CommandTable:
         ("pause", ()),
     ],
 )
-def test_a_line_runs_its_command(table: CommandTable, told: list[object], line: str, values: tuple[object]) -> None:
+def test_a_line_runs_its_command(table: CommandTable, calls: list[object], line: str, values: tuple[object]) -> None:
     assert table.run(line) == "done"
-    assert told == [values]
+    assert calls == [values]
 
 
 @pytest.mark.parametrize("line", ["", "   ", "# a comment"])
-def test_an_empty_line_does_nothing(table: CommandTable, told: list[object], line: str) -> None:
+def test_an_empty_line_does_nothing(table: CommandTable, calls: list[object], line: str) -> None:
     assert table.run(line) == ""
-    assert told == []
+    assert calls == []
 
 
 @pytest.mark.parametrize(
@@ -61,14 +61,14 @@ def test_an_empty_line_does_nothing(table: CommandTable, told: list[object], lin
     ],
 )
 def test_a_fault_is_refused_in_a_line_and_runs_nothing(
-    table: CommandTable, told: list[object], line: str, rule: str, says: str
+    table: CommandTable, calls: list[object], line: str, rule: str, says: str
 ) -> None:
     with pytest.raises(ValidationError) as caught:
         table.run(line)
     assert caught.value.rule.id == rule
     assert says in rules.describe(caught.value)
     assert "\n" not in rules.describe(caught.value)
-    assert told == []
+    assert calls == []
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_a_fault_is_refused_in_a_line_and_runs_nothing(
         ("nothing ", []),
     ],
 )
-def test_completion_knows_the_words_of_the_place(table: CommandTable, line: str, words: list[str]) -> None:
+def test_completion_lists_the_words_of_the_parameter(table: CommandTable, line: str, words: list[str]) -> None:
     assert table.complete(line) == words
 
 

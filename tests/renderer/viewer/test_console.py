@@ -78,7 +78,7 @@ def test_escape_empties_the_line_and_then_closes(console: Console) -> None:
     assert not console.is_open
 
 
-def test_keys_that_mean_nothing_here_are_told(console: Console) -> None:
+def test_keys_that_mean_nothing_here_are_reported(console: Console) -> None:
     assert not console.press("F5")
     assert not console.press("a")
 
@@ -87,7 +87,7 @@ def test_a_long_life_keeps_few_lines(console: Console, ran: list[str]) -> None:
     for number in range(1000):
         console.insert(f"time {number}")
         press(console, "Enter")
-        console.say("so\nbe it")
+        console.show_message("so\nbe it")
     assert len(console.lines) == 200
     console.insert("x" * 5000)
     assert len(console.text) == 1000

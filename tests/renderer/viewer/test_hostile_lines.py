@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import find_fault
+from refusals import refused_message
 
 import rhi
 from renderer.content import load_scene
@@ -21,9 +21,9 @@ HUGE = "9" * 3000
 @pytest.fixture(scope="module")
 def viewer() -> Iterator[Viewer]:
     with rhi.create_device("null") as device:
-        made = Viewer(device, load_scene("grid:count=4"), size=(64, 36))
-        yield made
-        made.close()
+        opened = Viewer(device, load_scene("grid:count=4"), size=(64, 36))
+        yield opened
+        opened.close()
 
 
 @pytest.fixture(autouse=True)
@@ -48,7 +48,7 @@ FILES = ("list", "object", "zero", "nan", "bytes", "folder", "pipe", "large", "\
 def test_a_file_that_can_not_be_read_is_refused(viewer: Viewer, command: str, name: str) -> None:
     if (command, name) in (("script", "list"), ("script", "object"), ("script", "zero"), ("script", "nan")):
         return  # they are text, and their lines are refused later
-    assert find_fault(viewer.run, f"{command} '{name}.json'")
+    assert refused_message(viewer.run, f"{command} '{name}.json'")
     viewer.draw()
 
 
@@ -64,9 +64,9 @@ def test_a_file_that_can_not_be_read_is_refused(viewer: Viewer, command: str, na
     ],
 )  # fmt: skip
 def test_a_hostile_line_is_refused_and_changes_nothing(viewer: Viewer, line: str) -> None:
-    before = viewer.stage.camera
-    find_fault(viewer.run, line)
-    assert viewer.stage.camera is before or (viewer.stage.camera.position == before.position).all()
+    before = viewer.session.camera
+    refused_message(viewer.run, line)
+    assert viewer.session.camera is before or (viewer.session.camera.position == before.position).all()
     viewer.draw()
 
 
@@ -81,7 +81,7 @@ def test_large_numbers_that_can_be_drawn_are_taken(viewer: Viewer, line: str) ->
 def test_while_it_listens_commands_write_below_one_folder_only(
     viewer: Viewer, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(viewer.stage, "picture", lambda: np.zeros((4, 4, 4), np.uint8))  # the null device has none
+    monkeypatch.setattr(viewer.session, "screenshot", lambda: np.zeros((4, 4, 4), np.uint8))  # the null device has none
     outside = folder / "outside"
     inside = folder / "inside"
     for each in (outside, inside, inside / "b"):
@@ -90,11 +90,11 @@ def test_while_it_listens_commands_write_below_one_folder_only(
     assert not viewer.run(f"save settings {outside}/before.json")[1]
     viewer.listen(0, inside)
     for command, end in (("screenshot", "png"), ("save settings", "json"), ("record", "json")):
-        for place in (outside, "../outside", "link", "a/../../outside"):
-            assert str(inside) in find_fault(viewer.run, f"{command} {place}/evil.{end}")
+        for target in (outside, "../outside", "link", "a/../../outside"):
+            assert str(inside) in refused_message(viewer.run, f"{command} {target}/evil.{end}")
         for name in ("a", "b/c"):
-            said, is_error = viewer.run(f"{command} {name}.{end}")
-            assert not is_error, said
+            message, is_error = viewer.run(f"{command} {name}.{end}")
+            assert not is_error, message
             viewer.draw()
             if command == "record":
                 assert not viewer.run("record")[1]
@@ -102,7 +102,7 @@ def test_while_it_listens_commands_write_below_one_folder_only(
     assert not viewer.run("screenshot")[1]
     assert [path.name for path in outside.iterdir()] == ["before.json"]
     assert [path.name for path in folder.glob("*.png")] == []
-    viewer.stage.folder = None
+    viewer.session.folder = None
 
 
 def test_a_file_is_read_up_to_what_is_allowed(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What is saved while a viewer runs: shaders, scenes and settings are exchanged; what is wrong stays in the picture."""
+"""What is saved while a viewer runs: shaders, scenes and settings are exchanged; what is wrong stays in the image."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from PIL import Image
 
 pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
 
-from refusals import find_fault
+from refusals import refused_message
 
 import rhi
 from renderer.content import load_scene, save_scene
@@ -27,8 +27,8 @@ from renderer.content.shapes import box
 from renderer.frame import Blending, Frame
 from renderer.scene import Depth, SceneBuilder
 from renderer.settings import RenderSettings
-from renderer.viewer import Look, Viewer
-from renderer.viewer.showing import open_viewer
+from renderer.viewer import DisplaySettings, Viewer
+from renderer.viewer.viewer_screen import open_viewer
 from renderer.visibility import NoCulling
 from tests.renderer.conftest import open_device
 
@@ -52,7 +52,7 @@ _numbers = itertools.count()
 
 
 class CornerLayer:
-    """Draws the shader of a module over the picture, as a program does that has shaders of its own."""
+    """Draws the shader of a module over the image, as a program does that has shaders of its own."""
 
     def __init__(self, device: rhi.Device, module: Any) -> None:
         self._program: Any = device.program(module.Corner)
@@ -82,13 +82,13 @@ def settle(viewer: Viewer, done: Callable[[], object]) -> None:
         viewer.draw()
 
 
-def said(viewer: Viewer) -> list[str]:
+def console_lines(viewer: Viewer) -> list[str]:
     return [line for line, is_error in viewer.console.lines if is_error]
 
 
-def shown(viewer: Viewer) -> list[str]:
-    """The errors in the picture."""
-    return [line for line, is_error in viewer._interface.shown.notes if is_error]
+def fault_lines(viewer: Viewer) -> list[str]:
+    """The errors in the image."""
+    return [line for line, is_error in viewer._interface.state.notes if is_error]
 
 
 @pytest.fixture
@@ -105,20 +105,20 @@ def shaders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleT
 def viewer(null: rhi.Device) -> Iterator[Viewer]:
     """A viewer whose clock goes on by a minute a frame, so that what is only noted isn't seen any more."""
     times = itertools.count(0.0, 60.0)
-    made = Viewer(null, load_scene("grid:count=9"), size=SIZE, clock=lambda: next(times))
-    made.saved.watch(True)
-    yield made
-    made.close()
+    opened = Viewer(null, load_scene("grid:count=9"), size=SIZE, clock=lambda: next(times))
+    opened.file_reloader.watch(True)
+    yield opened
+    opened.close()
 
 
 @pytest.mark.parametrize("backend", ["gl", "cl"])
-def test_a_saved_shader_is_in_the_next_picture_and_a_faulty_one_isnt(backend: str, shaders: Any) -> None:
+def test_a_saved_shader_is_in_the_next_frame_and_a_faulty_one_isnt(backend: str, shaders: Any) -> None:
     path = Path(shaders.__file__)
     with open_device(backend) as device:
         viewer = Viewer(device, load_scene("grid:count=9"), size=SIZE)
         viewer._interface.is_hidden = True
-        viewer.stage.renderer.layers.append(CornerLayer(device, shaders))
-        viewer.saved.watch(True)
+        viewer.session.renderer.layers.append(CornerLayer(device, shaders))
+        viewer.file_reloader.watch(True)
 
         def red() -> int:
             return int(viewer.draw().read()[4, 4, 0])  # of sRGB
@@ -127,39 +127,39 @@ def test_a_saved_shader_is_in_the_next_picture_and_a_faulty_one_isnt(backend: st
         save(path, TEXT.replace("RED = 1.0", "RED = 0.2"))
         settle(viewer, lambda: red() == 124)
         save(path, TEXT.replace("vec4(RED", "vec4(RAD"))
-        settle(viewer, lambda: viewer.saved.faults)
+        settle(viewer, lambda: viewer.file_reloader.faults)
         assert red() == 124
         save(path, TEXT.replace("RED = 1.0", "RED = 0.4"))
         settle(viewer, lambda: red() == 170)
-        assert viewer.saved.faults == []
+        assert viewer.file_reloader.faults == []
         viewer.close()
 
 
-def test_a_faulty_shader_is_named_in_the_picture_for_as_long_as_it_is(viewer: Viewer, shaders: Any) -> None:
-    viewer.stage.renderer.layers.append(CornerLayer(viewer.stage.renderer.device, shaders))
+def test_a_faulty_shader_is_named_in_the_frame_for_as_long_as_it_is(viewer: Viewer, shaders: Any) -> None:
+    viewer.session.renderer.layers.append(CornerLayer(viewer.session.renderer.device, shaders))
     path = Path(shaders.__file__)
     viewer.draw()
     save(path, TEXT.replace("vec4(RED", "vec4(RAD"))
-    settle(viewer, lambda: viewer.saved.faults)
+    settle(viewer, lambda: viewer.file_reloader.faults)
     number = next(n for n, line in enumerate(TEXT.splitlines(), 1) if "vec4(RED" in line)
     for _ in range(3):
         viewer.draw()
-        assert any(f"{path}:{number}:" in line for line in shown(viewer))
-        assert any("return vec4(RAD, 0.0, 1.0, 1.0)" in line for line in shown(viewer))
-    assert any(f"{path}:{number}:" in line for line in said(viewer))
+        assert any(f"{path}:{number}:" in line for line in fault_lines(viewer))
+        assert any("return vec4(RAD, 0.0, 1.0, 1.0)" in line for line in fault_lines(viewer))
+    assert any(f"{path}:{number}:" in line for line in console_lines(viewer))
     save(path, TEXT.replace("RED = 1.0", "RED = 0.5"))
-    settle(viewer, lambda: not viewer.saved.faults)
+    settle(viewer, lambda: not viewer.file_reloader.faults)
     viewer.draw()
-    assert shown(viewer) == []
+    assert fault_lines(viewer) == []
 
 
 def test_carets_are_below_what_they_mark(viewer: Viewer, shaders: Any) -> None:
-    viewer.stage.renderer.layers.append(CornerLayer(viewer.stage.renderer.device, shaders))
+    viewer.session.renderer.layers.append(CornerLayer(viewer.session.renderer.device, shaders))
     viewer.draw()
     save(Path(shaders.__file__), TEXT.replace("vec4(RED", "vec4(RAD"))
-    settle(viewer, lambda: viewer.saved.faults)
+    settle(viewer, lambda: viewer.file_reloader.faults)
     viewer.draw()
-    lines, canvas = shown(viewer), viewer._interface._canvas
+    lines, canvas = fault_lines(viewer), viewer._interface._canvas
     number = next(n for n, line in enumerate(lines) if "^" in line)
     source, carets = lines[number - 1], lines[number]
     first, end = carets.index("^"), carets.rindex("^") + 1
@@ -169,16 +169,16 @@ def test_carets_are_below_what_they_mark(viewer: Viewer, shaders: Any) -> None:
 
 
 def test_a_shader_with_which_no_frame_can_be_drawn_is_put_back(viewer: Viewer, shaders: Any) -> None:
-    viewer.stage.renderer.layers.append(CornerLayer(viewer.stage.renderer.device, shaders))
+    viewer.session.renderer.layers.append(CornerLayer(viewer.session.renderer.device, shaders))
     viewer.draw()
     text = TEXT.replace("import Shader", "import Shader, Uniform").replace("vec4(RED", "vec4(self.more")
     save(Path(shaders.__file__), text.replace("    '''A", "    more: Uniform[float]\n    '''A"))
-    settle(viewer, lambda: viewer.saved.faults)
-    assert any("binding-missing" in line for line in said(viewer))
+    settle(viewer, lambda: viewer.file_reloader.faults)
+    assert any("binding-missing" in line for line in console_lines(viewer))
     assert shaders.Corner._declared == {}
     viewer.draw()
-    assert any("binding-missing" in line for line in shown(viewer))
-    assert len(viewer.stage.renderer.layers) == 2, "the frame was drawn as before"
+    assert any("binding-missing" in line for line in fault_lines(viewer))
+    assert len(viewer.session.renderer.layers) == 2, "the frame was drawn as before"
 
 
 def test_nothing_is_exchanged_after_reload_off(viewer: Viewer, shaders: Any) -> None:
@@ -196,7 +196,7 @@ def test_nothing_is_exchanged_after_reload_off(viewer: Viewer, shaders: Any) -> 
 
 def test_whoever_shows_the_viewer_is_woken_by_a_save(viewer: Viewer, shaders: Any) -> None:
     woken: list[bool] = []
-    viewer.saved.wake = lambda: woken.append(True)
+    viewer.file_reloader.wake = lambda: woken.append(True)
     viewer.draw()
     save(Path(shaders.__file__), TEXT + "# more")
     until = time.monotonic() + 20.0
@@ -232,28 +232,28 @@ def test_a_viewer_that_begins_with_a_faulty_shader_shows_the_last_good_one_and_t
         builder = SceneBuilder("painted")
         material = builder.add_material(shader=importlib.import_module("painted").Painted)
         builder.add_objects(builder.add_node(np.eye(4)), builder.add_mesh(box()), material)
-        made = open_viewer(builder.build(), "gl", canvas="offscreen", size=SIZE)
-        request.addfinalizer(made.close)
-        made.viewer.draw()
-        return made.viewer
+        viewer_screen = open_viewer(builder.build(), "gl", canvas="offscreen", size=SIZE)
+        request.addfinalizer(viewer_screen.close)
+        viewer_screen.viewer.draw()
+        return viewer_screen.viewer
 
     with pytest.raises(rhi.ShaderError):
         begin(MATERIAL.replace("0.5", "green"))
-    good = begin(MATERIAL).stage.picture()
+    good = begin(MATERIAL).session.screenshot()
     viewer = begin(MATERIAL.replace("0.5", "green"))
-    assert any(f"{tmp_path / 'painted.py'}:9:" in line for line in shown(viewer))
-    assert np.array_equal(viewer.stage.picture(), good)
+    assert any(f"{tmp_path / 'painted.py'}:9:" in line for line in fault_lines(viewer))
+    assert np.array_equal(viewer.session.screenshot(), good)
 
 
 def test_without_watchfiles_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "watchfiles", None)
-    made = open_viewer("grid:count=9", "null", canvas="offscreen", size=SIZE)
-    line, is_error = made.viewer.console.lines[-1]
+    viewer_screen = open_viewer("grid:count=9", "null", canvas="offscreen", size=SIZE)
+    line, is_error = viewer_screen.viewer.console.lines[-1]
     assert ("watchfiles is missing" in line, 'pip install "rhi[viewer]"' in line, is_error) == (True, True, False)
-    assert not made.viewer.saved.is_watching
-    assert made.viewer.run("reload on")[1]
-    made.viewer.draw()
-    made.close()
+    assert not viewer_screen.viewer.file_reloader.is_watching
+    assert viewer_screen.viewer.run("reload on")[1]
+    viewer_screen.viewer.draw()
+    viewer_screen.close()
 
 
 # -- scenes --------------------------------------------------------------------------------------------------------
@@ -265,7 +265,7 @@ def model(tmp_path: Path, null: rhi.Device) -> Iterator[tuple[Path, Viewer]]:
     save_scene(load_scene("grid:count=9"), path)
     times = itertools.count(0.0, 60.0)
     viewer = Viewer(null, load_scene(str(path)), size=SIZE, clock=lambda: next(times))
-    viewer.saved.watch(True)
+    viewer.file_reloader.watch(True)
     yield path, viewer
     viewer.close()
 
@@ -281,18 +281,22 @@ def paint(document: Any) -> None:
         material["pbrMetallicRoughness"]["baseColorFactor"] = [0.125, 0.25, 0.5, 1.0]
 
 
-def test_a_saved_material_is_seen_from_the_same_place(model: tuple[Path, Viewer]) -> None:
+def test_a_saved_material_is_seen_from_the_same_position(model: tuple[Path, Viewer]) -> None:
     path, viewer = model
     viewer.run("camera 1,2,9,0,0,0")
     viewer.run("technique deferred")
     viewer.draw()
     assert "m away" in viewer.run("pick")[0]
-    before, camera, device = viewer.stage.scene, viewer.stage.camera, viewer.stage.renderer.device
+    before, camera, device = viewer.session.scene, viewer.session.camera, viewer.session.renderer.device
     edit(path, paint)
-    settle(viewer, lambda: viewer.stage.scene is not before)
-    assert np.allclose(viewer.stage.scene.materials["base_color"][:, :3], (0.125, 0.25, 0.5))
-    assert np.array_equal(viewer.stage.camera.view, camera.view)
-    assert (viewer.stage.look.technique, viewer.stage.hit, viewer.stage.renderer.device) == ("deferred", None, device)
+    settle(viewer, lambda: viewer.session.scene is not before)
+    assert np.allclose(viewer.session.scene.materials["base_color"][:, :3], (0.125, 0.25, 0.5))
+    assert np.array_equal(viewer.session.camera.view, camera.view)
+    assert (viewer.session.display.technique, viewer.session.hit, viewer.session.renderer.device) == (
+        "deferred",
+        None,
+        device,
+    )
     viewer.draw()
     assert "m away" in viewer.run("pick")[0]
 
@@ -301,12 +305,12 @@ def test_a_scene_with_other_options_is_seen_from_here(model: tuple[Path, Viewer]
     viewer = model[1]
     for line in ("scene grid:count=9", "camera 1,2,9,0,0,0"):
         viewer.run(line)
-    camera = viewer.stage.camera.view.tolist()
+    camera = viewer.session.camera.view.tolist()
     assert viewer.run("scene lights=5,count=4")[0].startswith("grid:lights=5,mesh=torus,count=4,")
-    shown = viewer.stage.scene
-    assert (len(shown.objects.node), len(shown.lights.point)) == (4, 5)
+    scene = viewer.session.scene
+    assert (len(scene.objects.node), len(scene.lights.point)) == (4, 5)
     assert viewer.run("scene light=6")[1]
-    assert (viewer.stage.camera.view.tolist(), viewer.stage.scene) == (camera, shown)
+    assert (viewer.session.camera.view.tolist(), viewer.session.scene) == (camera, scene)
 
 
 @pytest.mark.parametrize(("scene", "count", "are"), [("grid", 4, 4), ("bazaar", 700, None), ("glass", 5, None)])
@@ -317,14 +321,16 @@ def test_lights_and_objects_are_counted_and_shown_in_other_numbers(
     viewer.run(f"scene {scene}:lights=3")
     if scene == "grid":
         viewer.run("camera field")
-    said, is_error = viewer.run("lights 12")
-    lights, before = viewer.stage.scene.lights, len(viewer.stage.scene.objects.node)
+    message, is_error = viewer.run("lights 12")
+    lights, before = viewer.session.scene.lights, len(viewer.session.scene.objects.node)
     assert (len(lights.point) + len(lights.spot), is_error) == (12, False)
-    assert said.startswith(f"{len(lights)} lights: {len(lights.directional)} directional, {len(lights.point)} point, ")
-    assert said.endswith("of the last two 12 reach what is in view") or scene != "grid"
-    assert viewer.run("lights") == (said, False)
+    assert message.startswith(
+        f"{len(lights)} lights: {len(lights.directional)} directional, {len(lights.point)} point, "
+    )
+    assert message.endswith("of the last two 12 reach what is in view") or scene != "grid"
+    assert viewer.run("lights") == (message, False)
     assert viewer.run(f"objects {count}")[1] is False
-    after = len(viewer.stage.scene.objects.node)
+    after = len(viewer.session.scene.objects.node)
     assert after != before
     assert after == (are or after)
     assert viewer.run("objects") == (f"{after} objects, {after} of them not hidden", False)
@@ -332,33 +338,33 @@ def test_lights_and_objects_are_counted_and_shown_in_other_numbers(
     assert viewer.run("lights")[0].endswith("of the last two 0 reach what is in view")
 
 
-def test_a_number_of_objects_is_refused_where_none_can_be_chosen(model: tuple[Path, Viewer]) -> None:
+def test_a_number_of_objects_is_refused_where_none_can_be_set(model: tuple[Path, Viewer]) -> None:
     viewer = model[1]
     viewer.run("scene hall")
-    shown = viewer.stage.scene
+    before = viewer.session.scene
     for line in ("objects 5", "objects -1", "lights x"):
         assert viewer.run(line)[1]
-    assert viewer.stage.scene is shown
+    assert viewer.session.scene is before
 
 
 def test_another_scene_is_seen_from_its_first_view_and_has_other_files(model: tuple[Path, Viewer]) -> None:
     path, viewer = model
     viewer.run("scene glass")
-    shown = viewer.stage.scene
-    assert np.array_equal(viewer.stage.camera.position, next(iter(shown.views.values())).position)
+    scene = viewer.session.scene
+    assert np.array_equal(viewer.session.camera.position, next(iter(scene.views.values())).position)
     edit(path, paint)
     for _ in range(20):
         time.sleep(0.01)
         viewer.draw()
-    assert viewer.stage.scene is shown
+    assert viewer.session.scene is scene
 
 
 def test_buffers_beside_a_scene_are_watched_too(model: tuple[Path, Viewer]) -> None:
     path, viewer = model
-    assert [one.name for one in viewer.stage.scene.files] == ["blocks.gltf", "blocks.bin"]
-    before, buffer = viewer.stage.scene, path.with_suffix(".bin")
+    assert [file.name for file in viewer.session.scene.files] == ["blocks.gltf", "blocks.bin"]
+    before, buffer = viewer.session.scene, path.with_suffix(".bin")
     buffer.write_bytes(buffer.read_bytes())
-    settle(viewer, lambda: viewer.stage.scene is not before)
+    settle(viewer, lambda: viewer.session.scene is not before)
 
 
 def test_a_missing_texture_is_seen_when_it_appears(model: tuple[Path, Viewer]) -> None:
@@ -370,14 +376,14 @@ def test_a_missing_texture_is_seen_when_it_appears(model: tuple[Path, Viewer]) -
         for number, material in enumerate(document["materials"]):
             material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": min(number, 1)}
 
-    before = viewer.stage.scene
+    before = viewer.session.scene
     edit(path, ask)
-    settle(viewer, lambda: viewer.stage.scene is not before)
-    bare = viewer.stage.scene
+    settle(viewer, lambda: viewer.session.scene is not before)
+    bare = viewer.session.scene
     assert len(bare.images) == 0
-    assert not viewer.saved.faults
+    assert not viewer.file_reloader.faults
     Image.new("RGB", (4, 4), (255, 128, 0)).save(path.with_name("late.png"))
-    settle(viewer, lambda: viewer.stage.scene is not bare and len(viewer.stage.scene.images))
+    settle(viewer, lambda: viewer.session.scene is not bare and len(viewer.session.scene.images))
     assert "read late.png again" in [line for line, _ in viewer.console.lines]
 
 
@@ -387,27 +393,27 @@ def test_a_scene_that_cannot_be_shown_leaves_the_old_one(
 ) -> None:
     path, viewer = model
     viewer.draw()
-    good, before = path.read_text(), viewer.stage.scene
+    good, before = path.read_text(), viewer.session.scene
     if fault == "syntax":
         save(path, good[:-9])
     else:
-        monkeypatch.setattr(viewer.stage, "_draw_aside", lambda renderer: 1 / 0)
+        monkeypatch.setattr(viewer.session, "_draw_offscreen", lambda renderer: 1 / 0)
         edit(path, paint)
-    settle(viewer, lambda: viewer.saved.faults)
-    assert viewer.stage.scene is before
+    settle(viewer, lambda: viewer.file_reloader.faults)
+    assert viewer.session.scene is before
     viewer.draw()
-    assert any({"syntax": "blocks.gltf", "device": "ZeroDivisionError"}[fault] in line for line in shown(viewer))
+    assert any({"syntax": "blocks.gltf", "device": "ZeroDivisionError"}[fault] in line for line in fault_lines(viewer))
     monkeypatch.undo()
     save(path, good)
-    settle(viewer, lambda: viewer.stage.scene is not before)
+    settle(viewer, lambda: viewer.session.scene is not before)
     viewer.draw()
-    assert shown(viewer) == []
+    assert fault_lines(viewer) == []
 
 
 def test_scenes_that_are_exchanged_leave_nothing_behind(model: tuple[Path, Viewer]) -> None:
     path, viewer = model
     viewer.draw()
-    stream = viewer.stage.renderer.device.stream
+    stream = viewer.session.renderer.device.stream
 
     def count() -> int:
         kinds = [command.op.name for command in stream]
@@ -416,8 +422,8 @@ def test_scenes_that_are_exchanged_leave_nothing_behind(model: tuple[Path, Viewe
     seen = []
     for number in range(3):
         edit(path, lambda document, n=number: document["materials"][0].update(name=f"material {n}"))
-        settle(viewer, lambda n=number + 1: viewer.saved._reloader.reloaded == n)
-        viewer.stage.renderer.device.finish()
+        settle(viewer, lambda n=number + 1: viewer.file_reloader._reloader.reloaded == n)
+        viewer.session.renderer.device.finish()
         seen.append(count())
     assert seen[1] == seen[2]
 
@@ -434,20 +440,20 @@ def test_settings_are_read_written_and_read_again_when_they_are_saved(viewer: Vi
     viewer.run("technique deferred")
     viewer.run("visibility none")
     assert viewer.run(f"save settings {path}") == (f"wrote {path}", False)
-    assert RenderSettings.load(path) == viewer.stage.look.settings
+    assert RenderSettings.load(path) == viewer.session.display.settings
     viewer.run("technique clustered")
     line, is_error = viewer.run(f"settings {path}")
     assert (line, is_error) == (f"read {path}: deferred, none", False)
     viewer.draw()
     changed = RenderSettings.load(path).change("technique.name", "light_pre_pass").change("depth", Depth.STANDARD)
     changed.change("textures.anisotropy", 4.0).save(path)
-    settle(viewer, lambda: viewer.stage.look.technique == "light_pre_pass")
+    settle(viewer, lambda: viewer.session.display.technique == "light_pre_pass")
     viewer.draw()
-    assert viewer.stage._seen_by.projection.depth is Depth.STANDARD
-    assert viewer.stage.renderer.technique.name == "light_pre_pass"
+    assert viewer.session._last_camera.projection.depth is Depth.STANDARD
+    assert viewer.session.renderer.technique.name == "light_pre_pass"
     path.write_text("{")
-    settle(viewer, lambda: viewer.saved.faults)
-    assert viewer.stage.look.technique == "light_pre_pass"
+    settle(viewer, lambda: viewer.file_reloader.faults)
+    assert viewer.session.display.technique == "light_pre_pass"
 
 
 @pytest.mark.parametrize(
@@ -464,8 +470,8 @@ def test_what_settings_refuses_changes_nothing(
     viewer: Viewer, line: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert says in find_fault(viewer.run, line)
-    assert viewer.stage.look == Look()
+    assert says in refused_message(viewer.run, line)
+    assert viewer.session.display == DisplaySettings()
     assert list(tmp_path.iterdir()) == []
 
 
@@ -479,11 +485,14 @@ def test_every_setting_reaches_the_renderer(null: rhi.Device, tmp_path: Path) ->
     )  # fmt: skip
     path = tmp_path / "settings.json"
     settings.save(path)
-    made = open_viewer("grid:count=9", "null", canvas="offscreen", size=SIZE, settings=path)
-    viewer, renderer = made.viewer, made.viewer.stage.renderer
+    viewer_screen = open_viewer("grid:count=9", "null", canvas="offscreen", size=SIZE, settings=path)
+    viewer, renderer = viewer_screen.viewer, viewer_screen.viewer.session.renderer
     viewer.draw()
-    assert viewer.stage.look.settings == settings
-    assert (renderer.shadows.settings, renderer.tessellator.settings) == (settings.shadows, settings.tessellation)
+    assert viewer.session.display.settings == settings
+    assert (renderer.shadows.settings, renderer.tessellator.settings) == (
+        settings.shadows,
+        settings.tessellation,
+    )
     assert (renderer.precision, type(renderer.visibility)) == (settings.precision, NoCulling)
-    assert viewer.stage._seen_by.projection.depth is Depth.STANDARD
-    made.close()
+    assert viewer.session._last_camera.projection.depth is Depth.STANDARD
+    viewer_screen.close()

@@ -1,4 +1,4 @@
-"""The widget in a notebook, in a browser without a display: it shows the picture, and is dragged and clicked.
+"""The widget in a notebook, in a browser without a display: it shows the image, and is dragged and clicked.
 
 It needs `pip install jupyterlab selenium` and `apt install chromium chromium-driver`.
 """
@@ -43,20 +43,20 @@ from renderer.viewer import Viewer
 
 def take(widget):
     '''Write what the viewer says after each event.'''
-    stage = next(each for each in gc.get_objects() if isinstance(each, Viewer)).stage
+    session = next(each for each in gc.get_objects() if isinstance(each, Viewer)).session
 
     def note(event):
         if event["event_type"] not in ("pointer_up", "key_down"):
             return
-        told = dict(kind=event["event_type"], forward=stage.camera.forward.tolist(), told=stage.told)
+        told = dict(kind=event["event_type"], forward=session.camera.forward.tolist(), told=session.hit_lines)
         with open("seen.jsonl", "a") as file:
-            print(json.dumps(told | dict(technique=stage.look.technique)), file=file)
+            print(json.dumps(told | dict(technique=session.display.technique)), file=file)
 
     widget.add_event_handler(note, "*", order=9)  # after the viewer
 """
 
 
-def find_port() -> int:
+def free_port() -> int:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return int(free.getsockname()[1])
@@ -89,7 +89,7 @@ def notebook(tmp_path: Path, backend: str) -> Iterator[str]:
     settings = tmp_path / "lab" / "@jupyterlab" / "apputils-extension"
     settings.mkdir(parents=True)
     (settings / "notification.jupyterlab-settings").write_text('{"fetchNews": "false"}')
-    port = find_port()
+    port = free_port()
     command = [
         sys.executable, "-m", "jupyterlab", "--no-browser", "--allow-root", f"--ServerApp.port={port}",
         "--ServerApp.port_retries=0", "--IdentityProvider.token=", f"--ServerApp.root_dir={tmp_path}",
@@ -118,17 +118,17 @@ def count_colors(widget: Any) -> int:
     return len(np.unique(look(widget).reshape(-1, 3), axis=0))
 
 
-def test_the_widget_is_dragged_clicked_and_told_by_keys(browser: Any, notebook: str, tmp_path: Path) -> None:
+def test_the_widget_is_controlled_by_drags_clicks_and_keys(browser: Any, notebook: str, tmp_path: Path) -> None:
     def seen(kind: str) -> list[Any]:
         path = tmp_path / "seen.jsonl"
         lines = path.read_text().splitlines() if path.exists() else []
-        return [one for one in map(json.loads, lines) if one["kind"] == kind]
+        return [event for event in map(json.loads, lines) if event["kind"] == kind]
 
-    def find_picture() -> Any:
+    def find_widget() -> Any:
         for button in browser.find_elements("css selector", ".jp-Dialog .jp-mod-accept"):
             button.click()  # asks for the kernel if that wasn't connected yet
-        found = browser.find_elements("css selector", ".jp-OutputArea-output img, .jp-OutputArea-output canvas")
-        return next((one for one in found if count_colors(one) > 500), None)  # before, it is plain
+        elements = browser.find_elements("css selector", ".jp-OutputArea-output img, .jp-OutputArea-output canvas")
+        return next((element for element in elements if count_colors(element) > 500), None)  # before, it is plain
 
     def click_cell() -> bool:
         cells = browser.find_elements("css selector", ".jp-Cell .cm-content")
@@ -142,22 +142,22 @@ def test_the_widget_is_dragged_clicked_and_told_by_keys(browser: Any, notebook: 
     webdriver.ActionChains(browser).key_down(webdriver.Keys.SHIFT).send_keys(webdriver.Keys.ENTER).key_up(
         webdriver.Keys.SHIFT
     ).perform()
-    picture = wait_for(find_picture, "the picture")
-    before = look(picture)
+    widget = wait_for(find_widget, "the image")
+    before = look(widget)
 
-    webdriver.ActionChains(browser).move_to_element(picture).click_and_hold().move_by_offset(120, 0).release().perform()
+    webdriver.ActionChains(browser).move_to_element(widget).click_and_hold().move_by_offset(120, 0).release().perform()
     dragged = wait_for(lambda: seen("pointer_up"), "the end of the drag")[-1]
-    wait_for(lambda: (look(picture) != before).mean() > 0.1, "another picture")
-    after = look(picture)
+    wait_for(lambda: (look(widget) != before).mean() > 0.1, "another image")
+    after = look(widget)
 
-    webdriver.ActionChains(browser).move_to_element_with_offset(picture, 0, 60).click().perform()
+    webdriver.ActionChains(browser).move_to_element_with_offset(widget, 0, 60).click().perform()
     clicked = wait_for(lambda: seen("pointer_up")[1:], "the click")[-1]
-    wait_for(lambda: (look(picture) != after).any(), "the outline of what was picked")
+    wait_for(lambda: (look(widget) != after).any(), "the outline of what was picked")
     assert clicked["forward"] == dragged["forward"]
     assert "m away" in clicked["told"][0]
 
     webdriver.ActionChains(browser).send_keys("t").perform()
-    wait_for(lambda: [one for one in seen("key_down") if one["technique"] != "forward"], "the key")
+    wait_for(lambda: [event for event in seen("key_down") if event["technique"] != "forward"], "the key")
     turned = np.degrees(np.arccos(np.clip(np.dot(dragged["forward"], clicked["forward"]), -1, 1)))
     assert turned < 0.1
     folder = os.environ.get("RHI_SCREENSHOTS")

@@ -1,4 +1,4 @@
-"""Picking: what a ray meets is what the picture shows."""
+"""Picking: what a ray meets is what the image shows."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import rhi
 from renderer.content import load_scene, parse_camera
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Orthographic, Perspective, Scene, SceneBuilder, TextureMap, make_geometry
-from renderer.viewer.picking import Hit, Ray, enter_boxes, find_hit, meet_triangles
-from renderer.viewer.reasons import explain_drawn
+from renderer.viewer.picking import Hit, Ray, find_hit, intersect_boxes, intersect_triangles
+from renderer.viewer.visibility_reasons import explain_visible
 from renderer.visibility import make_visibility
 
 SIZE = (96, 54)
 SQUARE = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
 UV = [(0, 1), (1, 1), (1, 0), (0, 0)]
-FRONT = Camera.look_at((0, 0, 5), (0, 0, 0), projection=Perspective(aspect=1.0))
+FRONT_CAMERA = Camera.look_at((0, 0, 5), (0, 0, 0), projection=Perspective(aspect=1.0))
 
 
 def pick(scene: Scene, camera: Camera, x: int, y: int, size: tuple[int, int] = (64, 64)) -> Hit | None:
@@ -33,9 +33,9 @@ def square(matrix: Any = None, **material: Any) -> Scene:
     return builder.build()
 
 
-@pytest.mark.parametrize("lens", [Perspective(aspect=1.0), Orthographic(5.0, 1.0, 0.1, 100.0)])
-def test_a_ray_goes_through_the_middle_of_its_pixel(lens: Any) -> None:
-    camera = Camera.look_at((1.0, 2.0, 3.0), (0.3, -0.2, 0.1), projection=lens)
+@pytest.mark.parametrize("projection", [Perspective(aspect=1.0), Orthographic(5.0, 1.0, 0.1, 100.0)])
+def test_a_ray_goes_through_the_middle_of_its_pixel(projection: Any) -> None:
+    camera = Camera.look_at((1.0, 2.0, 3.0), (0.3, -0.2, 0.1), projection=projection)
     ray = Ray.through(camera, (64, 64), 10, 50)
     for distance in (0.0, 7.0):
         clip = camera.view_projection @ np.append(ray.origin + distance * ray.direction, 1.0)
@@ -43,9 +43,9 @@ def test_a_ray_goes_through_the_middle_of_its_pixel(lens: Any) -> None:
 
 
 def test_the_distance_is_from_the_eye() -> None:
-    hit = pick(square(), FRONT, 32, 32)
+    hit = pick(square(), FRONT_CAMERA, 32, 32)
     assert hit is not None
-    assert hit.distance == pytest.approx(np.linalg.norm(hit.point - FRONT.position))
+    assert hit.distance == pytest.approx(np.linalg.norm(hit.point - FRONT_CAMERA.position))
     assert hit.point[2] == pytest.approx(0.0, abs=1e-12)
 
 
@@ -53,12 +53,12 @@ def test_a_triangle_without_an_area_is_not_met() -> None:
     """Its weights are infinite or not numbers, which NumPy must not warn of."""
     line, triangle = [(0, 0, 0), (0, 1, 0), (0, 2, 0)], [(-1, -1, 0), (1, -1, 0), (0, 1, 0)]
     corners = np.array([line, [(0.1, 0, 0)] * 3, [(1, 0, 0), (1, -1, 0.5), (1, -0.3, 1)], triangle], float)
-    distances, _ = meet_triangles(np.array([0.0, 0.0, 3.0]), np.array([0.0, 0.0, -1.0]), corners, both_sides=True)
+    distances, _ = intersect_triangles(np.array([0.0, 0.0, 3.0]), np.array([0.0, 0.0, -1.0]), corners, both_sides=True)
     assert distances.tolist() == [np.inf, np.inf, np.inf, 3.0]
 
 
 def test_beside_the_object_there_is_nothing() -> None:
-    assert pick(square(), FRONT, 0, 0) is None
+    assert pick(square(), FRONT_CAMERA, 0, 0) is None
 
 
 @pytest.mark.parametrize(("sides", "is_met"), [(False, False), (True, True)])
@@ -70,7 +70,7 @@ def test_a_back_is_met_only_if_it_is_drawn(sides: bool, is_met: bool) -> None:
 @pytest.mark.parametrize("flip", [(-1.0, 1.0, 1.0), (1.0, 1.0, -1.0)])
 def test_a_mirrored_object_keeps_its_front(flip: tuple[float, ...]) -> None:
     """Its outside stays outside: mirrored along z, the front of the square looks away."""
-    seen = pick(square(np.diag((*flip, 1.0))), FRONT, 32, 32) is not None
+    seen = pick(square(np.diag((*flip, 1.0))), FRONT_CAMERA, 32, 32) is not None
     assert seen is (flip[2] > 0.0)
 
 
@@ -82,7 +82,7 @@ def test_a_hole_of_a_mask_is_passed(x: int, is_met: bool) -> None:
     mesh = builder.add_mesh(make_geometry(SQUARE, [0, 1, 2, 0, 2, 3], uv=UV))
     image = TextureMap(builder.add_image(texels))
     builder.add_objects(builder.add_node(), mesh, builder.add_material(texture=image, alpha_mode=1, alpha_cutoff=0.5))
-    assert (pick(builder.build(), FRONT, x, 32) is not None) is is_met
+    assert (pick(builder.build(), FRONT_CAMERA, x, 32) is not None) is is_met
 
 
 def test_the_nearest_of_two_is_met_whatever_their_boxes() -> None:
@@ -93,14 +93,14 @@ def test_the_nearest_of_two_is_met_whatever_their_boxes() -> None:
     plain = make_geometry(SQUARE, [0, 1, 2, 0, 2, 3])
     builder.add_objects(builder.add_node(), builder.add_mesh(tilted), material)
     builder.add_objects(builder.add_node(), builder.add_mesh(plain), material)
-    hit = pick(builder.build(), FRONT, 36, 28)
+    hit = pick(builder.build(), FRONT_CAMERA, 36, 28)
     assert hit is not None
-    assert (hit.row, hit.corners[:, 2].tolist()) == (1, [0, 0, 0])
+    assert (hit.object_index, hit.corners[:, 2].tolist()) == (1, [0, 0, 0])
 
 
-def test_what_is_nearer_or_farther_than_the_lens_sees_is_not_met() -> None:
-    near = FRONT.with_projection(Perspective(aspect=1.0, near=6.0))
-    far = FRONT.with_projection(Perspective(aspect=1.0, far=4.0))
+def test_what_is_beyond_the_near_and_far_planes_is_not_met() -> None:
+    near = FRONT_CAMERA.with_projection(Perspective(aspect=1.0, near=6.0))
+    far = FRONT_CAMERA.with_projection(Perspective(aspect=1.0, far=4.0))
     assert pick(square(), near, 32, 32) is None
     assert pick(square(), far, 32, 32) is None
 
@@ -109,14 +109,14 @@ def test_boxes_are_entered_where_a_ray_is_parallel_to_their_sides() -> None:
     ray = Ray(np.array((0.0, 0.0, 5.0)), np.array((0.0, 0.0, -1.0)), np.inf, 0.0)
     lower = np.array([(-1, -1, -1), (1, 0, 0), (0, 0, 0), (-1, -1, 4), (-1, -1, 6)], float)
     upper = np.array([(1, 1, 1), (2, 1, 1), (1, 1, 1), (1, 1, 6), (1, 1, 7)], float)
-    assert enter_boxes(ray, lower, upper).tolist() == [4, np.inf, 4, 0, np.inf]
+    assert intersect_boxes(ray, lower, upper).tolist() == [4, np.inf, 4, 0, np.inf]
 
 
 def test_a_ray_beside_a_triangle_in_its_own_plane_misses_it() -> None:
     """Without a warning, too: its weights are infinities of both signs."""
     triangle = np.array([[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)]])
     origin, direction = np.array([(0.0, 1.0, 0.0), (1.0, 0.0, -1.0)])
-    distances, weights = meet_triangles(origin, direction, triangle, both_sides=True)
+    distances, weights = intersect_triangles(origin, direction, triangle, both_sides=True)
     assert sorted(weights[0]) == [-np.inf, np.inf]
     assert distances.tolist() == [np.inf]
 
@@ -128,7 +128,7 @@ def test_no_ray_passes_between_two_triangles() -> None:
         middle = a + rng.uniform() * (c - a)  # on the shared edge
         origin = rng.normal(size=3) * 10
         pair = np.stack([(a, b, c), (a, c, d)])
-        distances, _ = meet_triangles(origin, middle - origin, pair, both_sides=True)
+        distances, _ = intersect_triangles(origin, middle - origin, pair, both_sides=True)
         assert np.isfinite(distances).any()
 
 
@@ -137,7 +137,7 @@ def city() -> Scene:
     return load_scene("city:blocks=3")
 
 
-def test_every_pixel_is_as_far_as_the_picture_says(drawing_device: rhi.Device, city: Scene) -> None:
+def test_every_pixel_is_as_far_as_the_depth_image_says(drawing_device: rhi.Device, city: Scene) -> None:
     """Except where an edge passes nearer to the middle of a pixel than a rasteriser's grid."""
     camera = parse_camera("roofs", city).with_aspect(SIZE[0] / SIZE[1])
     visibility = make_visibility("frustum", city, drawing_device)
@@ -162,22 +162,22 @@ def test_every_pixel_is_as_far_as_the_picture_says(drawing_device: rhi.Device, c
 def test_a_simulated_object_is_met_where_it_is_drawn() -> None:
     hall = load_scene("hall:fountains=1")
     simulator = hall.make_simulator()
-    row = next(row for row in hall.objects.simulated_rows.tolist() if simulator.find_vertices(row) is not None)
+    row = next(row for row in hall.objects.simulated_indices.tolist() if simulator.read_vertices(row) is not None)
     part = hall.meshes.ranges[hall.objects.mesh[row]]
     corners = hall.meshes.indices[part["first_index"] :][: part["index_count"]][60:63]
     world = hall.nodes.world[hall.objects.node[row]]
-    places = []
+    centres = []
     for step in range(60):
         simulator.begin_frame(step / 60)
         simulator.advance(np.array([row]))
-        vertices = simulator.find_vertices(row)
+        vertices = simulator.read_vertices(row)
         assert vertices is not None
         points = vertices["position"][corners] @ world[:3, :3].T + world[:3, 3]
-        places.append(points.mean(axis=0))
-    assert np.linalg.norm(places[-1] - places[0]) > 0.01
+        centres.append(points.mean(axis=0))
+    assert np.linalg.norm(centres[-1] - centres[0]) > 0.01
     normal = np.cross(*np.diff(points, axis=0))
     normal /= np.linalg.norm(normal)
-    hit = find_hit(hall, simulator, Ray(places[-1] + 1e-3 * normal, -normal, np.inf, 0.0), np.array([row]))
+    hit = find_hit(hall, simulator, Ray(centres[-1] + 1e-3 * normal, -normal, np.inf, 0.0), np.array([row]))
     assert hit is not None
     assert (hit.triangle, hit.distance) == (20, pytest.approx(1e-3, rel=1e-3))
 
@@ -187,14 +187,14 @@ def test_the_algorithm_says_why_an_object_is_drawn(null: rhi.Device, city: Scene
     camera = parse_camera("above", city).with_aspect(1.0)
     algorithm = make_visibility(name, city, null)
     small = int(np.argmin(np.linalg.norm(0.5 * (city.objects.lower + city.objects.upper) - 0.0, axis=1)))
-    assert explain_drawn(algorithm, city, camera, small) == says
+    assert explain_visible(algorithm, city, camera, small) == says
 
 
 def test_an_object_at_the_edge_of_the_view_is_said_to_cross_it(null: rhi.Device, city: Scene) -> None:
     plain = int(np.argmax(np.prod((city.objects.upper - city.objects.lower)[:, ::2], axis=1)))
     camera = parse_camera("above", city).with_aspect(1.0)
-    said = explain_drawn(make_visibility("frustum", city, null), city, camera, plain)
-    assert said == "its box is across the edge of the view"
+    explanation = explain_visible(make_visibility("frustum", city, null), city, camera, plain)
+    assert explanation == "its box is across the edge of the view"
 
 
 def test_a_walk_of_nodes_says_what_became_of_the_object_s_node(drawing_device: rhi.Device, city: Scene) -> None:
@@ -204,6 +204,9 @@ def test_a_walk_of_nodes_says_what_became_of_the_object_s_node(drawing_device: r
         for _ in range(3):
             result = renderer.render(camera)
             result.image.read()
-        said = {explain_drawn(algorithm, city, camera, int(row)).partition("; ")[2] for row in result.visible}
+        explanations = {explain_visible(algorithm, city, camera, int(row)).partition("; ")[2] for row in result.visible}
     algorithm.destroy()
-    assert said & {"a query found something in its node visible", "its node was taken as visible without a query"}
+    assert explanations & {
+        "a query found something in its node visible",
+        "its node was taken as visible without a query",
+    }

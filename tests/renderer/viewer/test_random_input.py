@@ -18,10 +18,10 @@ from renderer.content import load_scene
 from renderer.techniques.inspection import INSPECTIONS
 from renderer.viewer import Viewer
 from renderer.viewer.commands import NEXT
-from renderer.viewer.keys import KEYS
-from renderer.viewer.look import LIT, PLAIN
-from rhi.backends.cl.raster.draw_lists import DrawListCache
-from rhi_screen.gestures import HELD
+from renderer.viewer.display_settings import LIT_IMAGE, PLAIN
+from renderer.viewer.key_bindings import KEY_BINDINGS
+from rhi.backends.cl.raster.draw_list_cache import DrawListCache
+from rhi_screen.gestures import MOVEMENT_KEYS
 from tests.renderer.conftest import open_device
 
 Events = Iterator[dict[str, Any]]
@@ -74,7 +74,9 @@ class RandomUser:
         self.choose(self._press, self._press, self._point, self._point, self._wheel, self._say, self._type)()
 
     def _press(self) -> None:
-        key = self.choose(*[key for key in KEYS if key != "F12"], *HELD, *"123456789", *CONSOLE, "Shift", "F7", "ß")
+        key = self.choose(
+            *[key for key in KEY_BINDINGS if key != "F12"], *MOVEMENT_KEYS, *"123456789", *CONSOLE, "Shift", "F7", "ß"
+        )
         modifiers = self.choose((), (), (), ("Shift",), ("Control",))
         for kind in self.choose(("key_down", "key_up"), ("key_down",), ("key_up",)):
             self._viewer.handle({"event_type": kind, "key": key, "modifiers": modifiers})
@@ -85,9 +87,9 @@ class RandomUser:
         for kind in self.choose(("pointer_down", "pointer_move"), ("pointer_move",), ("pointer_up", "pointer_leave")):
             x, y = self._rng.uniform(-20, 90, 2).tolist()
             touches = {n: dict(zip("xy", self._rng.uniform(0, 60, 2).tolist(), strict=True)) for n in range(fingers)}
-            held = (button,) if button and kind != "pointer_up" else ()
+            buttons = (button,) if button and kind != "pointer_up" else ()
             self._viewer.handle(
-                {"event_type": kind, "x": x, "y": y, "button": button, "buttons": held, "modifiers": (),
+                {"event_type": kind, "x": x, "y": y, "button": button, "buttons": buttons, "modifiers": (),
                  "touches": touches}
             )  # fmt: skip
 
@@ -99,10 +101,10 @@ class RandomUser:
         name = self.choose(*self.names)
         command, line = self._viewer.commands[name], [name]
         for number in range(int(self._rng.integers(0, 3))):
-            known = self._viewer.commands.complete(" ".join([*line, ""]))
+            completions = self._viewer.commands.complete(" ".join([*line, ""]))
             if number < len(command.parameters) and command.parameters[number].name.startswith("FILE"):
-                known = list(FILES)
-            line.append(self.choose(*(known or WORDS)) if self._rng.random() < 0.7 else self.choose(*WORDS))
+                completions = list(FILES)
+            line.append(self.choose(*(completions or WORDS)) if self._rng.random() < 0.7 else self.choose(*WORDS))
         _, is_error = self._viewer.run(" ".join(line))
         if not is_error:
             self.obeyed.add(name)
@@ -118,20 +120,22 @@ class Coverage:
     def __init__(self, viewer: Viewer) -> None:
         self._viewer = viewer
         self._drawn: set[tuple[str, str]] = set()
-        known = {(name, word) for name in SWITCHES for word in viewer.commands.complete(f"{name} ")}
-        self._known = {one for one in known if one[1] != NEXT} | {("show", name) for name in (LIT, *INSPECTIONS)}
+        choices = {(name, word) for name in SWITCHES for word in viewer.commands.complete(f"{name} ")}
+        self._choices = {choice for choice in choices if choice[1] != NEXT} | {
+            ("show", name) for name in (LIT_IMAGE, *INSPECTIONS)
+        }
 
     def note(self) -> None:
         """Note how the latest frame was drawn."""
-        look = self._viewer.stage.look
+        display = self._viewer.session.display
         for name in (*SWITCHES, "show"):
-            value = getattr(look, name)
+            value = getattr(display, name)
             self._drawn.add((name, "on" if value is True else str(value or "off")))
 
     @property
     def missed(self) -> set[tuple[str, str]]:
         """The states that no frame was drawn in."""
-        return self._known - self._drawn
+        return self._choices - self._drawn
 
 
 def play(
@@ -163,18 +167,18 @@ def settle(viewer: Viewer) -> None:
     if viewer.console.is_open:
         viewer.run("console")
     viewer.handle({"event_type": "pointer_leave"})
-    viewer.stage.end_recording()
-    viewer.stage.change(
+    viewer.session.end_recording()
+    viewer.session.change(
         settings=PLAIN, show="image", stereo=None, overlay=False, particles=False, grid=False, shadows="scene"
     )
     for line in ("reload off", "clear", "camera overview", "drive fly", *["time 0"] * 200):
         viewer.run(line)
-    for key in HELD:
+    for key in MOVEMENT_KEYS:
         viewer.handle({"event_type": "key_up", "key": key, "modifiers": ()})
     viewer.resize(SIZES[0])
 
 
-class Kept(NamedTuple):
+class LiveResources(NamedTuple):
     """What there is between two frames.
 
     Attributes:
@@ -187,13 +191,13 @@ class Kept(NamedTuple):
     resources: int
 
 
-def count_kept(device: rhi.Device) -> Kept:
+def count_live_resources(device: rhi.Device) -> LiveResources:
     rasteriser = getattr(device._core.backend, "_rasteriser", None)
     if rasteriser is not None:
         rasteriser.draws._lists = DrawListCache(rasteriser._prepared)
     gc.collect()
-    resources = sum(isinstance(one, (rhi.Texture, rhi.Buffer, rhi.Mesh)) for one in gc.get_objects())
-    return Kept(len(list(device._programs.items())), sys.getallocatedblocks(), resources)
+    resources = sum(isinstance(resource, (rhi.Texture, rhi.Buffer, rhi.Mesh)) for resource in gc.get_objects())
+    return LiveResources(len(list(device._programs.items())), sys.getallocatedblocks(), resources)
 
 
 @pytest.mark.parametrize("seed", [1])
@@ -202,7 +206,7 @@ def test_random_input_ends_nothing(seed: int, tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr("renderer.viewer.commands.list_algorithms", lambda device: ["none", "frustum", "auto"])
     with rhi.create_device("null", record=False) as device:
         viewer, *_ = play(device, "grid:count=9,lights=3", 500, seed, lambda: None)
-        assert viewer.stage.counter.frames == 500 + 20 * 8
+        assert viewer.session.counter.frames == 500 + 20 * 8
         viewer.close()
 
 
@@ -214,9 +218,9 @@ def test_ten_thousand_frames_of_random_input_keep_no_frame(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("RHI_KERNELS", "quick")  # optimising those of all techniques takes longer than the frames
     monkeypatch.setattr(sys.modules[__name__], "QUIET", QUIET | {"set", "capture"})  # new programs, and further frames
-    seen: list[Kept] = []
+    seen: list[LiveResources] = []
     with open_device(backend, record=False) as device:
-        viewer, user, coverage = play(device, SCENE, 10_000, 2, lambda: seen.append(count_kept(device)))
+        viewer, user, coverage = play(device, SCENE, 10_000, 2, lambda: seen.append(count_live_resources(device)))
         viewer.close()
     assert set(user.names) - user.obeyed == ({"screenshot"} if backend == "null" else set())
     assert not coverage.missed

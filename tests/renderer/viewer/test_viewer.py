@@ -1,4 +1,4 @@
-"""The viewer: events in, pictures out, with a clock that the tests set."""
+"""The viewer: events in, images out, with a clock that the tests set."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from frames import list_owned
 from gltf_documents import GltfDocument
-from refusals import find_fault
+from refusals import refused_message
 
 import rhi
 from renderer.content import load_scene, parse_camera
@@ -20,9 +20,9 @@ from renderer.renderer import Renderer
 from renderer.scene import CameraPath, Scene
 from renderer.stereo import OUTPUTS
 from renderer.techniques import TECHNIQUES, AutoTechnique
-from renderer.viewer import Look, Viewer
-from renderer.viewer.keys import KEYS, list_cameras
-from renderer.viewer.stage import find_speed
+from renderer.viewer import DisplaySettings, Viewer
+from renderer.viewer.key_bindings import KEY_BINDINGS, list_cameras
+from renderer.viewer.session import suitable_speed
 
 SIZE = (64, 48)
 FRAME = 1.0 / 60.0
@@ -50,9 +50,9 @@ def clock() -> Clock:
 
 @pytest.fixture
 def viewer(null: rhi.Device, scene: Scene, clock: Clock) -> Iterator[Viewer]:
-    made = Viewer(null, scene, size=SIZE, clock=clock)
-    yield made
-    made.close()
+    opened = Viewer(null, scene, size=SIZE, clock=clock)
+    yield opened
+    opened.close()
 
 
 Draw = Callable[..., None]
@@ -82,10 +82,10 @@ def drag(viewer: Viewer, x: float, y: float) -> None:
     viewer.handle(event | {"event_type": "pointer_up", "x": 10 + x, "y": 10 + y, "buttons": ()})
 
 
-# -- input and picture ---------------------------------------------------------------------------------------------
+# -- input and image ---------------------------------------------------------------------------------------------
 
 
-def test_an_event_is_in_the_picture_of_the_next_frame(viewer: Viewer, draw: Draw) -> None:
+def test_an_event_is_in_the_next_frame(viewer: Viewer, draw: Draw) -> None:
     with patch.object(Renderer, "render", autospec=True, side_effect=Renderer.render) as render:
         draw(2)
         drag(viewer, 20, 0)
@@ -97,56 +97,56 @@ def test_an_event_is_in_the_picture_of_the_next_frame(viewer: Viewer, draw: Draw
 
 
 def test_a_held_key_moves_until_it_is_released(viewer: Viewer, draw: Draw) -> None:
-    before = viewer.stage.camera.position
+    before = viewer.session.camera.position
     press(viewer, "w", hold=True)
     assert viewer.is_moving
     draw(30)
-    there = viewer.stage.camera.position
-    assert (there - before) @ viewer.stage.camera.forward > 0.0
+    there = viewer.session.camera.position
+    assert (there - before) @ viewer.session.camera.forward > 0.0
     viewer.handle({"event_type": "key_up", "key": "w", "modifiers": ()})
     draw(90)
     assert not viewer.is_moving
-    assert np.linalg.norm(viewer.stage.camera.position - there) < np.linalg.norm(there - before)
+    assert np.linalg.norm(viewer.session.camera.position - there) < np.linalg.norm(there - before)
 
 
 def test_a_pause_without_frames_moves_nothing(viewer: Viewer, draw: Draw, clock: Clock) -> None:
     draw()
-    before = viewer.stage.camera.position
+    before = viewer.session.camera.position
     clock.time += 100.0
     press(viewer, "w", hold=True)
     draw()
-    assert np.linalg.norm(viewer.stage.camera.position - before) < viewer.stage.controller.speed * FRAME
+    assert np.linalg.norm(viewer.session.camera.position - before) < viewer.session.controller.speed * FRAME
 
 
 def test_a_frame_that_takes_long_moves_no_farther_than_a_quarter_of_a_second(
     viewer: Viewer, draw: Draw, clock: Clock
 ) -> None:
     press(viewer, "w", hold=True)
-    before = viewer.stage.camera.position
+    before = viewer.session.camera.position
     clock.time += 100.0
     draw()
-    assert np.linalg.norm(viewer.stage.camera.position - before) < 0.25 * viewer.stage.controller.speed
+    assert np.linalg.norm(viewer.session.camera.position - before) < 0.25 * viewer.session.controller.speed
 
 
 @pytest.mark.parametrize("number", range(3))
 def test_number_keys_go_to_the_scene_s_cameras(viewer: Viewer, draw: Draw, number: int) -> None:
     drag(viewer, 20, 5)
-    name = list_cameras(viewer.stage.scene)[number].partition(" ")[2]
+    name = list_cameras(viewer.session.scene)[number].partition(" ")[2]
     press(viewer, str(number + 1))
     draw()
-    wanted = parse_camera(name, viewer.stage.scene, 1)  # of a path: the frame after the first 60th of a second
-    assert np.allclose(viewer.stage.camera.position, wanted.position, atol=1e-9)
+    expected = parse_camera(name, viewer.session.scene, 1)  # of a path: the frame after the first 60th of a second
+    assert np.allclose(viewer.session.camera.position, expected.position, atol=1e-9)
 
 
 def test_a_path_is_shown_in_real_time_until_the_camera_is_moved(viewer: Viewer, draw: Draw) -> None:
-    path = viewer.stage.scene.paths["ground"]
+    path = viewer.session.scene.paths["ground"]
     viewer.run("play ground")
     draw(120)
-    assert viewer.stage.replay is not None
-    assert np.allclose(viewer.stage.camera.position, path.camera(120).position, atol=1e-6)
+    assert viewer.session.replay is not None
+    assert np.allclose(viewer.session.camera.position, path.camera(120).position, atol=1e-6)
     press(viewer, "s", hold=True)
-    assert viewer.stage.replay is None
-    assert np.allclose(viewer.stage.camera.position, path.camera(120).position, atol=1e-6)
+    assert viewer.session.replay is None
+    assert np.allclose(viewer.session.camera.position, path.camera(120).position, atol=1e-6)
 
 
 def test_the_size_of_the_next_frame_is_that_of_the_canvas(viewer: Viewer) -> None:
@@ -159,16 +159,16 @@ def test_the_size_of_the_next_frame_is_that_of_the_canvas(viewer: Viewer) -> Non
 
 def test_every_key_runs_a_command_that_there_is(viewer: Viewer) -> None:
     names = {command.name for command in viewer.commands}
-    assert {line.split()[0] for line, _ in KEYS.values()} <= names
-    assert {line.split()[0] for line in list_cameras(viewer.stage.scene)} <= names
+    assert {line.split()[0] for line, _ in KEY_BINDINGS.values()} <= names
+    assert {line.split()[0] for line in list_cameras(viewer.session.scene)} <= names
 
 
 @pytest.mark.parametrize("name", [AutoTechnique.name, *TECHNIQUES])
 def test_every_technique_can_be_chosen(viewer: Viewer, draw: Draw, name: str) -> None:
-    said, is_error = viewer.run(f"technique {name}")
+    message, is_error = viewer.run(f"technique {name}")
     draw(2)
-    assert (viewer.stage.look.technique, is_error, said) == (name, False, f"technique {name}")
-    assert viewer.stage.renderer.technique.name == name
+    assert (viewer.session.display.technique, is_error, message) == (name, False, f"technique {name}")
+    assert viewer.session.renderer.technique.name == name
 
 
 @pytest.mark.parametrize("key", ["technique", "visibility", "show", "shadows", "blending", "stereo", "samples"])
@@ -177,13 +177,13 @@ def test_next_goes_round_through_all_choices(
 ) -> None:
     monkeypatch.setattr("renderer.viewer.commands.list_algorithms", lambda device: ["none", "frustum"])  # others build
     viewer.run("technique forward")
-    begin = getattr(viewer.stage.look, key)
+    begin = getattr(viewer.session.display, key)
     seen = []
     for _ in range(40):
-        said, is_error = viewer.run(f"{key} next")
-        assert not is_error, said
+        message, is_error = viewer.run(f"{key} next")
+        assert not is_error, message
         draw()
-        seen.append(getattr(viewer.stage.look, key))
+        seen.append(getattr(viewer.session.display, key))
         if seen[-1] == begin:
             break
     assert seen[-1] == begin
@@ -197,21 +197,21 @@ def test_a_switch_turns_on_and_off(viewer: Viewer, draw: Draw, key: str) -> None
     for line, on in ((key, True), (key, False), (f"{key} on", True), (f"{key} on", True), (f"{key} off", False)):
         assert viewer.run(line) == (f"{key} {'on' if on else 'off'}", False)
         draw()
-        assert getattr(viewer.stage.look, key) is on
+        assert getattr(viewer.session.display, key) is on
 
 
 def test_shadows_are_those_of_the_scene_again(null: rhi.Device, clock: Clock) -> None:
     city = load_scene("city:blocks=3")
     city.lights.directional["casts_shadow"] = True
-    made = Viewer(null, city, size=SIZE, clock=clock)
+    viewer = Viewer(null, city, size=SIZE, clock=clock)
     casts = [city.lights.directional["casts_shadow"].tolist(), city.lights.point["casts_shadow"].tolist()]
-    for word, wanted in (("off", 0), ("all", 1)):
-        made.run(f"shadows {word}")
-        assert city.lights.directional["casts_shadow"].tolist() == [wanted]
-        assert set(city.lights.point["casts_shadow"].tolist()) <= {bool(wanted)}
-    made.run("shadows scene")
+    for word, expected in (("off", 0), ("all", 1)):
+        viewer.run(f"shadows {word}")
+        assert city.lights.directional["casts_shadow"].tolist() == [expected]
+        assert set(city.lights.point["casts_shadow"].tolist()) <= {bool(expected)}
+    viewer.run("shadows scene")
     assert [city.lights.directional["casts_shadow"].tolist(), city.lights.point["casts_shadow"].tolist()] == casts
-    made.close()
+    viewer.close()
 
 
 @pytest.mark.parametrize(
@@ -228,7 +228,7 @@ def test_shadows_are_those_of_the_scene_again(null: rhi.Device, clock: Clock) ->
         ("play", "no recording"),
         ("play missing.json", "No such file"),
         ("script missing.txt", "No such file"),
-        ("screenshot x.png", "viewer-no-picture"),
+        ("screenshot x.png", "viewer-no-screenshot"),
         ("screenshot x.tiff2", "ends with .png"),
         ("capture x.txt", "ends with .csv"),
         ("capture x.csv 61", "FRAMES"),
@@ -236,26 +236,26 @@ def test_shadows_are_those_of_the_scene_again(null: rhi.Device, clock: Clock) ->
     ],
 )
 def test_a_fault_is_said_in_a_line_and_changes_nothing(viewer: Viewer, draw: Draw, line: str, says: str) -> None:
-    look, camera = viewer.stage.look, viewer.stage.camera
-    said = find_fault(viewer.run, line)
-    assert says in said
-    assert "\n" not in said
+    display, camera = viewer.session.display, viewer.session.camera
+    message = refused_message(viewer.run, line)
+    assert says in message
+    assert "\n" not in message
     draw()
-    assert viewer.stage.look == look
-    assert (viewer.stage.camera.position == camera.position).all()
+    assert viewer.session.display == display
+    assert (viewer.session.camera.position == camera.position).all()
 
 
 def test_samples_that_a_technique_lacks_are_refused(viewer: Viewer, draw: Draw) -> None:
     viewer.run("technique deferred")
-    assert "technique-one-sample" in find_fault(viewer.run, "samples 4")
+    assert "technique-one-sample" in refused_message(viewer.run, "samples 4")
     draw()
-    assert viewer.stage.look == Look().change(technique="deferred")
+    assert viewer.session.display == DisplaySettings().change(technique="deferred")
 
 
-def test_samples_that_a_technique_lacks_are_refused_also_where_a_picture_hides_them(viewer: Viewer) -> None:
+def test_samples_that_a_technique_lacks_are_refused_also_where_a_buffer_is_shown(viewer: Viewer) -> None:
     assert not viewer.run("show normals")[1]
     assert not viewer.run("samples 4")[1]
-    assert "technique-one-sample" in find_fault(viewer.run, "technique deferred")
+    assert "technique-one-sample" in refused_message(viewer.run, "technique deferred")
 
 
 def test_a_look_that_cannot_be_drawn_gives_way_to_the_last_one(
@@ -269,14 +269,14 @@ def test_a_look_that_cannot_be_drawn_gives_way_to_the_last_one(
         if renderer.technique.name == "inferred":
             from renderer import rules
 
-            rhi.refuse(rules.MANY_MATERIALS, "render", "70,000")
+            rhi.refuse(rules.TOO_MANY_MATERIALS, "render", "70,000")
         return plain(renderer, camera, seconds)
 
     monkeypatch.setattr(Renderer, "render", fail)
     viewer.run("technique inferred")
     draw()
-    assert viewer.stage.look.technique == "clustered"
-    assert any("technique-many-materials" in line and is_error for line, is_error in viewer.console.lines)
+    assert viewer.session.display.technique == "clustered"
+    assert any("technique-too-many-materials" in line and is_error for line, is_error in viewer.console.lines)
 
 
 def test_a_script_runs_its_lines_and_waits(viewer: Viewer, draw: Draw, tmp_path: Path) -> None:
@@ -284,11 +284,15 @@ def test_a_script_runs_its_lines_and_waits(viewer: Viewer, draw: Draw, tmp_path:
     script.write_text("# a tour\ntechnique deferred\n\nwait 0.5\nvisibility none\nquit\ntechnique forward\n")
     viewer.run(f"script {script}")
     draw()
-    assert (viewer.stage.look.technique, viewer.stage.look.visibility) == ("deferred", "frustum")
+    assert (viewer.session.display.technique, viewer.session.display.visibility) == ("deferred", "frustum")
     draw(28)
-    assert viewer.stage.look.visibility == "frustum"
+    assert viewer.session.display.visibility == "frustum"
     draw(5)
-    assert (viewer.stage.look.visibility, viewer.is_over, viewer.stage.look.technique) == ("none", True, "deferred")
+    assert (viewer.session.display.visibility, viewer.is_over, viewer.session.display.technique) == (
+        "none",
+        True,
+        "deferred",
+    )
 
 
 def test_a_script_that_runs_itself_ends_nothing(viewer: Viewer, draw: Draw, tmp_path: Path) -> None:
@@ -300,7 +304,7 @@ def test_a_script_that_runs_itself_ends_nothing(viewer: Viewer, draw: Draw, tmp_
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("set technique.tiles.tile 32", "technique.tiles.tile 32"),
         ("set shadows.filter poisson", "shadows.filter poisson"),
@@ -308,10 +312,10 @@ def test_a_script_that_runs_itself_ends_nothing(viewer: Viewer, draw: Draw, tmp_
         ("set textures.mip nearest", "textures.mip nearest"),
     ],
 )
-def test_any_setting_is_said_and_set(viewer: Viewer, line: str, said: str) -> None:
-    assert viewer.run(line) == (said, False)
+def test_any_setting_is_said_and_set(viewer: Viewer, line: str, message: str) -> None:
+    assert viewer.run(line) == (message, False)
     viewer.draw()
-    assert viewer.run(line.rpartition(" ")[0]) == (said, False)
+    assert viewer.run(line.rpartition(" ")[0]) == (message, False)
 
 
 @pytest.mark.parametrize(
@@ -324,16 +328,16 @@ def test_any_setting_is_said_and_set(viewer: Viewer, line: str, said: str) -> No
     ],
 )
 def test_a_setting_that_is_refused_changes_nothing(viewer: Viewer, line: str, near: str) -> None:
-    before = viewer.stage.look
-    assert near in find_fault(viewer.run, line)
-    assert viewer.stage.look == before
+    before = viewer.session.display
+    assert near in refused_message(viewer.run, line)
+    assert viewer.session.display == before
 
 
 def test_times_of_frames_and_passes_are_captured(viewer: Viewer, tmp_path: Path, draw: Draw) -> None:
     draw()
-    said, is_error = viewer.run(f"capture {tmp_path}/times.csv 3")
+    message, is_error = viewer.run(f"capture {tmp_path}/times.csv 3")
     assert not is_error
-    assert "ms a frame" in said
+    assert "ms a frame" in message
     head, *rows = (tmp_path / "times.csv").read_text().splitlines()
     assert head.startswith("frame,ms,")
     assert "forward cpu ms" in head
@@ -352,12 +356,12 @@ def test_the_console_takes_the_keys_and_gives_them_back(viewer: Viewer, draw: Dr
     draw()
     assert viewer.console.text == "time 7"
     press(viewer, "Enter")
-    assert viewer.stage.seconds == 7.0
+    assert viewer.session.seconds == 7.0
     press(viewer, "F2")
     press(viewer, "t")
-    assert viewer.stage.look.technique != "forward"
+    assert viewer.session.display.technique != "forward"
     draw(60)
-    assert not viewer._gestures.is_held
+    assert not viewer._gestures.has_pressed_keys
 
 
 def test_a_character_event_tells_which_character_a_key_is(viewer: Viewer) -> None:
@@ -379,40 +383,40 @@ def test_a_chord_is_not_typed(viewer: Viewer) -> None:
     assert viewer.console.text == ""
 
 
-# -- picking, pictures, recordings ---------------------------------------------------------------------------------
+# -- picking, images, recordings ---------------------------------------------------------------------------------
 
 
 def test_a_click_picks_what_is_there_and_a_drag_does_not(viewer: Viewer, draw: Draw) -> None:
-    viewer.stage.camera = parse_camera("0,9,0.1,0,0,0", viewer.stage.scene)
+    viewer.session.camera = parse_camera("0,9,0.1,0,0,0", viewer.session.scene)
     viewer.run("visibility none")
     draw()
     drag(viewer, 9, 0)
-    assert viewer.stage.hit is None
+    assert viewer.session.hit is None
     press(viewer, "1")
     draw()
     middle = {"x": 32, "y": 24, "button": 1, "buttons": (1,), "modifiers": (), "touches": {}}
     viewer.handle(middle | {"event_type": "pointer_down"})
     viewer.handle(middle | {"event_type": "pointer_up", "buttons": ()})
-    picked = viewer.stage.hit
+    picked = viewer.session.hit
     assert picked is not None
-    assert viewer.stage.told[0].endswith(f"triangle {picked.triangle}")
-    assert f"{picked.distance:.2f} m away" in viewer.stage.told[0]
-    assert viewer.stage.told[1] == "drawn: everything is drawn"
+    assert viewer.session.hit_lines[0].endswith(f"triangle {picked.triangle}")
+    assert f"{picked.distance:.2f} m away" in viewer.session.hit_lines[0]
+    assert viewer.session.hit_lines[1] == "drawn: everything is drawn"
     press(viewer, "Escape")
-    assert viewer.stage.hit is None
+    assert viewer.session.hit is None
 
 
 def test_an_orbit_is_around_what_was_picked(viewer: Viewer, draw: Draw) -> None:
     draw()
     viewer.run("pick 32,24")
-    assert viewer.stage.hit is not None
+    assert viewer.session.hit is not None
     press(viewer, "c")
-    point = viewer.stage.hit.point
-    distance = np.linalg.norm(viewer.stage.camera.position - point)
+    point = viewer.session.hit.point
+    distance = np.linalg.norm(viewer.session.camera.position - point)
     drag(viewer, 15, 7)
-    assert np.linalg.norm(viewer.stage.camera.position - point) == pytest.approx(distance)
+    assert np.linalg.norm(viewer.session.camera.position - point) == pytest.approx(distance)
     press(viewer, "c")
-    assert viewer.stage.controller.name == "fly"
+    assert viewer.session.controller.name == "fly"
 
 
 def test_a_recording_can_be_rendered_and_replayed(viewer: Viewer, draw: Draw, tmp_path: Path) -> None:
@@ -420,28 +424,28 @@ def test_a_recording_can_be_rendered_and_replayed(viewer: Viewer, draw: Draw, tm
     viewer.run(f"record {file}")
     press(viewer, "d", hold=True)
     draw(31)
-    end = viewer.stage.camera
+    end = viewer.session.camera
     assert "31 frames" in viewer.run("record")[0]
     path = CameraPath.load(file)
     assert len(path) == 31
     assert np.allclose(path.camera(30).position, end.position, atol=1e-6)
-    assert (parse_camera(str(file), viewer.stage.scene, 30).position == path.camera(30).position).all()
+    assert (parse_camera(str(file), viewer.session.scene, 30).position == path.camera(30).position).all()
     viewer.handle({"event_type": "key_up", "key": "d", "modifiers": ()})
     press(viewer, "1", "p")
-    assert viewer.stage.camera.position == pytest.approx(path.camera(0).position)
+    assert viewer.session.camera.position == pytest.approx(path.camera(0).position)
 
 
 def test_a_recording_that_runs_is_written_at_the_end(
     null: rhi.Device, scene: Scene, clock: Clock, tmp_path: Path
 ) -> None:
-    made = Viewer(null, scene, size=SIZE, clock=clock)
-    made.run(f"record {tmp_path / 'walk.json'}")
-    made.draw()
-    made.close()
+    viewer = Viewer(null, scene, size=SIZE, clock=clock)
+    viewer.run(f"record {tmp_path / 'walk.json'}")
+    viewer.draw()
+    viewer.close()
     assert len(CameraPath.load(tmp_path / "walk.json")) == 1
 
 
-def test_the_interface_shows_what_it_is_told(viewer: Viewer, draw: Draw, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_interface_shows_its_state(viewer: Viewer, draw: Draw, monkeypatch: pytest.MonkeyPatch) -> None:
     texts: list[str] = []
     plain = Canvas.text
 
@@ -473,18 +477,18 @@ def test_the_interface_shows_what_it_is_told(viewer: Viewer, draw: Draw, monkeyp
 
 
 def test_closing_leaves_nothing_on_the_device(null: rhi.Device, scene: Scene, clock: Clock) -> None:
-    made = Viewer(null, scene, size=SIZE, clock=clock)
+    viewer = Viewer(null, scene, size=SIZE, clock=clock)
     for line in ("overlay", "technique deferred", "stereo dubois", "particles", "show normals", "visibility none"):
-        assert made.run(line)[1] is False
-        made.draw()
-    made.close()
-    found, left = list_owned(null)
-    assert len(found) > 20
+        assert viewer.run(line)[1] is False
+        viewer.draw()
+    viewer.close()
+    owned, left = list_owned(null)
+    assert len(owned) > 20
     assert list(map(str, left)) == []
 
 
 def test_the_speed_suits_the_scene_and_not_the_plain_around_it() -> None:
-    city, hall = (find_speed(load_scene(name)) for name in ("city:blocks=3", "hall"))
+    city, hall = (suitable_speed(load_scene(name)) for name in ("city:blocks=3", "hall"))
     assert 2.0 < city < 40.0
     assert 0.5 < hall < 10.0
 
@@ -498,9 +502,9 @@ def test_a_clip_is_played_instead_of_what_moves_the_same(null: rhi.Device, tmp_p
     viewer = Viewer(null, scene, size=SIZE, clock=clock)
     assert viewer.run("clip") == ("plays animation 0", False)
     assert viewer.run('clip "animation 1"') == ("plays animation 1", False)
-    assert scene.clips["animation 0"].find_weight(0.15) == pytest.approx(0.5)  # fades
+    assert scene.clips["animation 0"].weight_at(0.15) == pytest.approx(0.5)  # fades
     viewer.run("pause on")
     assert viewer.run('clip "animation 0"') == ("plays animation 0", False)
-    assert scene.clips["animation 0"].find_weight(0.0) == 1.0
+    assert scene.clips["animation 0"].weight_at(0.0) == 1.0
     assert viewer.run("clip wave")[1]
     viewer.close()

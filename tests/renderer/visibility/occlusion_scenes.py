@@ -8,21 +8,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from frames import need_algorithm as need_algorithm
+from frames import require_algorithm as require_algorithm
 from hypothesis import strategies as st
 
 import rhi
 from renderer.content.shapes import box
-from renderer.lab.exam.late import delay_methods
+from renderer.lab.exam.late_queries import delay_methods
 from renderer.lab.exam.scenes import ORIGIN as ORIGIN
 from renderer.lab.exam.scenes import SIZE as SIZE
-from renderer.lab.exam.scenes import WALL as WALL
+from renderer.lab.exam.scenes import WALL_POSITION as WALL_POSITION
 from renderer.lab.exam.scenes import Shots as Shots
-from renderer.lab.exam.scenes import Uncut as Uncut
+from renderer.lab.exam.scenes import UnculledFrames as UnculledFrames
 from renderer.lab.exam.scenes import count_wrong_pixels as count_wrong_pixels
 from renderer.lab.exam.scenes import draw_with as draw_with
-from renderer.lab.exam.scenes import look as look
 from renderer.lab.exam.scenes import make_boxes as make_boxes
+from renderer.lab.exam.scenes import make_camera as make_camera
 from renderer.lab.exam.scenes import walk as walk
 from renderer.renderer import FrameResult
 from renderer.scene import Camera, MeshGeometry, Orthographic, Perspective, Scene, SceneBuilder
@@ -43,8 +43,8 @@ DEVICE = ("depth_pyramid", "two_pass")
 
 
 def mirrored_boxes(*, two_sides: bool = False) -> Scene:
-    """Make boxes of which every other one is mirrored, and one is skewed flat; every third one may have two sides, and
-    lacks a face, so that its inside is seen."""
+    """Make boxes of which every other one is mirrored, and one is skewed flat; every third one may have two sides,
+    and lacks a face, so that its inside is seen."""
     builder = SceneBuilder("mirrored")
     rng, whole = np.random.default_rng(4), box()
     mesh, opened = builder.add_mesh(whole), builder.add_mesh(MeshGeometry(whole.vertices, whole.indices[6:]))
@@ -75,10 +75,10 @@ def scenes(draw: st.DrawFn) -> Scene:
     object isn't decided by the order of draws."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     count = draw(st.integers(1, 24))
-    places, sizes = rng.uniform(-8.0, 8.0, (count, 3)), rng.uniform(0.05, 5.0, (count, 3))
+    object_positions, sizes = rng.uniform(-8.0, 8.0, (count, 3)), rng.uniform(0.05, 5.0, (count, 3))
     axis = rng.normal(size=3)
     turns = rotation(axis / np.linalg.norm(axis), rng.uniform(0.0, 6.3, count))
-    return make_boxes(places, sizes, turns=turns if draw(st.booleans()) else None)
+    return make_boxes(object_positions, sizes, rotations=turns if draw(st.booleans()) else None)
 
 
 coordinates = st.floats(-9.0, 9.0, width=32)
@@ -87,22 +87,22 @@ points = st.tuples(coordinates, coordinates, coordinates)
 
 @st.composite
 def cameras(draw: st.DrawFn) -> Camera:
-    """Draw cameras among the boxes, some of them inside a box, with all kinds of lenses."""
+    """Draw cameras among the boxes, some of them inside a box, with all kinds of projections."""
     eye, aim = np.array(draw(points)), np.array(draw(points))
     if np.abs(aim - eye).max() < 1e-3:
         aim = eye - np.array((0.0, 0.0, 1.0))
-    lens: Perspective | Orthographic
+    projection: Perspective | Orthographic
     if draw(st.integers(0, 4)):
         far = draw(st.sampled_from([np.inf, 60.0]))
-        lens = Perspective(draw(st.floats(0.2, 2.4)), near=draw(st.sampled_from([0.1, 1.0])), far=far)
+        projection = Perspective(draw(st.floats(0.2, 2.4)), near=draw(st.sampled_from([0.1, 1.0])), far=far)
     else:
-        lens = Orthographic(draw(st.floats(2.0, 20.0)), near=draw(st.sampled_from([-5.0, 0.0])), far=40.0)
-    return Camera.look_at(eye, aim, projection=lens)
+        projection = Orthographic(draw(st.floats(2.0, 20.0)), near=draw(st.sampled_from([-5.0, 0.0])), far=40.0)
+    return Camera.look_at(eye, aim, projection=projection)
 
 
 @dataclass
 class Oracle:
-    """Tells the null device which objects show: `seen` holds their rows.
+    """Tells the null device which objects show: `visible_objects` holds their rows.
 
     A draw of the object passes samples then, and so does the box of each node above it. Algorithms of the device run
     on NumPy, but for what looks at depth: where a box shows, its object is marked; on the small image that two-pass
@@ -113,7 +113,7 @@ class Oracle:
     scene: Scene
     name: str = "chc_plus_plus"
     """The algorithm: it says what the boxes are."""
-    seen: set[int] = field(default_factory=set)
+    visible_objects: set[int] = field(default_factory=set)
     guessed: set[int] = field(default_factory=set)
     samples: int = 100
     helpers: set[int] = field(default_factory=set)
@@ -125,8 +125,8 @@ class Oracle:
         forest = Forest(self.scene)
         self.members: list[set[int]] = [set() for _ in range(len(forest))]
         for node in range(len(forest) - 1, -1, -1):
-            if forest.object[node] >= 0:
-                self.members[node].add(forest.object[node])
+            if forest.object_index[node] >= 0:
+                self.members[node].add(forest.object_index[node])
             if forest.parent[node] >= 0:
                 self.members[forest.parent[node]] |= self.members[node]
         if self.name == "stop_and_wait":
@@ -137,8 +137,8 @@ class Oracle:
         backend = self.device.backend_as(NullBackend)
         if self.name in DEVICE:
             stand_ins = {MarkBoxes: self.guess, MarkListedBoxes: self.mark, CompareBoxes: self.compare}
-            backend.run_shaders({self.device.program(one).id: by for one, by in stand_ins.items()})
-            self.helpers = {self.device.program(one).id for one in (MarkBoxes, MarkListedBoxes, WriteDepth)}
+            backend.run_shaders({self.device.program(program).id: by for program, by in stand_ins.items()})
+            self.helpers = {self.device.program(program).id for program in (MarkBoxes, MarkListedBoxes, WriteDepth)}
         backend.count_samples(self.count)
 
     def guess(self, bound: Mapping[str, np.ndarray], draw: Draw | None) -> None:
@@ -149,14 +149,14 @@ class Oracle:
     def mark(self, bound: Mapping[str, np.ndarray], draw: Draw | None) -> None:
         """Stand in for the fragments of `MarkListedBoxes`."""
         assert draw is not None
-        rows = bound["rows"][: draw.instances]
-        bound["marks"][[row for row in rows if row in self.seen]] = VISIBLE
+        rows = bound["object_indices"][: draw.instances]
+        bound["marks"][[row for row in rows if row in self.visible_objects]] = VISIBLE
 
     def compare(self, bound: Mapping[str, np.ndarray], draw: Draw | None) -> None:
         """Stand in for `CompareBoxes`, without reading the pyramid."""
         marks = bound["marks"]
-        shows = np.isin(np.arange(len(marks)), list(self.seen)) & ((marks == HIDDEN) | (marks == DRAWN))
-        bound["seen"][:] = shows
+        shows = np.isin(np.arange(len(marks)), list(self.visible_objects)) & ((marks == HIDDEN) | (marks == DRAWN))
+        bound["was_visible"][:] = shows
         marks[shows & (marks == HIDDEN)] = VISIBLE
 
     def count(self, draw: Draw) -> int:
@@ -169,7 +169,7 @@ class Oracle:
         else:
             rows = {draw.base_instance}
             self.executed.append(draw.base_instance)
-        return self.samples if rows & self.seen else 0
+        return self.samples if rows & self.visible_objects else 0
 
 
 def visible(result: FrameResult) -> set[int]:
@@ -179,7 +179,7 @@ def visible(result: FrameResult) -> set[int]:
     return set(rows)
 
 
-def delay_answers(monkeypatch: pytest.MonkeyPatch, looks: int) -> None:
+def delay_query_results(monkeypatch: pytest.MonkeyPatch, looks: int) -> None:
     """Let every query and query set be looked at (`is_finished`) so many times before its answer is there, until the
     test ends."""
     for kind, name, method in delay_methods(looks):

@@ -37,10 +37,10 @@ class Sleeper:
         self.name, self.log, self.seconds = name, log, COSTS[name]
         self.visible = 100
 
-    def render(self, camera, scene_pass):
+    def render(self, camera, scene_drawer):
         self.log.append(self.name)
         Clock.now += self.seconds
-        self.none.render(camera, scene_pass)
+        self.none.render(camera, scene_drawer)
         return visibility.VisibilityStatistics(100, self.visible)
 
     def destroy(self):
@@ -62,9 +62,9 @@ def auto(null: rhi.Device, city: Scene, log: list[str]) -> visibility.AutoCullin
     return make_auto(null, city, log)
 
 
-def make_auto(device: rhi.Device, scene: Scene, log: list[str], rest: int = 0) -> visibility.AutoCulling:
+def make_auto(device: rhi.Device, scene: Scene, log: list[str], idle: int = 0) -> visibility.AutoCulling:
     auto = visibility.AutoCulling(
-        scene, device, {name: partial(Sleeper, scene, name, log) for name in COSTS}, frames=4, rest=rest
+        scene, device, {name: partial(Sleeper, scene, name, log) for name in COSTS}, frames=4, idle=idle
     )
     auto.candidates.update({name: Sleeper(scene, name, log) for name in COSTS})  # for tests to change
     return auto
@@ -75,7 +75,7 @@ def look(x: float = 0.0, dx: float = 0.0, dz: float = -1.0) -> Camera:
 
 
 def render(auto: visibility.AutoCulling, camera: Camera, count: int) -> list[visibility.VisibilityStatistics]:
-    return [auto.render(camera, visibility.CallbackPass(lambda rows: None)) for _ in range(count)]
+    return [auto.render(camera, visibility.CallbackDrawer(lambda rows: None)) for _ in range(count)]
 
 
 def test_each_is_tried_and_the_fastest_stays(auto: visibility.AutoCulling, log: list[str]) -> None:
@@ -83,7 +83,7 @@ def test_each_is_tried_and_the_fastest_stays(auto: visibility.AutoCulling, log: 
     tried = render(auto, look(), 12)
     assert log == ["slow"] * 4 + ["fast"] * 4 + ["middling"] * 4
     assert not auto.is_trying
-    assert auto.chosen == "fast"
+    assert auto.current_name == "fast"
     stays = render(auto, look(), 10)
     assert log[12:] == ["fast"] * 10
     assert len(tried) + len(stays) == len(log)
@@ -100,9 +100,9 @@ def test_nothing_is_tried_while_code_is_being_built(
         directions.append(depth)
         return rhi.Preparation([future])
 
-    makers = {name: partial(Sleeper, city, name, log) for name in COSTS}
-    auto = visibility.AutoCulling(city, null, makers, frames=4, prepare=prepare)
-    assert {one.stalled_milliseconds for one in render(auto, look(), 2)} == {0.0}
+    factories = {name: partial(Sleeper, city, name, log) for name in COSTS}
+    auto = visibility.AutoCulling(city, null, factories, frames=4, prepare=prepare)
+    assert {result.stalled_milliseconds for result in render(auto, look(), 2)} == {0.0}
     monkeypatch.setattr(rhi.Device, "is_building", True)
     render(auto, look(), 1)
     assert directions == []  # what draws the frames is optimised first
@@ -118,7 +118,7 @@ def test_nothing_is_tried_while_code_is_being_built(
     assert auto.is_trying
     render(auto, look(), 12)
     assert log[6:] == ["slow"] * 4 + ["fast"] * 4 + ["middling"] * 4
-    assert auto.chosen == "fast"
+    assert auto.current_name == "fast"
 
 
 def test_waiting_at_the_end_of_a_frame_on_trial_counts_as_stalled(
@@ -129,8 +129,8 @@ def test_waiting_at_the_end_of_a_frame_on_trial_counts_as_stalled(
 
     auto.candidates["middling"].seconds = 0.0125
     monkeypatch.setattr(null, "finish", finish)
-    assert {round(one.stalled_milliseconds, 6) for one in render(auto, look(), 12)} == {4.0}
-    assert {one.stalled_milliseconds for one in render(auto, look(), 3)} == {0.0}
+    assert {round(result.stalled_milliseconds, 6) for result in render(auto, look(), 12)} == {4.0}
+    assert {result.stalled_milliseconds for result in render(auto, look(), 3)} == {0.0}
 
 
 def test_the_first_two_frames_of_a_trial_are_not_counted(auto: visibility.AutoCulling) -> None:
@@ -143,7 +143,7 @@ def test_the_first_two_frames_of_a_trial_are_not_counted(auto: visibility.AutoCu
     render(auto, look(), 2)
     auto.candidates["middling"].seconds = 0.02
     render(auto, look(), 2)
-    assert auto.chosen == "fast"
+    assert auto.current_name == "fast"
 
 
 def test_what_is_hopelessly_slow_is_given_up(auto: visibility.AutoCulling, log: list[str]) -> None:
@@ -160,37 +160,37 @@ def test_the_two_fastest_are_tried_again_when_they_are_close(auto: visibility.Au
     auto.candidates["fast"].seconds = 0.008
     render(auto, look(), 9)
     assert log[12:] == ["middling"] * 4 + ["fast"] * 5
-    assert auto.chosen == "fast"
+    assert auto.current_name == "fast"
     assert not auto.is_trying
 
 
 def test_after_a_trial_there_is_none_for_a_while_and_longer_each_time(
     null: rhi.Device, city: Scene, log: list[str]
 ) -> None:
-    auto = make_auto(null, city, log, rest=6)
-    rests = []
+    auto = make_auto(null, city, log, idle=6)
+    idle_frames = []
     for turn in range(6):
         while auto.is_trying:
             render(auto, look(), 1)
         log.clear()
-        place = 1000.0 * (turn + 1)
+        x = 1000.0 * (turn + 1)
         while not auto.is_trying:
-            render(auto, look(place), 1)
-            place += 1.0
-        rests.append(log.index("slow") if "slow" in log else len(log))
-    assert rests == [6, 12, 24, 48, 48, 48]
+            render(auto, look(x), 1)
+            x += 1.0
+        idle_frames.append(log.index("slow") if "slow" in log else len(log))
+    assert idle_frames == [6, 12, 24, 48, 48, 48]
 
 
 def test_a_choice_that_changed_is_soon_looked_at_again(null: rhi.Device, city: Scene, log: list[str]) -> None:
-    auto = make_auto(null, city, log, rest=6)
+    auto = make_auto(null, city, log, idle=6)
     for turn in range(3):
         while auto.is_trying:
             render(auto, look(1000.0 * turn), 1)
         render(auto, look(1000.0 * (turn + 1)), 60)
     auto.candidates["slow"].seconds = 0.0
-    while auto.is_trying or auto.chosen != "slow":
+    while auto.is_trying or auto.current_name != "slow":
         render(auto, look(9000.0), 1)
-    assert auto._trial._rest == 6
+    assert auto._trial._idle == 6
 
 
 @pytest.mark.parametrize(("camera", "tries"), [
@@ -216,25 +216,25 @@ def test_the_choice_follows_what_is_fastest_now(auto: visibility.AutoCulling) ->
     render(auto, look(), 12)
     auto.candidates["fast"].seconds, auto.candidates["slow"].seconds = 0.03, 0.0
     render(auto, look(1000.0), 12)
-    assert auto.chosen == "slow"
+    assert auto.current_name == "slow"
 
 
-def test_a_device_that_answers_no_queries_has_one_candidate(null: rhi.Device, city: Scene) -> None:
+def test_a_device_without_queries_has_one_candidate(null: rhi.Device, city: Scene) -> None:
     auto = visibility.make_visibility("auto", city, null)
     assert auto.names == ("frustum",)
     render(auto, look(), 2)
     assert not auto.is_trying
 
 
-def test_a_candidate_is_made_when_it_is_first_tried_and_given_back(
+def test_a_candidate_is_created_when_first_tried_and_destroyed_at_the_end(
     null: rhi.Device, city: Scene, log: list[str]
 ) -> None:
     auto = visibility.AutoCulling(city, null, {name: partial(Sleeper, city, name, log) for name in COSTS}, frames=4)
-    made = [list(auto.candidates)]
+    created = [list(auto.candidates)]
     for _ in range(3):
         render(auto, look(), 4)
-        made.append(list(auto.candidates))
-    assert made == [[], ["slow"], ["slow", "fast"], ["slow", "fast", "middling"]]
+        created.append(list(auto.candidates))
+    assert created == [[], ["slow"], ["slow", "fast"], ["slow", "fast", "middling"]]
     auto.destroy()
     assert log[-3:] == ["slow destroyed", "fast destroyed", "middling destroyed"]
 
@@ -247,7 +247,7 @@ def test_a_device_that_answers_queries_has_all_but_cl_those_that_ask_none(
         assert names == ("frustum", "none", "depth_pyramid")
     else:
         possible = visibility.list_algorithms(drawing_device)
-        assert names == tuple(name for name in visibility.CANDIDATES if name in possible)
+        assert names == tuple(name for name in visibility.AUTO_CANDIDATES if name in possible)
 
 
 def test_auto_is_the_renderer_s_default(gl: rhi.Device, city: Scene) -> None:

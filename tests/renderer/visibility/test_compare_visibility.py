@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from occlusion_scenes import delay_answers
+from occlusion_scenes import delay_query_results
 from PIL import Image
 
 import rhi
 from renderer.cli import main
 from renderer.cli.output import show_progress
 from renderer.content import load_scene
-from renderer.lab.visibility import FORGETFUL, Picture, WalkFrame, list_contenders, list_frames
+from renderer.lab.visibility_comparison import HISTORY_FREE, ComparedFrame, FrameImage, list_contenders, list_frames
 from renderer.renderer import Renderer
 from renderer.visibility import ALGORITHMS, VisibilitySettings, make_visibility
 from renderer.visibility.software_depth import can_rasterise
@@ -34,7 +34,7 @@ COMMAND = ["compare", "visibility", "city:blocks=4,detail=2", "--size", "64x36",
 def test_rows_say_what_each_algorithm_costs(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    delay_answers(monkeypatch, 1)  # so that who waits for answers has something to wait for
+    delay_query_results(monkeypatch, 1)  # so that who waits for answers has something to wait for
     assert main([*COMMAND, "--camera-path", "sky", "--backend", "gl", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["backend"] == "gl"
@@ -67,7 +67,7 @@ def test_a_teleport_is_half_a_path_long(teleport: int | None, frames: list[int])
 ])  # fmt: skip
 def test_frames_far_apart_follow_others_that_are_not_counted(stride: int, warm_up: int, drawn: str) -> None:
     frames = list_frames(0, 3, 100, stride=stride, warm_up=warm_up)
-    assert frames == [WalkFrame(int(text.strip("!")), "!" in text) for text in drawn.split()]
+    assert frames == [ComparedFrame(int(text.strip("!")), "!" in text) for text in drawn.split()]
 
 
 @pytest.mark.usefixtures("gl")
@@ -85,21 +85,21 @@ def test_the_whole_path_is_its_frames_at_a_stride(capsys: pytest.CaptureFixture[
     assert len(set(drawn)) > 1
 
 
-@pytest.mark.parametrize("algorithm", FORGETFUL)
+@pytest.mark.parametrize("algorithm", HISTORY_FREE)
 def test_what_forgets_draws_a_frame_the_same_after_any_other(gl: rhi.Device, algorithm: str) -> None:
     if algorithm == "software_depth" and not can_rasterise():
         pytest.skip("no OpenCL")
     scene = load_scene(COMMAND[2])
     path = scene.paths["ground"]
     with Renderer(gl, scene, size=(64, 36)) as renderer:
-        found = []
+        results = []
         for before in ([], [1500, 300, 899]):
             renderer.visibility = make_visibility(algorithm, scene, gl)
             for frame in [*before, 900]:
                 result = renderer.render(path.camera(frame))
-            found.append((result.visible.tolist(), result.visibility))
+            results.append((result.visible.tolist(), result.visibility))
             renderer.visibility.destroy()
-    (first, counted), (second, again) = found
+    (first, counted), (second, again) = results
     assert first == second
     assert (counted.queries, counted.boxes, counted.visible) == (again.queries, again.boxes, again.visible)
 
@@ -124,7 +124,10 @@ def test_emulated_queries_draw_and_ask_the_same_beside_native_ones(capsys: pytes
 def test_contenders_have_the_kind_of_queries_that_they_are_named_by() -> None:
     tuned = VisibilitySettings(batch=7, emulated=True)
     both = list_contenders(["none", "chc", "chc_plus_plus"], VisibilitySettings(), tuned, [False, True])
-    assert {one.name: (one.algorithm, one.settings.batch, one.settings.emulated) for one in both} == {
+    assert {
+        contender.name: (contender.algorithm, contender.settings.batch, contender.settings.emulated)
+        for contender in both
+    } == {
         "none": ("none", 50, False),
         "chc": ("chc", 50, False),
         "chc_plus_plus": ("chc_plus_plus", 50, False),
@@ -134,7 +137,7 @@ def test_contenders_have_the_kind_of_queries_that_they_are_named_by() -> None:
         "optimized_chc_plus_plus (emulated)": ("chc_plus_plus", 7, True),
     }
     alone = list_contenders(["none", "chc"], VisibilitySettings(), None, [True])
-    assert [(one.name, one.settings.emulated) for one in alone] == [("none", True), ("chc", True)]
+    assert [(contender.name, contender.settings.emulated) for contender in alone] == [("none", True), ("chc", True)]
 
 
 @pytest.mark.usefixtures("gl")
@@ -155,12 +158,12 @@ def test_progress_is_shown_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -
         def isatty(self) -> bool:
             return True
 
-    for stream, shown in ((Terminal(), True), (io.StringIO(), False)):
+    for stream, is_shown in ((Terminal(), True), (io.StringIO(), False)):
         monkeypatch.setattr(sys, "stderr", stream)
         clock = itertools.count(step=10.0)  # a frame takes long: work of less than a second shows nothing
         monkeypatch.setattr("tqdm.std.time", lambda clock=clock: next(clock))
         assert list(show_progress(range(3), "compare")) == [0, 1, 2]
-        assert ("compare" in stream.getvalue()) is shown
+        assert ("compare" in stream.getvalue()) is is_shown
 
 
 @pytest.mark.usefixtures("gl")
@@ -216,14 +219,14 @@ def test_the_null_device_compares_what_asks_nothing(capsys: pytest.CaptureFixtur
 
 def test_pixels_differ_by_what_they_show_or_by_the_order_of_draws() -> None:
     image, depth = np.zeros((4, 5, 4), np.uint8), np.full((4, 5), 0.5, np.float32)
-    expected = Picture(image, depth)
+    expected = FrameImage(image, depth)
     other, nearer = image.copy(), depth.copy()
     other[1, 2, 0] = 1
     other[3, 4] = 255
     assert expected.compare(expected) == (0, 0)
-    assert Picture(other, depth).compare(expected) == (0, 2)
+    assert FrameImage(other, depth).compare(expected) == (0, 2)
     nearer[3, 4] = np.nextafter(np.float32(0.5), np.float32(1.0))
-    assert Picture(other, nearer).compare(expected) == (1, 1)
+    assert FrameImage(other, nearer).compare(expected) == (1, 1)
 
 
 @pytest.mark.nightly
@@ -232,7 +235,7 @@ def test_pixels_differ_by_what_they_show_or_by_the_order_of_draws() -> None:
 def test_at_ground_level_the_counts_are_those_of_the_thesis_or_less(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, frames: str
 ) -> None:
-    delay_answers(monkeypatch, 0)  # late ones cost triangles: no matter of the algorithms
+    delay_query_results(monkeypatch, 0)  # late ones cost triangles: no matter of the algorithms
     command = ["compare", "visibility", "city", "--camera-path", "ground", "--frames", frames, "--size", "320x180"]
     algorithms = ["--algorithms", "frustum,stop_and_wait,chc,chc_plus_plus"]
     assert main([*command, *algorithms, "--backend", "gl", "--json"]) == 0

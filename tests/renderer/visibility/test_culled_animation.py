@@ -7,7 +7,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 from nightly_reasons import ONLY_KERNELS
-from occlusion_scenes import DEVICE, WAITING, Oracle, draw_with, need_algorithm
+from occlusion_scenes import DEVICE, WAITING, Oracle, draw_with, require_algorithm
 
 import rhi
 from renderer.content import BUILT_IN, load_scene
@@ -19,22 +19,23 @@ from rhi import Op
 from rhi.math import multiply
 
 HALL = "hall:columns=18,rows=2,flags=10,fountains=4"
-PLACE = 32
+OBJECT_POSITION_BYTES = 32
 """Bytes of an object's place on the device; its other row, of its linear transform, stays the same."""
 AWAY = Camera.look_at((0.0, 500.0, 0.0), (0.0, 1000.0, 0.0))
 WRITES = {Op.WRITE_BUFFER}
 
 
 class Bobbing:
-    """Things that go up and down; `asked` counts the members whose transforms were asked for, `calls` the calls."""
+    """Things that go up and down; `requested_members` counts the members whose transforms were asked for, `calls` the
+    calls."""
 
     catch_up = Recompute()
     calls = 0
-    asked = 0
+    requested_members = 0
 
-    def __init__(self, places: np.ndarray) -> None:
-        self.places = places
-        self.height = np.zeros(len(places))
+    def __init__(self, positions: np.ndarray) -> None:
+        self.object_positions = positions
+        self.height = np.zeros(len(positions))
 
     def set_time(self, members: np.ndarray, seconds: float) -> None:
         Bobbing.calls += 1
@@ -42,21 +43,23 @@ class Bobbing:
 
     def transforms(self, members: np.ndarray) -> np.ndarray:
         Bobbing.calls += 1
-        Bobbing.asked += len(members)
-        return translation(self.places[members] + np.array([0, 1, 0]) * self.height[members, None])
+        Bobbing.requested_members += len(members)
+        return translation(self.object_positions[members] + np.array([0, 1, 0]) * self.height[members, None])
 
 
 def make_bobbing(count: int = 40, bounded: bool = True) -> Scene:
     """Make a row of things along x, 4 m apart, each on a node of its own."""
-    Bobbing.calls = Bobbing.asked = 0
+    Bobbing.calls = Bobbing.requested_members = 0
     builder = SceneBuilder("bobbing")
-    places = np.stack([4.0 * np.arange(count), np.zeros(count), np.zeros(count)], axis=1)
-    nodes = builder.add_nodes(translation(places), dynamic=True)
+    object_positions = np.stack([4.0 * np.arange(count), np.zeros(count), np.zeros(count)], axis=1)
+    nodes = builder.add_nodes(translation(object_positions), dynamic=True)
     builder.add_objects(nodes, builder.add_mesh(BUILT_IN["box"]()), builder.add_material())
     half = np.array([0.5, 1.5, 0.5])
-    builder.animate(nodes, Bobbing(places), (places - half, places + half) if bounded else None)
+    builder.animate(
+        nodes, Bobbing(object_positions), (object_positions - half, object_positions + half) if bounded else None
+    )
     scene = builder.build()
-    Bobbing.calls = Bobbing.asked = 0
+    Bobbing.calls = Bobbing.requested_members = 0
     return scene
 
 
@@ -67,9 +70,9 @@ def look_at_first(count: int) -> Camera:
 
 
 def count_writes(device: rhi.Device) -> int:
-    found = sum(command.op in WRITES for command in device.stream)
+    write_count = sum(command.op in WRITES for command in device.stream)
     device.stream.clear()
-    return found
+    return write_count
 
 
 def test_with_nothing_drawn_nothing_is_called_and_nothing_written(null: rhi.Device) -> None:
@@ -109,12 +112,12 @@ def test_what_is_drawn_is_animated_in_one_go_and_its_rows_are_written(
         for frame in range(2):
             renderer.render(camera, frame / 60)
         null.stream.clear()
-        Bobbing.calls = Bobbing.asked = 0
+        Bobbing.calls = Bobbing.requested_members = 0
         result = renderer.render(camera, 0.5)
     assert sorted(result.visible.tolist()) == list(range(count))
     animated = count if bounded else 40  # what has no bounds is animated everywhere
-    assert (Bobbing.calls, Bobbing.asked) == (2, animated)
-    assert result.statistics.upload_bytes == animated * PLACE
+    assert (Bobbing.calls, Bobbing.requested_members) == (2, animated)
+    assert result.statistics.upload_bytes == animated * OBJECT_POSITION_BYTES
     assert count_writes(null) == 1  # the rows of one array; the draws are those of the last frame
 
 
@@ -126,20 +129,20 @@ def test_what_is_hidden_is_not_animated(null: rhi.Device, name: str) -> None:
     camera = look_at_first(40)
     with Renderer(null, scene, size=(64, 64)) as renderer:
         renderer.animation_lag = 0.0
-        oracle.seen = {3, 4, 9}
+        oracle.visible_objects = {3, 4, 9}
         for frame in range(1, 12):
-            Bobbing.calls = Bobbing.asked = 0
+            Bobbing.calls = Bobbing.requested_members = 0
             result = draw_with(renderer, algorithm, camera, frame / 60)
-        assert set(result.visible.tolist()) == oracle.seen
-        assert (Bobbing.calls, Bobbing.asked) == (2, 3)  # at once, however many batches were drawn
-        oracle.seen = set()
+        assert set(result.visible.tolist()) == oracle.visible_objects
+        assert (Bobbing.calls, Bobbing.requested_members) == (2, 3)  # at once, however many batches were drawn
+        oracle.visible_objects = set()
         for frame in range(12, 40):  # until all are asked about again
             Bobbing.calls = 0
             result = draw_with(renderer, algorithm, camera, frame / 60)
         assert (len(result.visible), Bobbing.calls) == (0, 0)
-        oracle.seen = {3, 4, 9, 30}
+        oracle.visible_objects = {3, 4, 9, 30}
         returned = draw_with(renderer, algorithm, camera, 40 / 60)
-        assert set(returned.visible.tolist()) == oracle.seen
+        assert set(returned.visible.tolist()) == oracle.visible_objects
         heights = scene.nodes.world[scene.objects.node[[3, 30]], 1, 3]
         assert heights == pytest.approx(np.sin(3.0 * 40 / 60 + np.array([3, 30])), abs=1e-15)
 
@@ -157,9 +160,9 @@ def make_reference(monkeypatch: pytest.MonkeyPatch) -> Scene:
 def test_what_shows_again_is_drawn_as_of_its_frame(
     drawing_device: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    need_algorithm(drawing_device, name)
+    require_algorithm(drawing_device, name)
     hall, always = load_scene(HALL), make_reference(monkeypatch)
-    assert len(hall.objects.simulated_rows) == len(always.objects.simulated_rows) + 60
+    assert len(hall.objects.simulated_indices) == len(always.objects.simulated_indices) + 60
     path, size = hall.paths["ground"], (97, 55)
     skipped = 0
     with (
@@ -175,9 +178,9 @@ def test_what_shows_again_is_drawn_as_of_its_frame(
         reference.animation_lag = renderer.animation_lag = 0.0
         for frame, seconds in ((0, 0.0), (3, 0.3), (900, 0.6), (903, 0.9), (3, 40.0), (6, 40.1), (900, 0.2)):
             expected = reference.render(path.camera(frame), seconds)
-            given = renderer.render(path.camera(frame), seconds)
-            assert (given.image.read() == expected.image.read()).all(), frame
-            skipped += given.statistics.skipped_simulations
+            result = renderer.render(path.camera(frame), seconds)
+            assert (result.image.read() == expected.image.read()).all(), frame
+            skipped += result.statistics.skipped_simulations
         late = renderer.render(path.camera(900), 0.9).image.read()
         assert (late != expected.image.read()).any()  # the control: time shows
     assert skipped > 0
@@ -185,28 +188,30 @@ def test_what_shows_again_is_drawn_as_of_its_frame(
 
 def test_only_what_is_drawn_is_swayed_in_the_hall(null: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
     hall = load_scene("hall:flags=32")
-    asked: list[int] = []
+    requested_members: list[int] = []
     transforms = _Sway.transforms
     monkeypatch.setattr(
-        _Sway, "transforms", lambda self, members: (asked.append(len(members)), transforms(self, members))[1]
+        _Sway,
+        "transforms",
+        lambda self, members: (requested_members.append(len(members)), transforms(self, members))[1],
     )
     with Renderer(null, hall, visibility=FrustumCulling(hall), size=(64, 36)) as renderer:
         renderer.animation_lag = 0.0
         camera = hall.views["flags"]
         for frame in range(6):
             drawn = renderer.render(camera, frame / 60).visible
-    flags = np.intersect1d(drawn, hall.objects.dynamic_rows)
+    flags = np.intersect1d(drawn, hall.objects.dynamic_indices)
     assert 0 < len(flags) < 192
-    assert len(asked) == 6
+    assert len(requested_members) == 6
     # A segment's transform depends on those before it, up to the pole.
-    part, flag = np.divmod(np.searchsorted(hall.objects.dynamic_rows, flags), 32)
-    assert asked[-1] == sum(int(part[flag == one].max()) + 1 for one in np.unique(flag))
+    part, flag = np.divmod(np.searchsorted(hall.objects.dynamic_indices, flags), 32)
+    assert requested_members[-1] == sum(int(part[flag == flag_index].max()) + 1 for flag_index in np.unique(flag))
 
 
 def test_a_segment_is_where_it_would_be_if_all_were_animated() -> None:
     hall, always = load_scene(HALL), load_scene(HALL)
     simulator = hall.make_simulator()
-    last = hall.objects.dynamic_rows[-3:]
+    last = hall.objects.dynamic_indices[-3:]
     for seconds in (0.4, 77.0, 3600.0):
         simulator.begin_frame(seconds)
         hall.refresh()
@@ -215,20 +220,20 @@ def test_a_segment_is_where_it_would_be_if_all_were_animated() -> None:
         node = hall.objects.node[last]
         # The same operations in the same order: equal to the last bit.
         assert (hall.nodes.world[node] == always.nodes.world[node]).all()
-    others = hall.objects.node[hall.objects.dynamic_rows[:-3]]
+    others = hall.objects.node[hall.objects.dynamic_indices[:-3]]
     assert (hall.nodes.world[others] != always.nodes.world[others]).any()
 
 
 def test_two_renderers_of_one_scene_show_a_time_each(gl: rhi.Device) -> None:
     scene, alone = make_bobbing(), make_bobbing()
     camera = look_at_first(6)
-    with Renderer(gl, scene, size=(48, 48)) as one, Renderer(gl, scene, size=(48, 48)) as other:
+    with Renderer(gl, scene, size=(48, 48)) as first_renderer, Renderer(gl, scene, size=(48, 48)) as other:
         for first, second in ((0.1, 0.6), (0.1, 0.7), (0.2, 0.2), (0.9, 0.1)):
-            shown = [one.render(camera, first).image.read(), other.render(camera, second).image.read()]
-            for image, seconds in zip(shown, (first, second), strict=True):
+            images = [first_renderer.render(camera, first).image.read(), other.render(camera, second).image.read()]
+            for image, seconds in zip(images, (first, second), strict=True):
                 with Renderer(gl, alone, size=(48, 48)) as fresh:
                     assert (image == fresh.render(camera, seconds).image.read()).all()
-        assert (shown[0] != shown[1]).any()
+        assert (images[0] != images[1]).any()
 
 
 def test_what_carries_a_culled_object_takes_its_bounds_along(gl: rhi.Device) -> None:
@@ -311,7 +316,7 @@ def test_bounds_of_the_hall_hold_at_all_times(text: str) -> None:
     hall = load_scene(text)
     hall.check_bounds(TIMES)
     # Once more, by other means: the world boxes of the flags' vertices.
-    meshes, objects, rows = hall.meshes, hall.objects, hall.objects.dynamic_rows
+    meshes, objects, rows = hall.meshes, hall.objects, hall.objects.dynamic_indices
     least, most = np.full((len(rows), 3), np.inf), np.full((len(rows), 3), -np.inf)
     for seconds in TIMES.tolist():
         hall.update(seconds)
@@ -344,14 +349,14 @@ def test_a_renderer_with_validation_checks_the_bounds_of_what_it_draws(null: rhi
     scene = make_bobbing(6)
     widen(scene, 0.6)
     with Renderer(null, scene, visibility=NoCulling(scene), size=(64, 64), validation=validation) as renderer:
-        found = None
+        rule_id = None
         for frame in range(12):
             try:
                 renderer.render(look_at_first(6), frame / 6)
             except rhi.ValidationError as error:
-                found = error.rule.id
+                rule_id = error.rule.id
                 break
-    assert found == ("scene-left-bounds" if validation else None)
+    assert rule_id == ("scene-left-bounds" if validation else None)
 
 
 class NoResult:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from renderer.scene import Camera, Depth, Orthographic, Perspective
-from renderer.visibility import Culler, build_by_area, build_by_middle, find_visible
+from renderer.visibility import HierarchyCuller, build_by_area, build_by_middle, select_visible
 from renderer.visibility.boxes import culling
 
 
@@ -18,7 +18,7 @@ def make_boxes(count, seed=0, spread=100.0, extent=5.0):
 
 
 def cull(culler, planes):
-    return culler.find_visible(planes)[0]
+    return culler.select_visible(planes)[0]
 
 
 @st.composite
@@ -32,14 +32,14 @@ def cameras(draw, scale):
     if draw(st.booleans()):
         far = draw(st.sampled_from([np.inf, 2.0 * near, 0.5 * scale, 10.0 * scale]))
         fov = draw(st.sampled_from([0.01, 0.6, 1.2, 3.1]))
-        lens = Perspective(fov, draw(st.sampled_from([0.3, 1.0, 2.4])), near, max(far, 1.5 * near), depth)
+        projection = Perspective(fov, draw(st.sampled_from([0.3, 1.0, 2.4])), near, max(far, 1.5 * near), depth)
     else:
-        lens = Orthographic(scale * draw(st.sampled_from([1e-4, 0.5])), 1.3, -near, scale, depth)
-    return Camera.look_at(eye, eye + forward * scale, projection=lens)
+        projection = Orthographic(scale * draw(st.sampled_from([1e-4, 0.5])), 1.3, -near, scale, depth)
+    return Camera.look_at(eye, eye + forward * scale, projection=projection)
 
 
 @st.composite
-def situations(draw):
+def culling_cases(draw):
     """Draw boxes and a camera of similar size; some boxes are flat, equal, around the camera, or on its planes."""
     scale = 10.0 ** draw(st.sampled_from([-30, -3, 0, 2, 7, 30]))
     camera = draw(cameras(scale))
@@ -58,14 +58,14 @@ def situations(draw):
     return centre - half, centre + half, camera
 
 
-@given(situation=situations())
+@given(culling_case=culling_cases())
 @settings(max_examples=150)
 @pytest.mark.parametrize("build", [build_by_area, build_by_middle])
-def test_the_hierarchy_finds_exactly_what_brute_force_finds(build, situation):
-    lower, upper, camera = situation
+def test_the_hierarchy_finds_exactly_what_brute_force_finds(build, culling_case):
+    lower, upper, camera = culling_case
     planes = camera.frustum.planes
-    expected = np.flatnonzero(find_visible(planes, lower, upper))
-    culler = Culler(build(lower, upper), lower, upper)
+    expected = np.flatnonzero(select_visible(planes, lower, upper))
+    culler = HierarchyCuller(build(lower, upper), lower, upper)
     assert cull(culler, planes).tolist() == expected.tolist()
     assert cull(culler, planes).tolist() == expected.tolist()  # and with what it remembers
 
@@ -75,17 +75,17 @@ def test_it_stays_exact_along_a_path_over_many_levels_with_jumps(monkeypatch, wi
     monkeypatch.setattr(culling, "_WIDTH", width)
     monkeypatch.setattr(culling, "_WIDEST", 16)
     lower, upper = make_boxes(6000)
-    culler = Culler(build_by_area(lower, upper), lower, upper)
+    culler = HierarchyCuller(build_by_area(lower, upper), lower, upper)
     assert len(culler._blocks) == (3 if width == 8 else 2)
     for frame in range(40):
         angle = 0.05 * frame + (2.0 if frame > 20 else 0.0)
-        lens = Perspective(far=150.0) if frame % 2 else Perspective()  # six planes, five planes
+        projection = Perspective(far=150.0) if frame % 2 else Perspective()  # six planes, five planes
         eye = np.array([3.0 * frame, 0.0, 0.0])
-        camera = Camera.look_at(eye, eye + np.array([np.cos(angle), 0.1, np.sin(angle)]), projection=lens)
+        camera = Camera.look_at(eye, eye + np.array([np.cos(angle), 0.1, np.sin(angle)]), projection=projection)
         planes = camera.frustum.planes
-        found = cull(culler, planes)
-        assert found.tolist() == np.flatnonzero(find_visible(planes, lower, upper)).tolist()
-        assert 0 < len(found) < 6000
+        visible = cull(culler, planes)
+        assert visible.tolist() == np.flatnonzero(select_visible(planes, lower, upper)).tolist()
+        assert 0 < len(visible) < 6000
 
 
 def test_brute_force_keeps_what_a_corner_by_corner_test_keeps():
@@ -95,7 +95,7 @@ def test_brute_force_keeps_what_a_corner_by_corner_test_keeps():
     corners = np.where(choice[None], upper[:, None], lower[:, None])
     distance = corners @ planes[:, :3].T + planes[:, 3]
     expected = (distance >= 0.0).any(1).all(1)
-    assert (find_visible(planes, lower, upper) == expected).all()
+    assert (select_visible(planes, lower, upper) == expected).all()
     assert 0 < expected.sum() < 500
 
 
@@ -104,32 +104,32 @@ def test_a_box_that_touches_a_plane_is_kept_and_one_an_ulp_behind_is_culled():
     flat = np.array([[2.0, 0.0, 0.0]])
     behind = np.nextafter(flat, 0.0) * (1.0, 0.0, 0.0)
     for box, expected in ((flat, [0]), (behind, [])):
-        assert np.flatnonzero(find_visible(planes, box, box)).tolist() == expected
-        assert cull(Culler(build_by_area(box, box), box, box), planes).tolist() == expected
+        assert np.flatnonzero(select_visible(planes, box, box)).tolist() == expected
+        assert cull(HierarchyCuller(build_by_area(box, box), box, box), planes).tolist() == expected
 
 
 def test_a_camera_inside_a_box_sees_it():
     lower, upper = np.array([[-5.0, -5.0, -5.0]]), np.array([[5.0, 5.0, 5.0]])
     for target in ((1, 0, 0), (0, -1, 0), (0.3, 0.3, -0.8)):
         planes = Camera.look_at((0, 0, 0), target).frustum.planes
-        assert cull(Culler(build_by_area(lower, upper), lower, upper), planes).tolist() == [0]
+        assert cull(HierarchyCuller(build_by_area(lower, upper), lower, upper), planes).tolist() == [0]
 
 
 def test_without_boxes_nothing_is_visible():
     nothing = np.zeros((0, 3))
     planes = Camera.look_at((0, 0, 0), (0, 0, -1)).frustum.planes
-    rows, counts = Culler(build_by_area(nothing, nothing), nothing, nothing).find_visible(planes)
+    rows, counts = HierarchyCuller(build_by_area(nothing, nothing), nothing, nothing).select_visible(planes)
     assert len(rows) == 0
     assert counts.planes == 0
 
 
 def test_the_plane_that_culled_last_time_saves_tests():
     lower, upper = make_boxes(5000, spread=500.0)
-    culler = Culler(build_by_area(lower, upper), lower, upper)
+    culler = HierarchyCuller(build_by_area(lower, upper), lower, upper)
     camera = Camera.look_at((0, 0, 0), (1, 0, 0.2), projection=Perspective(far=200.0))
-    _, first = culler.find_visible(camera.frustum.planes)
+    _, first = culler.select_visible(camera.frustum.planes)
     for _ in range(3):
-        _, again = culler.find_visible(camera.frustum.planes)
+        _, again = culler.select_visible(camera.frustum.planes)
     assert again.nodes == first.nodes
     assert again.planes < first.planes
 
@@ -137,7 +137,7 @@ def test_the_plane_that_culled_last_time_saves_tests():
 def test_what_a_far_plane_culled_is_found_by_a_camera_without_one():
     lower = np.arange(400)[:, None] * (0.0, 0.0, -1.0)  # a row of cubes ahead
     upper = lower + 0.5
-    culler = Culler(build_by_area(lower, upper), lower, upper)
+    culler = HierarchyCuller(build_by_area(lower, upper), lower, upper)
     planes = [
         Camera.look_at((0, 0, 1), (0, 0, -1), projection=Perspective(far=far)).frustum.planes for far in (50.5, np.inf)
     ]
@@ -155,14 +155,14 @@ def test_planes_that_a_node_lies_inside_are_not_tested_below_it():
     objects = int(tree.count[passed[tree.lower[passed, 0] < 30.5]].sum())
     assert 0 < objects < 10
     across, inside = [1.0, 0.0, 0.0, -30.5], [1.0, 0.0, 0.0, 1000.0]
-    _, counts = Culler(tree, lower, upper).find_visible(np.array([across] + [inside] * 5))
+    _, counts = HierarchyCuller(tree, lower, upper).select_visible(np.array([across] + [inside] * 5))
     # Each node against one plane, what passed it against the other five, objects against one.
     assert counts == culling.CullingCounts(len(cut), objects, len(cut) + 5 * len(passed) + objects)
 
 
 def test_a_node_inside_all_planes_is_taken_whole():
     lower, upper = make_boxes(1000)
-    culler = Culler(build_by_area(lower, upper), lower, upper)
-    rows, counts = culler.find_visible(np.array([[0.0, 1.0, 0.0, 1e4], [0.0, -1.0, 0.0, 1e4]]))
+    culler = HierarchyCuller(build_by_area(lower, upper), lower, upper)
+    rows, counts = culler.select_visible(np.array([[0.0, 1.0, 0.0, 1e4], [0.0, -1.0, 0.0, 1e4]]))
     assert len(rows) == 1000
     assert counts.objects == 0

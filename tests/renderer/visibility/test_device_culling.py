@@ -14,7 +14,7 @@ from frames import list_owned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nightly_reasons import FEWER_CASES
-from occlusion_scenes import DEVICE, ORIGIN, SIZE, Oracle, draw_with, look, make_boxes, visible, walk
+from occlusion_scenes import DEVICE, ORIGIN, SIZE, Oracle, draw_with, make_boxes, make_camera, visible, walk
 
 import rhi
 from renderer import visibility
@@ -78,22 +78,27 @@ def test_random_walks_among_random_boxes_look_as_without_culling(
 ) -> None:
     # Steps as small as a frame's: the last frame's depth is worth something.
     rng, shots = np.random.default_rng(seed), []
-    place, aim, step = eye.position, eye.position + 5.0 * eye.forward, rng.normal(0.0, 0.2, (2, 3))
+    position, aim, step = eye.position, eye.position + 5.0 * eye.forward, rng.normal(0.0, 0.2, (2, 3))
     for _ in range(6):
-        shots.append((Camera.look_at(place, aim, projection=eye.projection), 0.0))
-        place, aim = place + step[0], aim + step[1]
-    with occlusion_scenes.Uncut(device, scene, shots) as uncut:
+        shots.append((Camera.look_at(position, aim, projection=eye.projection), 0.0))
+        position, aim = position + step[0], aim + step[1]
+    with occlusion_scenes.UnculledFrames(device, scene, shots) as uncut:
         assert [uncut.try_algorithm(name) for name in DEVICE] == [[0] * 6] * 2
 
 
 @pytest.mark.parametrize("name", DEVICE)
 def test_what_a_wall_hides_is_not_drawn(device: rhi.Device, name: str) -> None:
-    places = [occlusion_scenes.WALL, *((x, y, -9.0) for x in (-1, 0, 1) for y in (-1, 0, 1)), (0.0, 0.0, 9.0)]
-    scene = make_boxes(places, [(30.0, 30.0, 0.1)] + [(0.5, 0.5, 0.5)] * 10)
+    object_positions = [
+        occlusion_scenes.WALL_POSITION,
+        *((x, y, -9.0) for x in (-1, 0, 1) for y in (-1, 0, 1)),
+        (0.0, 0.0, 9.0),
+    ]
+    scene = make_boxes(object_positions, [(30.0, 30.0, 0.1)] + [(0.5, 0.5, 0.5)] * 10)
     algorithm = make(name, scene, device)
     with Renderer(device, scene, size=SIZE) as renderer:
         drawn = [
-            visible(draw_with(renderer, algorithm, look((0.0, 0.0, 0.0), occlusion_scenes.WALL))) for _ in range(3)
+            visible(draw_with(renderer, algorithm, make_camera((0.0, 0.0, 0.0), occlusion_scenes.WALL_POSITION)))
+            for _ in range(3)
         ]
     assert drawn[2] == {0}
     assert drawn[0] > {0}, "at first nothing is known"
@@ -105,13 +110,13 @@ def test_what_the_first_list_misses_is_on_the_second(device: rhi.Device, name: s
     near, far = (0.0, 0.0, -5.0), (0.0, 0.0, -9.0)
     scene = make_boxes([near, far], [(30.0, 30.0, 0.1), (0.5, 0.5, 0.5)])
     algorithm = make(name, scene, device)
-    behind = look((0.0, 0.0, -20.0), far)
+    behind = make_camera((0.0, 0.0, -20.0), far)
     with Renderer(device, scene, size=SIZE) as renderer:
         for _ in range(3):
-            draw_with(renderer, algorithm, look((0.0, 0.0, 0.0), near)).visible  # noqa: B018
-        assert algorithm.second.read_rows().tolist() == []
+            draw_with(renderer, algorithm, make_camera((0.0, 0.0, 0.0), near)).visible  # noqa: B018
+        assert algorithm.second.read_object_indices().tolist() == []
         assert visible(draw_with(renderer, algorithm, behind)) == {0, 1}
-        lists = [drawn.read_rows().tolist() for drawn in (algorithm.first, algorithm.second)]
+        lists = [drawn.read_object_indices().tolist() for drawn in (algorithm.first, algorithm.second)]
     assert 1 in lists[1]
     assert sorted(lists[0] + lists[1]) == [0, 1]
 
@@ -126,7 +131,7 @@ def test_what_the_cpu_does_is_the_same_for_any_number_of_objects(null: rhi.Devic
             for eye in (5.0, 6.0, 7.0):  # the first ones make programs
                 null.stream.clear()
                 null.reset_statistics()
-                draw_with(renderer, algorithm, look((0.0, 0.0, eye), (0.0, 0.0, 0.0)))
+                draw_with(renderer, algorithm, make_camera((0.0, 0.0, eye), (0.0, 0.0, 0.0)))
         uploads.append(null.statistics.upload_bytes)
         recorded = [command.op for command in null.stream]
         algorithm.destroy()  # else its resources end in whatever frame garbage is collected
@@ -142,16 +147,18 @@ def test_what_the_cpu_does_is_the_same_for_any_number_of_objects(null: rhi.Devic
 def test_what_the_lists_hold_follows_from_what_shows_and_what_is_guessed(
     null: rhi.Device, frames: list[tuple[set[int], set[int]]]
 ) -> None:
-    scene, camera = occlusion_scenes.make_cloud(), look((0.0, 0.0, 30.0), ORIGIN, near=0.1)
+    scene, camera = occlusion_scenes.make_cloud(), make_camera((0.0, 0.0, 30.0), ORIGIN, near=0.1)
     with Renderer(null, scene, size=(64, 36)) as renderer:
         for name in DEVICE:
             algorithm, oracle = make(name, scene, null), Oracle(null, scene, name)
             seen: set[int] = set()
             for now, guessed in frames:
                 likely = guessed if name == "two_pass" else seen
-                oracle.seen, oracle.guessed = seen, _ = now, guessed
+                oracle.visible_objects, oracle.guessed = seen, _ = now, guessed
                 drawn = visible(draw_with(renderer, algorithm, camera))
-                first, second = (set(one.read_rows().tolist()) for one in (algorithm.first, algorithm.second))
+                first, second = (
+                    set(draw_list.read_object_indices().tolist()) for draw_list in (algorithm.first, algorithm.second)
+                )
                 assert (first, second) == (likely, seen - likely), name
                 assert drawn == likely | seen
             algorithm.destroy()
@@ -160,10 +167,10 @@ def test_what_the_lists_hold_follows_from_what_shows_and_what_is_guessed(
 @pytest.mark.parametrize("name", DEVICE)
 def test_the_gpu_draws_what_is_listed_and_the_cpu_never_waits(name: str) -> None:
     simulation = Simulation(submission_latency=10**8)
-    scene, camera = occlusion_scenes.make_cloud(), look((0.0, 0.0, 30.0), ORIGIN, near=0.1)
+    scene, camera = occlusion_scenes.make_cloud(), make_camera((0.0, 0.0, 30.0), ORIGIN, near=0.1)
     with rhi.create_device("null", simulation=simulation) as device, Renderer(device, scene) as renderer:
         gpu = device.backend_as(SimulatedBackend)
-        oracle = Oracle(device, scene, name, guessed={1, 2}, seen={2, 40, 59})
+        oracle = Oracle(device, scene, name, guessed={1, 2}, visible_objects={2, 40, 59})
         algorithm = make(name, scene, device)
         draw_with(renderer, algorithm, camera)
         draw_with(renderer, algorithm, camera)
@@ -177,19 +184,19 @@ def test_the_gpu_draws_what_is_listed_and_the_cpu_never_waits(name: str) -> None
 
 @pytest.mark.parametrize("name", DEVICE)
 def test_near_objects_are_drawn_first(null: rhi.Device, name: str) -> None:
-    places = [(0.0, 0.0, z) for z in (-10.0, 20.0, 14.0, 18.0, 6.0)]  # an octave apart
-    scene = make_boxes(places, np.ones((5, 3)))
-    oracle = Oracle(null, scene, name, seen=set(range(5)))
+    object_positions = [(0.0, 0.0, z) for z in (-10.0, 20.0, 14.0, 18.0, 6.0)]  # an octave apart
+    scene = make_boxes(object_positions, np.ones((5, 3)))
+    oracle = Oracle(null, scene, name, visible_objects=set(range(5)))
     with Renderer(null, scene, size=SIZE) as renderer:
-        draw_with(renderer, make(name, scene, null), look((0.0, 0.0, 22.0), ORIGIN, near=0.1))
+        draw_with(renderer, make(name, scene, null), make_camera((0.0, 0.0, 22.0), ORIGIN, near=0.1))
         null.finish()
     assert oracle.executed == [1, 3, 2, 4, 0]
 
 
 @pytest.mark.parametrize("name", DEVICE)
 def test_a_pass_without_a_device_is_refused(null: rhi.Device, city: Scene, name: str) -> None:
-    with pytest.raises(ValidationError, match=r"^\[visibility-no-scene-pass\]"):
-        visibility.find_visible_objects(make(name, city, null), city.views["overview"])
+    with pytest.raises(ValidationError, match=r"^\[visibility-no-renderer\]"):
+        visibility.list_visible_objects(make(name, city, null), city.views["overview"])
 
 
 @pytest.mark.parametrize("name", DEVICE)
@@ -197,12 +204,12 @@ def test_what_was_drawn_is_known_until_the_next_frame(device: rhi.Device, city: 
     algorithm, camera = make(name, city, device), city.paths["ground"].camera(700)
     with Renderer(device, city, size=SIZE) as renderer:
         first = draw_with(renderer, algorithm, camera)
-        kept = draw_with(renderer, algorithm, camera)
-        rows = kept.visible
-        assert kept.statistics.draws == len(rows) > 0
-        assert kept.statistics.triangles == city.count_triangles(rows)
+        result = draw_with(renderer, algorithm, camera)
+        rows = result.visible
+        assert result.statistics.draws == len(rows) > 0
+        assert result.statistics.triangles == city.count_triangles(rows)
         draw_with(renderer, algorithm, camera)
-        assert kept.visible is rows
+        assert result.visible is rows
         with pytest.raises(ValidationError, match=r"^\[visibility-stale-list\]"):
             first.statistics  # noqa: B018
 
@@ -221,25 +228,25 @@ def test_devices_that_draw_and_compute_list_them(gl: rhi.Device, null: rhi.Devic
 
 
 @pytest.mark.parametrize("name", DEVICE)
-def test_everything_is_given_back(null: rhi.Device, city: Scene, name: str) -> None:
+def test_all_resources_are_released(null: rhi.Device, city: Scene, name: str) -> None:
     with Renderer(null, city, size=SIZE) as renderer:
         null.stream.clear()
         algorithm = make(name, city, null)
         for size in (SIZE, (40, 30)):
             renderer.size = size
             draw_with(renderer, algorithm, city.views["overview"])
-        made, _ = list_owned(null)
+        created, _ = list_owned(null)
         algorithm.destroy()
-    assert len(made) > 8
+    assert len(created) > 8
     assert list_owned(null)[1] == []
 
 
-@pytest.mark.parametrize("lens", [None, STANDARD])
+@pytest.mark.parametrize("projection", [None, STANDARD])
 def test_all_that_a_depth_pyramid_dispatches_is_prepared(
-    null: rhi.Device, city: Scene, lens: Perspective | None
+    null: rhi.Device, city: Scene, projection: Perspective | None
 ) -> None:
     """No program is created in the first frame that it culls."""
-    camera = city.views["overview"] if lens is None else replace(city.views["overview"], projection=lens)
+    camera = city.views["overview"] if projection is None else replace(city.views["overview"], projection=projection)
     with Renderer(null, city, size=SIZE) as renderer:
         draw_with(renderer, visibility.FrustumCulling(city), camera)
         prepare_depth_pyramid(city, null, camera.projection.depth)
@@ -259,13 +266,13 @@ def test_without_a_counted_indirect_draw_the_others_are_of_no_instance(
     algorithm = make(name, city, gl)
     assert occlusion_scenes.count_wrong_pixels(gl, city, algorithm, shots) == [0] * 3
     for drawn in (algorithm.first, algorithm.second):
-        assert drawn.draws.read()["instances"].sum() == len(drawn.read_rows())
+        assert drawn.draws.read()["instances"].sum() == len(drawn.read_object_indices())
 
 
 @pytest.mark.parametrize("name", DEVICE)
 def test_it_can_be_a_candidate_of_auto(device: rhi.Device, city: Scene, name: str) -> None:
-    makers = {"frustum": lambda: visibility.FrustumCulling(city), name: lambda: make(name, city, device)}
-    auto = visibility.AutoCulling(city, device, makers, frames=3, rest=1)
+    factories = {"frustum": lambda: visibility.FrustumCulling(city), name: lambda: make(name, city, device)}
+    auto = visibility.AutoCulling(city, device, factories, frames=3, idle=1)
     assert occlusion_scenes.count_wrong_pixels(device, city, auto, walk(city, "ground", range(600, 616, 2))) == [0] * 8
 
 

@@ -16,7 +16,7 @@ from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility import NoCulling
 from renderer.visibility.gpu.draw_lists import (
     KEYS,
-    MOST_PARTS,
+    MAX_PARTS,
     CountKeys,
     DrawArguments,
     IndirectDrawList,
@@ -33,33 +33,36 @@ def buckets(depth: np.ndarray) -> np.ndarray:
     return np.clip(np.floor(2.0 * np.log2(np.maximum(depth, 0.125))).astype(int) + 6, 0, BUCKETS - 1)
 
 
-def make_rows(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def make_objects(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     marks = rng.choice([HIDDEN, VISIBLE, OUTSIDE, DRAWN], count).astype(np.uint32)
-    places, boxes, parts = (
+    object_positions, boxes, parts = (
         np.zeros(n, s.dtype) for n, s in ((count, ObjectPosition), (count, Occludee), (5, MeshPart))
     )
-    places["mesh"], places["draw_list"] = rng.integers(0, 5, count), rng.choice(4, count, p=[0.6, 0.2, 0.15, 0.05])
+    object_positions["mesh"], object_positions["draw_list"] = (
+        rng.integers(0, 5, count),
+        rng.choice(4, count, p=[0.6, 0.2, 0.15, 0.05]),
+    )
     # Between the borders of half octaves, so that a logarithm's last bit doesn't matter.
     boxes["depth"] = rng.choice([-3.0, 0.0, 0.1, 1.1, 1.3, 5.0, 77.0, 5000.0, 1e20], count)
     parts["first"], parts["count"], parts["base_vertex"] = rng.integers(0, 999, (3, 5))
-    return marks, places, boxes, parts
+    return marks, object_positions, boxes, parts
 
 
-def expect(marks: np.ndarray, places: np.ndarray, boxes: np.ndarray, part: int) -> np.ndarray:
+def expect(marks: np.ndarray, object_positions: np.ndarray, boxes: np.ndarray, part: int) -> np.ndarray:
     """Return the expected rows of one part in the order of their draws."""
-    rows = np.flatnonzero((marks == VISIBLE) & (places["draw_list"] == part))
+    rows = np.flatnonzero((marks == VISIBLE) & (object_positions["draw_list"] == part))
     return rows[np.argsort(buckets(boxes["depth"][rows]), kind="stable")]
 
 
 def check(
-    marks: np.ndarray, places: np.ndarray, boxes: np.ndarray, parts: np.ndarray, after: dict[str, np.ndarray]
+    marks: np.ndarray, object_positions: np.ndarray, boxes: np.ndarray, parts: np.ndarray, after: dict[str, np.ndarray]
 ) -> None:
     count, totals, draws = len(marks), after["totals"], after["listed"]
     for part in range(4):
-        rows, begin = expect(marks, places, boxes, part), part * count
+        rows, begin = expect(marks, object_positions, boxes, part), part * count
         assert totals[part] == len(rows)
-        listed, mesh = draws[begin : begin + len(rows)], parts[places["mesh"][rows]]
+        listed, mesh = draws[begin : begin + len(rows)], parts[object_positions["mesh"][rows]]
         assert listed["base_instance"].tolist() == rows.tolist()
         assert (listed["instances"] == 1).all()
         for field in ("count", "first", "base_vertex"):
@@ -75,26 +78,32 @@ def check(
 @example(64, 0)
 @example(65, 1)
 def test_lists_are_of_marked_rows_near_first(count: int, seed: int) -> None:
-    marks, places, boxes, parts = make_rows(count, seed)
+    marks, object_positions, boxes, parts = make_objects(count, seed)
     groups = -(-count // 64)
     counted = run_compute(
-        CountKeys, groups, places=places, occludees=boxes, marks=marks, keys=count, counts=KEYS * groups
+        CountKeys,
+        groups,
+        object_positions=object_positions,
+        occludees=boxes,
+        marks=marks,
+        keys=count,
+        counts=KEYS * groups,
     )
     sums = run_compute(PrefixSum, 1, counts=counted["counts"])["counts"]
     assert sums.tolist() == np.append(0, np.cumsum(counted["counts"]))[:-1].tolist()
     written = run_compute(
-        WriteDraws, groups, places=places, meshes=parts, keys=counted["keys"], sums=sums, listed=4 * count,
-        hidden=count, totals=5, boxes=np.zeros(1, DrawArguments.dtype),
+        WriteDraws, groups, object_positions=object_positions, mesh_parts=parts, keys=counted["keys"], sums=sums,
+        listed=4 * count, hidden=count, totals=5, boxes=np.zeros(1, DrawArguments.dtype),
     )  # fmt: skip
-    check(marks, places, boxes, parts, counted | written)
+    check(marks, object_positions, boxes, parts, counted | written)
 
 
-@pytest.mark.parametrize("listed", [5, 8, 20, MOST_PARTS])
+@pytest.mark.parametrize("listed", [5, 8, 20, MAX_PARTS])
 def test_lists_may_have_more_parts(device: rhi.Device, listed: int) -> None:
     """With fewer and wider classes of distances."""
     count, rng = 900, np.random.default_rng(listed)
-    marks, places, boxes, parts = make_rows(count, listed)
-    places["draw_list"] = rng.integers(0, listed, count)
+    marks, object_positions, boxes, parts = make_objects(count, listed)
+    object_positions["draw_list"] = rng.integers(0, listed, count)
     occludees = Occludees(device, count)
     occludees.marks.write(marks)
     occludees.boxes.write(boxes)
@@ -102,14 +111,14 @@ def test_lists_may_have_more_parts(device: rhi.Device, listed: int) -> None:
     scene = load_scene("grid:mesh=box,count=1")
     resources = SceneResources(device, scene)
     view = aim(device, scene, resources)
-    arrays = resources.list_arrays(view.buffer)
-    given_places, given_parts = device.storage(ObjectPosition, places), device.storage(MeshPart, parts)
+    arrays = resources.scene_arrays(view.buffer)
+    given_places, given_parts = device.storage(ObjectPosition, object_positions), device.storage(MeshPart, parts)
     lists.list_draws(device, type(arrays)(arrays.view, arrays.objects, given_places, given_parts))
     totals, draws, classes = lists.totals.read(), lists.draws.read(), (KEYS - 2) // listed
     octaves = np.log2(np.maximum(boxes["depth"], 0.125)) + 3.0
     order = np.argsort(np.floor(octaves * (2.0 * classes / BUCKETS)).clip(0, classes - 1), kind="stable")
     for part in range(listed):
-        expected = order[((marks == VISIBLE) & (places["draw_list"] == part))[order]]
+        expected = order[((marks == VISIBLE) & (object_positions["draw_list"] == part))[order]]
         drawn = draws["base_instance"][part * count : part * count + totals[part]]
         assert drawn.tolist() == expected.tolist()
     assert totals[listed] == (marks == HIDDEN).sum()
@@ -130,7 +139,7 @@ def aim(device: rhi.Device, scene: Scene, resources: SceneResources) -> View:
 @given(st.integers(1, 3000), st.integers(0, 999))
 @example(20_000, 2)
 def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int) -> None:
-    marks, places, boxes, parts = make_rows(count, seed)
+    marks, object_positions, boxes, parts = make_objects(count, seed)
     occludees = Occludees(device, count)
     occludees.marks.write(marks)
     occludees.boxes.write(boxes)
@@ -138,9 +147,9 @@ def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int
     scene = load_scene("grid:mesh=box,count=1")
     resources = SceneResources(device, scene)
     view = aim(device, scene, resources)
-    arrays = resources.list_arrays(view.buffer)
+    arrays = resources.scene_arrays(view.buffer)
     given_arrays = type(arrays)(
-        arrays.view, arrays.objects, device.storage(ObjectPosition, places), device.storage(MeshPart, parts)
+        arrays.view, arrays.objects, device.storage(ObjectPosition, object_positions), device.storage(MeshPart, parts)
     )
     readings = []
     for _ in range(2):  # the second time nothing is VISIBLE any more
@@ -149,14 +158,21 @@ def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int
             "marks": occludees.marks.read(), "listed": lists.draws.read(), "totals": lists.totals.read(),
             "hidden": lists.hidden.read(), "boxes": lists.box_draw.read(),
         }  # fmt: skip
-        check(marks, places, boxes, parts, after)
-        rows = [expect(marks, places, boxes, part) for part in range(4)]
+        check(marks, object_positions, boxes, parts, after)
+        rows = [expect(marks, object_positions, boxes, part) for part in range(4)]
         listed = np.concatenate(rows).tolist()
-        assert lists.read_rows().tolist() == listed
-        readings.append((lists.read_rows_async(), listed))
+        assert lists.read_object_indices().tolist() == listed
+        readings.append((lists.read_object_indices_async(), listed))
         marks = after["marks"]
     assert all(wait().tolist() == listed for wait, listed in readings)
-    for resource in (occludees, lists, resources, view, given_arrays.places.owner, given_arrays.parts.owner):
+    for resource in (
+        occludees,
+        lists,
+        resources,
+        view,
+        given_arrays.object_positions.owner,
+        given_arrays.mesh_parts.owner,
+    ):
         resource.destroy()
 
 
@@ -165,8 +181,8 @@ def test_arguments_lie_where_indirect_draws_look_for_them(null: rhi.Device) -> N
     parts = [lists.arguments(part) for part in range(DRAW_LISTS)]
     assert DrawArguments.dtype.itemsize == rhi.DRAW.itemsize == parts[0].stride
     assert [DrawArguments.dtype.fields[name][1] for name in rhi.DRAW.names or ()] == [0, 4, 8, 12, 16]
-    assert [one.offset for one in parts] == [10 * part * rhi.DRAW.itemsize for part in range(4)]
-    assert [one.count_offset for one in parts] == [0, 4, 8, 12]
+    assert [draws.offset for draws in parts] == [10 * part * rhi.DRAW.itemsize for part in range(4)]
+    assert [draws.count_offset for draws in parts] == [0, 4, 8, 12]
 
 
 @pytest.mark.parametrize("count", [1, 64, 65])
@@ -176,5 +192,5 @@ def test_each_list_is_another_generation(null: rhi.Device, count: int) -> None:
     view = aim(null, scene, resources)
     before = lists.generation
     lists.renew()
-    lists.list_draws(null, resources.list_arrays(view.buffer))
+    lists.list_draws(null, resources.scene_arrays(view.buffer))
     assert lists.generation == before + 1

@@ -6,7 +6,7 @@ import pytest
 from renderer import visibility
 from renderer.content import load_scene
 from renderer.scene import Camera
-from renderer.visibility import CallbackPass, FrustumCulling, NoCulling, find_visible, find_visible_objects, frustum
+from renderer.visibility import CallbackDrawer, FrustumCulling, NoCulling, frustum, list_visible_objects, select_visible
 from rhi.errors import ValidationError
 
 
@@ -23,28 +23,28 @@ def city():
 @pytest.mark.parametrize("path", ["ground", "sky"])
 def test_what_brute_force_keeps_is_drawn_along_a_path_and_moving_objects_where_they_are_now(hall, path):
     algorithm = FrustumCulling(hall)
-    assert len(hall.objects.dynamic_rows)
-    assert len(hall.objects.static_rows)
+    assert len(hall.objects.dynamic_indices)
+    assert len(hall.objects.static_indices)
     seen = set()
     for frame in range(0, 1800, 90):
         hall.update(frame / 60.0)
         camera = hall.paths[path].camera(frame)
-        expected = np.flatnonzero(find_visible(camera.frustum.planes, hall.objects.lower, hall.objects.upper))
-        assert (find_visible_objects(algorithm, camera) == expected).all()
-        seen.update(np.intersect1d(expected, hall.objects.dynamic_rows).tolist())
+        expected = np.flatnonzero(select_visible(camera.frustum.planes, hall.objects.lower, hall.objects.upper))
+        assert (list_visible_objects(algorithm, camera) == expected).all()
+        seen.update(np.intersect1d(expected, hall.objects.dynamic_indices).tolist())
     assert seen
 
 
 def test_no_culling_draws_every_object_once(hall):
     batches = []
-    statistics = NoCulling(hall).render(hall.paths["sky"].camera(0), CallbackPass(batches.append))
+    statistics = NoCulling(hall).render(hall.paths["sky"].camera(0), CallbackDrawer(batches.append))
     assert [batch.tolist() for batch in batches] == [list(range(len(hall.objects)))]
     assert statistics.visible == statistics.objects == len(hall.objects)
 
 
 def test_batches_are_ascending_and_statistics_count_them(hall):
     batches = []
-    statistics = FrustumCulling(hall).render(hall.views["overview"], CallbackPass(batches.append))
+    statistics = FrustumCulling(hall).render(hall.views["overview"], CallbackDrawer(batches.append))
     assert statistics.batches == len(batches) == 1
     assert statistics.visible == len(batches[0])
     assert (np.diff(batches[0]) > 0).all()
@@ -54,36 +54,36 @@ def test_batches_are_ascending_and_statistics_count_them(hall):
 
 def test_an_object_that_is_alone_in_view_is_a_batch():
     scene = load_scene("grid:count=1")
-    statistics = FrustumCulling(scene).render(next(iter(scene.views.values())), CallbackPass(lambda rows: None))
+    statistics = FrustumCulling(scene).render(next(iter(scene.views.values())), CallbackDrawer(lambda rows: None))
     assert (statistics.visible, statistics.batches) == (1, 1)
 
 
 def test_nothing_in_view_draws_nothing(hall):
     batches = []
     away = Camera.look_at((0.0, 1000.0, 0.0), (0.0, 2000.0, 0.0))
-    statistics = FrustumCulling(hall).render(away, CallbackPass(batches.append))
+    statistics = FrustumCulling(hall).render(away, CallbackDrawer(batches.append))
     assert batches == []
     assert statistics.visible == statistics.batches == 0
 
 
 def test_many_objects_are_in_a_hierarchy_which_needs_fewer_tests_and_few_are_not(monkeypatch):
     city = load_scene("city:blocks=24,detail=2")
-    count, camera = len(city.objects.fixed_rows), city.paths["ground"].camera(900)
-    found = []
+    count, camera = len(city.objects.fixed_indices), city.paths["ground"].camera(900)
+    visible = []
     for few in (count, count - 1):
-        monkeypatch.setattr(frustum, "_FEW", few)
-        statistics = FrustumCulling(city).render(camera, CallbackPass(found.append))
+        monkeypatch.setattr(frustum, "_MAX_BRUTE_FORCE", few)
+        statistics = FrustumCulling(city).render(camera, CallbackDrawer(visible.append))
         if few == count:
             assert (statistics.nodes_tested, statistics.plane_tests) == (0, 5 * count)
-    assert np.array_equal(*found)
-    assert 0 < len(found[0]) < count
+    assert np.array_equal(*visible)
+    assert 0 < len(visible[0]) < count
     assert 0 < statistics.plane_tests < 5 * count / 3
     assert statistics.objects_tested < count / 3
 
 
 @pytest.mark.parametrize("name", ["none", "frustum"])
 def test_a_name_makes_its_algorithm(city, null, name):
-    assert len(find_visible_objects(visibility.make_visibility(name, city, null), city.views["street"])) > 0
+    assert len(list_visible_objects(visibility.make_visibility(name, city, null), city.views["street"])) > 0
 
 
 def test_an_unknown_name_is_refused_with_the_nearest(city, null):

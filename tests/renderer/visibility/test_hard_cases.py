@@ -1,9 +1,8 @@
-"""The hard cases of visibility, beyond what the exam measures: its images show something, random scenes look as without
-culling, and on a null device that is so many commands late, what is seen is drawn.
+"""The hard cases of visibility, beyond what the exam measures: its images show something, random scenes look as
+without culling, and on a null device that is so many commands late, what is seen is drawn.
 
-On the null device, where an oracle says what shows, the algorithms that ask the device, and those that run on it, take
-the exam's images on a GPU whose answers come late, and `WALKS` with them, whose answers no scene would give.
-"""
+On the null device, where an oracle says what shows, the algorithms that ask the device, and those that run on it,
+take the exam's images on a GPU whose answers come late, and `WALKS` with them, whose answers no scene would give."""
 
 from __future__ import annotations
 
@@ -17,19 +16,30 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nightly_reasons import FEWER_CASES, ONLY_KERNELS
-from occlusion_scenes import DEVICE, OCCLUSION, ORIGIN, WALL, Oracle, Uncut, draw_with, look, make_boxes, visible
+from occlusion_scenes import (
+    DEVICE,
+    OCCLUSION,
+    ORIGIN,
+    WALL_POSITION,
+    Oracle,
+    UnculledFrames,
+    draw_with,
+    make_boxes,
+    make_camera,
+    visible,
+)
 
 import rhi
-from renderer.lab.exam.scenes import IMAGES
-from renderer.lab.exam.visibility import LATENCIES, NAMES
-from renderer.lab.measure.exact import ExactVisibility
+from renderer.lab.exam.scenes import CULLING_SCENARIOS
+from renderer.lab.exam.visibility_cases import LATENCIES, NAMES
+from renderer.lab.measure.exact_visibility import ExactVisibility
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene
 from renderer.visibility import ChcPlusPlus, VisibilitySettings, list_algorithms, make_visibility
 from renderer.visibility.boxes.bounds import near_radius
 from rhi.backends.null import CostModel, Simulation
 
-LENS = Perspective(np.pi / 3, 16 / 9, near=0.1)
+PROJECTION = Perspective(np.pi / 3, 16 / 9, near=0.1)
 
 
 @pytest.mark.nightly_cases("cl", reason=ONLY_KERNELS)
@@ -38,12 +48,12 @@ def test_the_images_are_not_empty(drawing_device: rhi.Device) -> None:
     class Nothing:
         opens_pass = False
 
-        def render(self, camera: Camera, scene_pass: object) -> None:
+        def render(self, camera: Camera, scene_drawer: object) -> None:
             return None
 
-    for title, image in IMAGES.items():
+    for title, image in CULLING_SCENARIOS.items():
         scene = image.scene()
-        with Uncut(drawing_device, scene, image.shots(scene), image.size) as uncut:
+        with UnculledFrames(drawing_device, scene, image.shots(scene), image.size) as uncut:
             assert sum(uncut.count_wrong_pixels(Nothing())) > 0, title
 
 
@@ -54,7 +64,7 @@ def test_the_images_are_not_empty(drawing_device: rhi.Device) -> None:
     st.integers(1, 6),
     st.integers(1, 4),
 )
-def test_random_scenes_from_random_places_look_as_without_culling(
+def test_random_scenes_from_random_positions_look_as_without_culling(
     drawing_device: rhi.Device, scene: Scene, eyes: list[Camera], batch: int, persistence: int
 ) -> None:
     shots = [(camera, 0.0) for camera in (*eyes, eyes[-1], eyes[0])]
@@ -71,14 +81,16 @@ def test_random_scenes_from_random_places_look_as_without_culling(
 
 
 def make_late(latency: int) -> rhi.Device:
-    """Create a simulated GPU whose clock advances by one for each call; results are available `latency` calls later."""
+    """Create a simulated GPU whose clock advances by one for each call; results are available `latency` calls
+    later."""
     free = CostModel(command=0.0, vertex=0.0, pixel=0.0, byte=0.0, state_change=0.0, invocation=0.0)
     simulation = Simulation(free, call=1, submission_latency=latency, wake_latency=0, batch=1)
     return rhi.create_device("null", simulation=simulation)
 
 
-def in_turns(*lists: Iterable[object]) -> list[object]:
-    """All combinations with all latencies; of each but one is taken by day, another one than of its neighbours."""
+def interleave(*lists: Iterable[object]) -> list[object]:
+    """All combinations with all latencies; of each but one is taken in the default run, another one than of its
+    neighbours."""
     turns = len(LATENCIES)
     return [
         pytest.param(*case, latency, marks=() if (number + number // turns) % turns == turn else pytest.mark.nightly)
@@ -88,22 +100,22 @@ def in_turns(*lists: Iterable[object]) -> list[object]:
 
 
 @pytest.mark.nightly_cases("*-1", "*-20", reason=FEWER_CASES)
-@pytest.mark.parametrize(("title", "latency"), in_turns(IMAGES))
+@pytest.mark.parametrize(("title", "latency"), interleave(CULLING_SCENARIOS))
 def test_on_a_late_gpu_a_hard_case_draws_what_is_seen(title: str, latency: int) -> None:
-    case = IMAGES[title]
+    case = CULLING_SCENARIOS[title]
     scene = case.scene()
     shots = case.shots(scene)
     with rhi.create_device() as device:
         if not device.capabilities.renders:
             pytest.skip("no device here that draws")
         exact = ExactVisibility(device, scene, case.size)
-        seen = [exact.find(camera) for camera, _ in shots]
+        visible_objects = [exact.visible_objects(camera) for camera, _ in shots]
     for name in (*OCCLUSION, *DEVICE):
         with make_late(latency) as device, Renderer(device, scene, size=case.size) as renderer:
             oracle = Oracle(device, scene, name)
             algorithm = make_visibility(name, scene, device)
-            for (camera, seconds), rows in zip(shots, seen, strict=True):
-                oracle.guessed, oracle.seen = oracle.seen, rows
+            for (camera, seconds), rows in zip(shots, visible_objects, strict=True):
+                oracle.guessed, oracle.visible_objects = oracle.visible_objects, rows
                 assert visible(draw_with(renderer, algorithm, camera, seconds)) >= rows, name
 
 
@@ -115,29 +127,29 @@ WALKS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "title", "latency"), in_turns([*OCCLUSION, *DEVICE], WALKS))
+@pytest.mark.parametrize(("name", "title", "latency"), interleave([*OCCLUSION, *DEVICE], WALKS))
 def test_what_shows_is_drawn_whenever_the_answer_comes(name: str, title: str, latency: int) -> None:
     scene = _cloud()
     with make_late(latency) as device:
         oracle = Oracle(device, scene, name, guessed=set(range(0, 40, 3)))
         algorithm = make_visibility(name, scene, device)
         with Renderer(device, scene, size=(64, 36)) as renderer:
-            for z, seen in WALKS[title][1]:
-                camera = look((0.0, 0.0, z), ORIGIN, near=0.1)
-                oracle.seen = set(seen)
+            for z, visible_objects in WALKS[title][1]:
+                camera = make_camera((0.0, 0.0, z), ORIGIN, near=0.1)
+                oracle.visible_objects = set(visible_objects)
                 for _ in range(3):
-                    assert visible(draw_with(renderer, algorithm, camera)) >= oracle.seen
+                    assert visible(draw_with(renderer, algorithm, camera)) >= oracle.visible_objects
 
 
-@pytest.mark.parametrize(("name", "ulps", "latency"), in_turns([*OCCLUSION, *DEVICE], [-1, 0, 1]))
+@pytest.mark.parametrize(("name", "ulps", "latency"), interleave([*OCCLUSION, *DEVICE], [-1, 0, 1]))
 def test_what_may_be_cut_by_the_near_plane_is_drawn_whatever_the_answer(name: str, ulps: int, latency: int) -> None:
-    radius = near_radius(look(ORIGIN, WALL, fov=LENS.fov, near=0.1).with_aspect(64 / 36))
+    radius = near_radius(make_camera(ORIGIN, WALL_POSITION, fov=PROJECTION.fov, near=0.1).with_aspect(64 / 36))
     inside = radius * (1.0 + ulps * 2.0**-52) - 1e-3  # padding pulls the near one of two over the radius
     scene = make_boxes([(0.0, 0.0, -inside - 0.5), (0.0, 0.0, -9.0)], [(1.0, 1.0, 1.0)] * 2)
     with make_late(latency) as device:
         Oracle(device, scene, name)  # sees nothing
         with Renderer(device, scene, size=(64, 36)) as renderer:
-            camera = look(ORIGIN, WALL, fov=LENS.fov, near=0.1)
+            camera = make_camera(ORIGIN, WALL_POSITION, fov=PROJECTION.fov, near=0.1)
             algorithm = make_visibility(name, scene, device)
             assert all(0 in visible(draw_with(renderer, algorithm, camera)) for _ in range(3))
 

@@ -27,7 +27,7 @@ def any_boxes(draw):
     return centre - 0.5 * extent, centre + 0.5 * extent
 
 
-def rows_of(tree, node):
+def boxes_of(tree, node):
     return tree.order[tree.first[node] : tree.first[node] + tree.count[node]]
 
 
@@ -36,7 +36,7 @@ def check_tree(tree, lower, upper, leaf_size):
     assert sorted(tree.order.tolist()) == list(range(count))
     assert len(tree) == 0 if count == 0 else tree.parent[0] == -1
     for node in range(len(tree)):
-        rows = rows_of(tree, node)
+        rows = boxes_of(tree, node)
         assert (tree.lower[node] == lower[rows].min(0)).all()
         assert (tree.upper[node] == upper[rows].max(0)).all()
         child = tree.child[node]
@@ -77,7 +77,7 @@ def test_the_area_heuristic_separates_two_clusters():
     lower[10:] += 1000.0
     upper[10:] += 1000.0
     tree = build_by_area(lower, upper)
-    assert sorted(rows_of(tree, tree.child[0]).tolist()) == list(range(10))
+    assert sorted(boxes_of(tree, tree.child[0]).tolist()) == list(range(10))
 
 
 def test_the_area_heuristic_costs_less_than_the_middle():
@@ -98,11 +98,11 @@ def test_a_split_in_the_middle_separates_centres_at_half_of_the_longest_axis():
     tree = build_by_middle(lower, upper)
     centre = 0.5 * (lower + upper)
     for node in np.flatnonzero(tree.child >= 0)[:40]:
-        among = centre[rows_of(tree, node)]
+        among = centre[boxes_of(tree, node)]
         axis = np.ptp(among, axis=0).argmax()
         middle = 0.5 * (among[:, axis].min() + among[:, axis].max())
-        assert (centre[rows_of(tree, tree.child[node]), axis] <= middle).all()
-        assert (centre[rows_of(tree, tree.child[node] + 1), axis] > middle).all()
+        assert (centre[boxes_of(tree, tree.child[node]), axis] <= middle).all()
+        assert (centre[boxes_of(tree, tree.child[node] + 1), axis] > middle).all()
 
 
 def test_splits_in_the_middle_have_limited_depth():

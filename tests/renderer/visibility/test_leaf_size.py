@@ -14,7 +14,7 @@ from renderer.renderer import Renderer
 from renderer.scene import Scene
 from renderer.visibility.boxes.forest import Forest, Frontier
 
-EYE = occlusion_scenes.look((0.0, 0.0, 30.0), (0.0, 0.0, 0.0), near=0.1)
+EYE = occlusion_scenes.make_camera((0.0, 0.0, 30.0), (0.0, 0.0, 0.0), near=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def test_leaves_hold_all_objects_once_and_no_more_than_their_size(cloud: Scene, 
 
 
 def test_a_visible_leaf_is_drawn_as_a_whole_inside_one_query(null: rhi.Device, cloud: Scene) -> None:
-    occlusion_scenes.Oracle(null, cloud, "chc", seen=set(range(60)))
+    occlusion_scenes.Oracle(null, cloud, "chc", visible_objects=set(range(60)))
     algorithm = visibility.Chc(cloud, null, visibility.VisibilitySettings(leaf_size=4))
     forest = algorithm._forest
     is_leaf = [forest.child[node] < 0 for node in range(len(forest))]
@@ -57,9 +57,9 @@ def test_a_visible_leaf_is_drawn_as_a_whole_inside_one_query(null: rhi.Device, c
 def test_of_a_leaf_across_the_edge_of_the_view_only_what_is_in_view_is_drawn(
     null: rhi.Device, cloud: Scene, name: str
 ) -> None:
-    camera = occlusion_scenes.look((0.0, 0.0, 8.0), (3.0, 0.0, 0.0), fov=0.4, near=0.1)
-    occlusion_scenes.Oracle(null, cloud, name, seen=set(range(60)))
-    inside = set(visibility.find_visible_objects(visibility.FrustumCulling(cloud), camera).tolist())
+    camera = occlusion_scenes.make_camera((0.0, 0.0, 8.0), (3.0, 0.0, 0.0), fov=0.4, near=0.1)
+    occlusion_scenes.Oracle(null, cloud, name, visible_objects=set(range(60)))
+    inside = set(visibility.list_visible_objects(visibility.FrustumCulling(cloud), camera).tolist())
     assert 0 < len(inside) < 60
     algorithm = visibility.make_visibility(name, cloud, null, visibility.VisibilitySettings(leaf_size=16))
     with Renderer(null, cloud, size=(64, 36)) as renderer:
@@ -71,9 +71,9 @@ def test_of_a_leaf_across_the_edge_of_the_view_only_what_is_in_view_is_drawn(
 @pytest.mark.parametrize("leaf_size", [3, 64])
 @pytest.mark.parametrize("name", occlusion_scenes.OCCLUSION[1:])
 def test_leaves_of_several_objects_change_no_pixel(drawing_device: rhi.Device, name: str, leaf_size: int) -> None:
-    occlusion_scenes.need_algorithm(drawing_device, name)
+    occlusion_scenes.require_algorithm(drawing_device, name)
     city = load_scene("city:blocks=8,detail=2")
-    with occlusion_scenes.Uncut(
+    with occlusion_scenes.UnculledFrames(
         drawing_device, city, occlusion_scenes.walk(city, "ground", range(600, 640, 8))
     ) as uncut:
         assert uncut.try_algorithm(name, leaf_size=leaf_size) == [0] * 5
@@ -81,17 +81,17 @@ def test_leaves_of_several_objects_change_no_pixel(drawing_device: rhi.Device, n
 
 @pytest.mark.parametrize("name", ["chc", "chc_plus_plus"])
 def test_larger_leaves_ask_less_and_draw_more(gl: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    occlusion_scenes.delay_answers(monkeypatch, 0)
+    occlusion_scenes.delay_query_results(monkeypatch, 0)
     city = load_scene("city:blocks=8,detail=2")
     costs = []
     for leaf_size in (1, 4):
         algorithm = visibility.make_visibility(name, city, gl, visibility.VisibilitySettings(leaf_size=leaf_size))
         with Renderer(gl, city, size=occlusion_scenes.SIZE) as renderer:
-            found = [
+            results = [
                 occlusion_scenes.draw_with(renderer, algorithm, camera)
                 for camera, _ in occlusion_scenes.walk(city, "sky", range(600, 624, 2))
             ]
-        costs.append(np.sum([(one.statistics.queries, one.visibility.visible) for one in found[2:]], axis=0))
+        costs.append(np.sum([(result.statistics.queries, result.visibility.visible) for result in results[2:]], axis=0))
         algorithm.destroy()
     assert costs[1][0] < 0.6 * costs[0][0]
     assert costs[0][1] < costs[1][1]

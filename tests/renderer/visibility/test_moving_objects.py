@@ -10,11 +10,20 @@ from collections.abc import Callable, Collection
 
 import numpy as np
 import pytest
-from frames import need_algorithm
+from frames import require_algorithm
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nightly_reasons import FEWER_CASES, ONLY_KERNELS
-from occlusion_scenes import SIZE, Uncut, cameras, delay_answers, draw_with, look, make_boxes, visible
+from occlusion_scenes import (
+    SIZE,
+    UnculledFrames,
+    cameras,
+    delay_query_results,
+    draw_with,
+    make_boxes,
+    make_camera,
+    visible,
+)
 
 import rhi
 from renderer.renderer import Renderer
@@ -23,7 +32,7 @@ from renderer.visibility import ALGORITHMS, VisibilitySettings, make_visibility
 from renderer.visibility.boxes.bounds import squared_distances
 from renderer.visibility.boxes.forest import Forest, Frontier
 
-EYE = look((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), near=0.1)
+EYE = make_camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), near=0.1)
 BOXES = 120
 WALLS = {"all": [((0.0, 0.0, -20.0), (100.0, 60.0, 0.5))], "half": [((-10.0, 0.0, -20.0), (20.0, 60.0, 0.5))]}
 """The place and size of the wall that hides all boxes, and of the one that hides the left half."""
@@ -43,10 +52,10 @@ def stand_still(seconds: float) -> tuple[float, float, float]:
 def make_walled(wall: str, moving: Collection[int], motion: Callable[[float], object] = stand_still) -> Scene:
     """Make boxes behind a wall, the last object; those of `moving` go along `motion`."""
     rng = np.random.default_rng(3)
-    places = rng.uniform((-12.0, -6.0, -60.0), (12.0, 6.0, -30.0), (BOXES, 3))
-    places = [*places, *(place for place, _ in WALLS[wall])]
+    object_positions = rng.uniform((-12.0, -6.0, -60.0), (12.0, 6.0, -30.0), (BOXES, 3))
+    object_positions = [*object_positions, *(position for position, _ in WALLS[wall])]
     sizes = [*rng.uniform(0.2, 0.8, (BOXES, 3)), *(size for _, size in WALLS[wall])]
-    return make_boxes(places, sizes, motion=motion if len(moving) else None, moving=moving)
+    return make_boxes(object_positions, sizes, motion=motion if len(moving) else None, moving=moving)
 
 
 def count(device: rhi.Device, scene: Scene, name: str) -> tuple[list[set[int]], int]:
@@ -70,8 +79,8 @@ def count(device: rhi.Device, scene: Scene, name: str) -> tuple[list[set[int]], 
 def test_a_moving_copy_of_a_scene_draws_the_same_objects_with_about_as_many_queries(
     device: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str, wall: str
 ) -> None:
-    need_algorithm(device, name)
-    delay_answers(monkeypatch, 0)
+    require_algorithm(device, name)
+    delay_query_results(monkeypatch, 0)
     still, asked = count(device, make_walled(wall, ()), name)
     for moving in (range(BOXES), range(BOXES + 1)):  # the boxes; all objects
         drawn, queries = count(device, make_walled(wall, moving), name)
@@ -104,9 +113,9 @@ def walk_all(forest: Forest) -> list[int]:
 def test_all_trees_are_walked_front_to_back_together(objects: int, seed: int, share: float, camera: Camera) -> None:
     # From inside boxes too; with no moving objects, with nothing else, and with boxes at equal distances.
     rng = np.random.default_rng(seed)
-    places = rng.integers(-4, 5, (objects, 3)) if seed % 2 else rng.uniform(-8.0, 8.0, (objects, 3))
+    object_positions = rng.integers(-4, 5, (objects, 3)) if seed % 2 else rng.uniform(-8.0, 8.0, (objects, 3))
     moving = np.flatnonzero(rng.uniform(size=objects) < share)
-    forest = Forest(make_boxes(places, rng.uniform(0.05, 5.0, (objects, 3)), stand_still, moving.tolist()))
+    forest = Forest(make_boxes(object_positions, rng.uniform(0.05, 5.0, (objects, 3)), stand_still, moving.tolist()))
     forest.update(camera)
     visited = walk_all(forest)
     assert sorted(visited) == np.flatnonzero(np.frombuffer(forest.status, np.uint8)).tolist()
@@ -115,14 +124,14 @@ def test_all_trees_are_walked_front_to_back_together(objects: int, seed: int, sh
 
 
 def test_of_equally_near_nodes_the_one_with_the_nearer_centre_comes_first() -> None:
-    places, sizes = [(0.0, 0.0, -0.1), (0.0, 0.0, -1.0)], [(1.0, 1.0, 1.0), (4.0, 4.0, 4.0)]  # around the eye
+    object_positions, sizes = [(0.0, 0.0, -0.1), (0.0, 0.0, -1.0)], [(1.0, 1.0, 1.0), (4.0, 4.0, 4.0)]  # around the eye
     for order in ([0, 1], [1, 0]):
-        forest = Forest(make_boxes(np.array(places)[order], np.array(sizes)[order], stand_still, (1,)))
+        forest = Forest(make_boxes(np.array(object_positions)[order], np.array(sizes)[order], stand_still, (1,)))
         forest.update(EYE)
-        assert [forest.object[node] for node in walk_all(forest)] == [order.index(0), order.index(1)]
+        assert [forest.object_index[node] for node in walk_all(forest)] == [order.index(0), order.index(1)]
 
 
-def test_a_walk_that_was_broken_off_leaves_nothing_behind() -> None:
+def test_an_aborted_traversal_leaves_nothing_behind() -> None:
     forest = Forest(make_walled("half", range(BOXES)))
     forest.update(EYE)
     frontier = Frontier(forest)
@@ -137,8 +146,8 @@ def test_a_walk_that_was_broken_off_leaves_nothing_behind() -> None:
 def test_objects_that_move_through_the_near_plane_look_as_without_culling(
     drawing_device: rhi.Device, name: str
 ) -> None:
-    need_algorithm(drawing_device, name)
+    require_algorithm(drawing_device, name)
     scene = make_walled("half", range(BOXES + 1), motion=lambda seconds: (0.0, 0.0, 60.0 * seconds))
     shots = [(EYE, second) for second in (0.0, 0.2, 0.33, 0.334, 0.5, 0.7, 1.1, 0.0, 0.3)]
-    with Uncut(drawing_device, scene, shots) as uncut:
+    with UnculledFrames(drawing_device, scene, shots) as uncut:
         assert uncut.try_algorithm(name) == [0] * len(shots)

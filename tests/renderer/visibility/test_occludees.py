@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from occlusion_scenes import cameras, look, make_boxes, mirrored_boxes, scenes
+from occlusion_scenes import cameras, make_boxes, make_camera, mirrored_boxes, scenes
 
 import rhi
 from renderer.frame import SceneResources, View
@@ -19,18 +19,18 @@ from rhi.math import is_parallel
 CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 
 
-def find(device: rhi.Device, scene: Scene, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def compute_occludees(device: rhi.Device, scene: Scene, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Return boxes and marks."""
     resources, occludees = SceneResources(device, scene), Occludees(device, len(scene.objects))
     view = View(device, "eye", NoCulling(scene))
     view.aim(camera)
     resources.update(camera)
     occludees.aim(camera)
-    occludees.find(device, resources.list_arrays(view.buffer))
-    found = occludees.boxes.read(), occludees.marks.read()
+    occludees.compute_boxes(device, resources.scene_arrays(view.buffer))
+    results = occludees.boxes.read(), occludees.marks.read()
     for resource in (resources, view, occludees):
         resource.destroy()
-    return found
+    return results
 
 
 def place_corners(scene: Scene, camera: Camera) -> np.ndarray:
@@ -43,7 +43,7 @@ def place_corners(scene: Scene, camera: Camera) -> np.ndarray:
 
 def check(device: rhi.Device, scene: Scene, camera: Camera) -> np.ndarray:
     """Check the position and size of each box; return the marks."""
-    boxes, marks = find(device, scene, camera)
+    boxes, marks = compute_occludees(device, scene, camera)
     corners = place_corners(scene, camera)
     constant, linear, square = margin_terms(camera)
     far = np.linalg.norm(corners, axis=2).max(1)
@@ -81,8 +81,8 @@ def test_boxes_are_around_their_objects(device: rhi.Device, scene: Scene, camera
 @pytest.mark.parametrize("depth", Depth)
 def test_mirrored_and_skewed_boxes_are_too(device: rhi.Device, depth: Depth) -> None:
     scene = mirrored_boxes()
-    lens = Perspective(far=300.0, depth=depth)
-    marks = check(device, scene, Camera.look_at((12.0, 3.0, 4.0), (0.0, 0.0, 0.0), projection=lens))
+    projection = Perspective(far=300.0, depth=depth)
+    marks = check(device, scene, Camera.look_at((12.0, 3.0, 4.0), (0.0, 0.0, 0.0), projection=projection))
     assert (marks == HIDDEN).sum() > 20
 
 
@@ -92,31 +92,31 @@ def test_boxes_of_hard_cases_are_too(device: rhi.Device, case: str) -> None:
 
 
 def test_a_box_behind_the_eye_or_beside_the_view_is_outside(device: rhi.Device) -> None:
-    places = [(0.0, 0.0, 9.0), (30.0, 0.0, -5.0), (0.0, -30.0, -5.0), (0.0, 0.0, -90.0), (0.0, 0.0, -5.0)]
-    scene = make_boxes(places, np.ones((5, 3)))
-    camera = look((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), far=50.0)
+    object_positions = [(0.0, 0.0, 9.0), (30.0, 0.0, -5.0), (0.0, -30.0, -5.0), (0.0, 0.0, -90.0), (0.0, 0.0, -5.0)]
+    scene = make_boxes(object_positions, np.ones((5, 3)))
+    camera = make_camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), far=50.0)
     assert check(device, scene, camera).tolist() == [OUTSIDE] * 4 + [HIDDEN]
 
 
 @pytest.mark.parametrize(("gap", "mark"), [(0.9, VISIBLE), (1.1, HIDDEN)])
 def test_a_box_is_near_within_the_corners_of_the_near_plane(device: rhi.Device, gap: float, mark: int) -> None:
     # At 60° and 16:9 they are 1.54 near away; the margin is far smaller than the tenth that is tried.
-    eye = look((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), near=0.5)
+    eye = make_camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), near=0.5)
     radius = near_radius(eye)
     assert radius == pytest.approx(0.5 * 1.54, rel=0.01)
     scene = make_boxes([(0.0, 0.0, -gap * radius - 1.0)], [(2.0, 2.0, 2.0)])
-    assert find(device, scene, eye)[1].tolist() == [mark]
+    assert compute_occludees(device, scene, eye)[1].tolist() == [mark]
 
 
 @pytest.mark.parametrize(("gap", "mark"), [(-0.1, VISIBLE), (0.1, HIDDEN)])
-def test_a_parallel_lens_is_near_at_its_near_plane(device: rhi.Device, gap: float, mark: int) -> None:
-    lens = Orthographic(10.0, near=3.0, far=50.0)
-    camera = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), projection=lens)
+def test_a_parallel_projection_is_near_at_its_near_plane(device: rhi.Device, gap: float, mark: int) -> None:
+    projection = Orthographic(10.0, near=3.0, far=50.0)
+    camera = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), projection=projection)
     scene = make_boxes([(0.0, 0.0, -4.0 - gap)], [(2.0, 2.0, 2.0)])
-    assert find(device, scene, camera)[1].tolist() == [mark]
+    assert compute_occludees(device, scene, camera)[1].tolist() == [mark]
 
 
 def test_what_is_too_far_for_floats_is_drawn_without_being_asked_for(device: rhi.Device) -> None:
     scene = make_boxes([(0.0, 0.0, -1e16), (0.0, 0.0, -1e13)], [(1.0, 1.0, 1.0)] * 2)
-    _, marks = find(device, scene, look((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)))
+    _, marks = compute_occludees(device, scene, make_camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)))
     assert marks.tolist() == [VISIBLE, HIDDEN]

@@ -12,19 +12,26 @@ from occlusion_scenes import make_boxes
 
 from renderer.content.shapes import box
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, SceneBuilder, rotation
-from renderer.visibility.boxes.bounds import QueryBoxes, find_near, near_radius, pad_boxes, pad_rotated, see_boxes
-from renderer.visibility.boxes.volumes import TightestBoxes, find_rotated
+from renderer.visibility.boxes.bounds import (
+    QueryBoxes,
+    compute_query_boxes,
+    near_mask,
+    near_radius,
+    pad_boxes,
+    pad_rotated,
+)
+from renderer.visibility.boxes.volumes import TightestBoxes, compute_rotated_boxes
 
 AHEAD = (0.0, 0.0, -1.0)
 
 
-def look(lens: Perspective | Orthographic, eye: object = (0.0, 0.0, 0.0)) -> Camera:
-    return Camera.look_at(eye, np.add(eye, AHEAD), projection=lens)
+def look(projection: Perspective | Orthographic, eye: object = (0.0, 0.0, 0.0)) -> Camera:
+    return Camera.look_at(eye, np.add(eye, AHEAD), projection=projection)
 
 
 def is_near(camera: Camera, lower: object, upper: object) -> bool:
     low, high = np.array([lower], float), np.array([upper], float)
-    return bool(find_near(camera, low, high, np.zeros(1))[0])
+    return bool(near_mask(camera, low, high, np.zeros(1))[0])
 
 
 @pytest.mark.parametrize("depth", Depth)
@@ -58,7 +65,7 @@ def test_what_is_too_far_for_float32_is_drawn_without_a_query() -> None:
         np.array([[-1.0, -1.0, -1.1 * z] for z in (1e16, 1e14)]),
         np.array([[1.0, 1.0, -z] for z in (1e16, 1e14)]),
     )
-    assert find_near(camera, *pad_boxes(camera, lower, upper)).tolist() == [True, False]
+    assert near_mask(camera, *pad_boxes(camera, lower, upper)).tolist() == [True, False]
 
 
 boxes = st.tuples(*[st.floats(-100.0, 100.0)] * 6)
@@ -68,8 +75,8 @@ boxes = st.tuples(*[st.floats(-100.0, 100.0)] * 6)
 def test_a_padded_box_lies_inside_every_padded_box_around_it(
     corners: tuple[float, ...], fov: float, depth: Depth, parallel: bool
 ) -> None:
-    lens = Orthographic(10.0, depth=depth) if parallel else Perspective(fov, depth=depth)
-    camera = look(lens, (3.0, 4.0, 5.0))
+    projection = Orthographic(10.0, depth=depth) if parallel else Perspective(fov, depth=depth)
+    camera = look(projection, (3.0, 4.0, 5.0))
     first = np.sort(np.array(corners).reshape(2, 3), axis=0)
     lower, upper = np.stack([first[0], first[0] - 1.0]), np.stack([first[1], first[1] + 2.0])
     low, high, _ = pad_boxes(camera, lower, upper)
@@ -81,8 +88,8 @@ def test_a_padded_box_lies_inside_every_padded_box_around_it(
 
 @pytest.mark.parametrize("parallel", [False, True])
 def test_padding_is_at_least_a_subpixel_and_at_most_a_pixel(parallel: bool) -> None:
-    lens = Orthographic(20.0, near=0.0) if parallel else Perspective()
-    camera = look(lens)
+    projection = Orthographic(20.0, near=0.0) if parallel else Perspective()
+    camera = look(projection)
     point = np.array([[0.0, 0.0, -10.0]])
     _, upper, _ = pad_boxes(camera, point, point)
     clip = camera.view_projection @ [*(upper[0] * (1.0, 1.0, 0.0) + point[0] * (0.0, 0.0, 1.0)), 1.0]
@@ -94,17 +101,17 @@ def test_padding_is_at_least_a_subpixel_and_at_most_a_pixel(parallel: bool) -> N
 TURN = rotation((0, 1, 0), np.pi / 4)
 
 
-def beam(place: tuple[float, float, float]) -> Scene:
+def beam(position: tuple[float, float, float]) -> Scene:
     """Make a long box across the axes, whose oriented box is much smaller than the aligned one."""
-    return make_boxes([place], [(0.2, 0.2, 10.0)], turns=TURN[None])
+    return make_boxes([position], [(0.2, 0.2, 10.0)], rotations=TURN[None])
 
 
 def test_only_boxes_that_are_smaller_turned_are_turned() -> None:
-    places, sizes = np.zeros((4, 3)), np.array([(1.0, 1.0, 4.0)] * 3 + [(1.0, 0.0, 4.0)])
+    object_positions, sizes = np.zeros((4, 3)), np.array([(1.0, 1.0, 4.0)] * 3 + [(1.0, 0.0, 4.0)])
     turns = np.stack([np.eye(4), TURN, rotation((0, 1, 0), np.pi / 2), TURN])
-    scene = make_boxes(places, sizes, turns=turns)
-    turned = find_rotated(scene, np.arange(4))
-    assert turned.rows.tolist() == [1, 3]  # not those along the axes; a flat one, too
+    scene = make_boxes(object_positions, sizes, rotations=turns)
+    turned = compute_rotated_boxes(scene, np.arange(4))
+    assert turned.object_indices.tolist() == [1, 3]  # not those along the axes; a flat one, too
     assert turned.half == pytest.approx(0.5 * sizes[[1, 3]], abs=1e-6)
     assert np.linalg.det(turned.axes) == pytest.approx([1.0, 1.0])
 
@@ -112,12 +119,16 @@ def test_only_boxes_that_are_smaller_turned_are_turned() -> None:
 def test_a_sheared_object_keeps_its_aligned_box() -> None:
     shear = TURN.copy()
     shear[0, 1] = 0.3
-    assert not len(find_rotated(make_boxes([(0, 0, 0)], [(1.0, 1.0, 9.0)], turns=shear[None]), np.arange(1)).rows)
+    assert not len(
+        compute_rotated_boxes(
+            make_boxes([(0, 0, 0)], [(1.0, 1.0, 9.0)], rotations=shear[None]), np.arange(1)
+        ).object_indices
+    )
 
 
 def test_a_mirrored_object_s_box_is_right_handed() -> None:
-    scene = make_boxes([(0, 0, 0)], [(-0.2, 0.2, 9.0)], turns=TURN[None])
-    assert np.linalg.det(find_rotated(scene, np.arange(1)).axes) == pytest.approx([1.0])
+    scene = make_boxes([(0, 0, 0)], [(-0.2, 0.2, 9.0)], rotations=TURN[None])
+    assert np.linalg.det(compute_rotated_boxes(scene, np.arange(1)).axes) == pytest.approx([1.0])
 
 
 def test_boxes_of_what_moves_turn_with_it() -> None:
@@ -127,16 +138,16 @@ def test_boxes_of_what_moves_turn_with_it() -> None:
     builder.animate(node, lambda seconds: rotation((0, 1, 0), np.array([seconds])))
     scene = builder.build()
     tightest = TightestBoxes(scene)
-    assert len(tightest.find().rows) == 0
+    assert len(tightest.collect().object_indices) == 0
     scene.update(0.7)
-    assert tightest.find().axes[0] == pytest.approx(rotation((0, 1, 0), 0.7)[:3, :3].T)
+    assert tightest.collect().axes[0] == pytest.approx(rotation((0, 1, 0), 0.7)[:3, :3].T)
     scene.update(0.0)
-    assert len(tightest.find().rows) == 0
+    assert len(tightest.collect().object_indices) == 0
 
 
 def see(scene: Scene, camera: Camera) -> QueryBoxes:
-    turned = find_rotated(scene, np.arange(len(scene.objects)))
-    return see_boxes(camera, scene.objects.lower, scene.objects.upper, turned, turned.rows)
+    turned = compute_rotated_boxes(scene, np.arange(len(scene.objects)))
+    return compute_query_boxes(camera, scene.objects.lower, scene.objects.upper, turned, turned.object_indices)
 
 
 def test_a_turned_box_holds_every_corner_of_its_object_and_is_smaller() -> None:
@@ -149,9 +160,9 @@ def test_a_turned_box_holds_every_corner_of_its_object_and_is_smaller() -> None:
     assert boxes.half.prod() < 0.05 * (0.5 * (scene.objects.upper - scene.objects.lower)).prod()
 
 
-@pytest.mark.parametrize("lens", [Perspective(near=0.1), Orthographic(10.0, near=0.1)])
-def test_a_turned_box_is_near_where_the_near_plane_may_cut_it(lens: object) -> None:
-    camera = look(lens)
+@pytest.mark.parametrize("projection", [Perspective(near=0.1), Orthographic(10.0, near=0.1)])
+def test_a_turned_box_is_near_where_the_near_plane_may_cut_it(projection: object) -> None:
+    camera = look(projection)
     assert see(beam((-3.5, 0.0, -3.5)), camera).near.tolist() == [True]  # one end is at the eye
     away = see(beam((-4.5, 0.0, -4.5)), camera)
     assert away.near.tolist() == [False]
@@ -166,12 +177,12 @@ def test_an_eye_in_the_aligned_box_and_not_in_the_turned_one_asks_for_that() -> 
 
 def test_where_only_the_turned_box_is_near_the_aligned_one_is_asked_for() -> None:
     # The box of a turned ball has corners that the ball's aligned bounds lack, if its mesh's are the tighter ones.
-    scene = make_boxes([(0.0, 0.0, 0.0)], [(2.0, 2.0, 2.0)], turns=TURN[None])
+    scene = make_boxes([(0.0, 0.0, 0.0)], [(2.0, 2.0, 2.0)], rotations=TURN[None])
     lower, upper = np.full((1, 3), -1.0), np.full((1, 3), 1.0)
     camera = look(Perspective(near=0.01), (1.38, 0.0, 0.0))
-    turned = find_rotated(scene, np.arange(1))
+    turned = compute_rotated_boxes(scene, np.arange(1))
     assert pad_rotated(camera, turned)[1].tolist() == [True]
-    boxes = see_boxes(camera, lower, upper, turned, turned.rows)
+    boxes = compute_query_boxes(camera, lower, upper, turned, turned.object_indices)
     assert boxes.near.tolist() == [False]
     assert boxes.x[0].tolist() == [1.0, 0.0, 0.0]
     assert boxes.half[0] == pytest.approx([1.0] * 3, abs=0.01)
@@ -180,4 +191,4 @@ def test_where_only_the_turned_box_is_near_the_aligned_one_is_asked_for() -> Non
 def test_bounds_of_any_size_stay_finite_or_near() -> None:
     camera = look(Perspective())
     lower, upper = np.full((1, 3), -1e300), np.full((1, 3), 1e300)
-    assert find_near(camera, *pad_boxes(camera, lower, upper)).all()
+    assert near_mask(camera, *pad_boxes(camera, lower, upper)).all()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from nightly_reasons import FEWER_CASES
-from occlusion_scenes import SIZE, WAITING, count_wrong_pixels, draw_with, look, make_boxes
+from occlusion_scenes import SIZE, WAITING, count_wrong_pixels, draw_with, make_boxes, make_camera
 
 import rhi
 from renderer.content import load_scene
@@ -22,10 +22,10 @@ def city() -> Scene:
 @pytest.mark.parametrize("name", WAITING)
 def test_a_beam_whose_aligned_box_shows_and_whose_own_is_hidden_is_not_drawn(gl: rhi.Device, name: str) -> None:
     # Behind a wall that leans as the beam does, and covers it but for the corners of its aligned box.
-    places, sizes = [(0.0, 0.0, -20.0), (0.5, 0.0, -20.5)], [(0.2, 6.0, 12.0), (0.2, 2.0, 8.0)]
-    scene = make_boxes(places, sizes, turns=rotation((0, 1, 0), np.full(2, np.pi / 4)))
+    object_positions, sizes = [(0.0, 0.0, -20.0), (0.5, 0.0, -20.5)], [(0.2, 6.0, 12.0), (0.2, 2.0, 8.0)]
+    scene = make_boxes(object_positions, sizes, rotations=rotation((0, 1, 0), np.full(2, np.pi / 4)))
     scene.objects.mesh[:] = 0
-    camera = look((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))
+    camera = make_camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))
     algorithm = make_visibility(name, scene, gl)
     assert count_wrong_pixels(gl, scene, algorithm, [(camera, 0.0)] * 30) == [0] * 30
     with Renderer(gl, scene, size=SIZE) as renderer:

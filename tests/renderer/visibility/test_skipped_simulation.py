@@ -6,7 +6,7 @@ import json
 
 import pytest
 from nightly_reasons import FEWER_CASES, ONLY_KERNELS
-from occlusion_scenes import WAITING, Oracle, draw_with, need_algorithm
+from occlusion_scenes import WAITING, Oracle, draw_with, require_algorithm
 
 import rhi
 from renderer.cli import main
@@ -30,7 +30,7 @@ def hall() -> Scene:
 def test_skipped_fountains_come_back_as_if_they_had_been_simulated(
     drawing_device: rhi.Device, hall: Scene, name: str
 ) -> None:
-    need_algorithm(drawing_device, name)
+    require_algorithm(drawing_device, name)
     path = hall.paths["ground"]
     algorithm, none = make_visibility(name, hall, drawing_device), NoCulling(hall)
     skipped = steps = 0
@@ -41,10 +41,10 @@ def test_skipped_fountains_come_back_as_if_they_had_been_simulated(
         for frame in (0, 3, 6, 400, 403, 1600, 900, 903, 0, 1):  # forth, on, and back to the beginning
             camera, seconds = path.camera(frame), (frame % 1000) / 60
             expected = draw_with(everything, none, camera, seconds)
-            given = draw_with(renderer, algorithm, camera, seconds)
-            assert (given.image.read() == expected.image.read()).all(), frame
-            skipped += given.statistics.skipped_simulations
-            steps += given.statistics.simulation_steps
+            result = draw_with(renderer, algorithm, camera, seconds)
+            assert (result.image.read() == expected.image.read()).all(), frame
+            skipped += result.statistics.skipped_simulations
+            steps += result.statistics.simulation_steps
             assert expected.statistics.skipped_simulations == 0
         assert (expected.image.read() != draw_with(everything, none, camera, 3.0).image.read()).any()
     assert skipped > 0
@@ -59,15 +59,15 @@ def test_what_an_algorithm_does_not_draw_takes_no_step(null: rhi.Device, hall: S
     with Renderer(null, hall, size=(64, 36)) as renderer:
         renderer.animation_lag = 0.0
         sprays = renderer.simulator.objects.tolist()
-        oracle.seen = set(sprays[:2])
+        oracle.visible_objects = set(sprays[:2])
         for frame in range(1, 8):
             result = draw_with(renderer, algorithm, camera, frame / 60)
             drawn = set(sprays) & set(result.visible.tolist())
             assert result.statistics.skipped_simulations == len(sprays) - len(drawn)
         if name != "conditional":  # which can't know
-            assert drawn == oracle.seen
+            assert drawn == oracle.visible_objects
             assert result.statistics.simulation_steps == 2
-        oracle.seen = set(sprays)
+        oracle.visible_objects = set(sprays)
         returned = draw_with(renderer, algorithm, camera, 8 / 60).statistics
         if name != "conditional":
             assert returned.skipped_simulations == 0
@@ -75,23 +75,23 @@ def test_what_an_algorithm_does_not_draw_takes_no_step(null: rhi.Device, hall: S
 
 
 @pytest.mark.parametrize(("count", "steps"), [(22, 0), (23, 23)])
-def test_only_what_an_absence_would_change_is_simulated_unseen(null: rhi.Device, count: int, steps: int) -> None:
+def test_only_what_an_absence_would_change_is_simulated_while_hidden(null: rhi.Device, count: int, steps: int) -> None:
     """Of 22 fountains each can take the 90 steps that it remembers in the frame in which all return."""
     scene = load_scene(f"hall:columns=18,rows=2,flags=4,fountains={count}")
     away = Camera.look_at((0.0, 500.0, 0.0), (0.0, 1000.0, 0.0))
     taken = {}
     with Renderer(null, scene, visibility=FrustumCulling(scene), size=(64, 36)) as renderer:
         renderer.animation_lag = 0.0
-        for renderer.simulates_unseen in (False, True):
+        for renderer.simulates_hidden in (False, True):
             renderer.simulator = scene.make_simulator()
             for frame in (0, 1):
                 counted = renderer.render(away, frame / 60).statistics
-            taken[renderer.simulates_unseen] = counted.simulation_steps
+            taken[renderer.simulates_hidden] = counted.simulation_steps
     assert taken == {False: 0, True: steps}
 
 
 @pytest.mark.parametrize(("name", "hidden"), [("frustum", slice(15, 27)), ("stop_and_wait", slice(4, 27))])
-def test_a_flag_that_rested_comes_back_otherwise_than_one_that_took_its_steps(
+def test_a_suspended_flag_comes_back_otherwise_than_one_that_took_its_steps(
     gl: rhi.Device, name: str, hidden: slice
 ) -> None:
     """The control of exam 77: by default nothing is stepped unseen, and a frame makes up for at most 240 steps."""
@@ -99,15 +99,15 @@ def test_a_flag_that_rested_comes_back_otherwise_than_one_that_took_its_steps(
     for is_simulated in (False, True):
         algorithm = make_visibility(name, scene, gl)
         with Renderer(gl, scene, size=(97, 55), visibility=algorithm) as renderer:
-            renderer.simulates_unseen = is_simulated
+            renderer.simulates_hidden = is_simulated
             frames = (renderer.render(*shot) for shot in leave(scene))
-            films.append([(one.image.read(), one.statistics.simulation_steps) for one in frames])
+            films.append([(frame.image.read(), frame.statistics.simulation_steps) for frame in frames])
         algorithm.destroy()
     rested, always = ([steps for _, steps in film] for film in films)
     assert always == [0, *[30] * 29]
     assert set(rested[hidden]) == {0}
     assert max(rested) == rested[27] == 241
-    differs = [bool((one != other).any()) for (one, _), (other, _) in zip(*films, strict=True)]
+    differs = [bool((frame != other).any()) for (frame, _), (other, _) in zip(*films, strict=True)]
     assert differs == [*[False] * 27, *[True] * 3]
 
 
@@ -118,10 +118,10 @@ def test_uploads_are_those_of_what_is_seen(null: rhi.Device, hall: Scene) -> Non
         result = renderer.render(away, 1.0)
         assert result.statistics.upload_bytes == 0
         assert result.statistics.skipped_simulations == len(renderer.simulator) == 12
-        seen = renderer.render(hall.views["overview"], 1.0).statistics
+        visible_objects = renderer.render(hall.views["overview"], 1.0).statistics
         again = renderer.render(hall.views["overview"], 1.0).statistics
     spray = hall.meshes.vertices.itemsize * 1080
-    assert seen.upload_bytes - again.upload_bytes >= (12 - seen.skipped_simulations) * spray
+    assert visible_objects.upload_bytes - again.upload_bytes >= (12 - visible_objects.skipped_simulations) * spray
     assert again.simulation_steps == 0
 
 

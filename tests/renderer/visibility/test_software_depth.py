@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from occlusion_scenes import (
     SIZE,
-    WALL,
+    WALL_POSITION,
     cameras,
     count_wrong_pixels,
     draw_with,
-    look,
     make_boxes,
+    make_camera,
     scenes,
     visible,
     walk,
@@ -34,7 +34,7 @@ from renderer.visibility.software_depth import can_rasterise
 from rhi import ValidationError
 
 ORIGIN = (0.0, 0.0, 0.0)
-FRONT = look(ORIGIN, WALL).with_aspect(SIZE[0] / SIZE[1])
+FRONT = make_camera(ORIGIN, WALL_POSITION).with_aspect(SIZE[0] / SIZE[1])
 
 
 @pytest.fixture(autouse=True)
@@ -56,7 +56,7 @@ def city() -> Scene:
 
 def walled(*more: tuple[float, float, float], wall: float = 30.0) -> Scene:
     """Make a wall of a given width, and small boxes."""
-    scene = make_boxes([WALL, *more], [(wall, wall, 0.1)] + [(0.5, 0.5, 0.5)] * len(more))
+    scene = make_boxes([WALL_POSITION, *more], [(wall, wall, 0.1)] + [(0.5, 0.5, 0.5)] * len(more))
     scene.objects.mesh[:] = 0
     return scene
 
@@ -111,12 +111,12 @@ def test_whatever_occludes_no_pixel_is_lost(cl: rhi.Device, scene: Scene, eyes: 
 def test_a_box_shows_unless_what_hides_it_reaches_a_pixel_further(cl: rhi.Device, pixels: float, shows: bool) -> None:
     # The wall ends at x = 0, between pixels; the box ends so many pixels before that, as the camera sees it.
     scene = make_boxes([(-10.0, 0.0, -5.0)], [(20.0, 40.0, 0.1)])
-    camera = look(ORIGIN, WALL).with_aspect(2.0)
+    camera = make_camera(ORIGIN, WALL_POSITION).with_aspect(2.0)
     depth = OccluderDepth(cl, scene, 1, 1)
     depth.render(camera, np.array([0]), (128, 64))
     metres = 9.9 * pixels * 2.0 / 128 / camera.projection.matrix[0, 0]
     centre, half = np.array([[-metres - 0.1, 0.0, -10.0]]), np.array([[0.1, 0.1, 0.1]])
-    assert depth.find_shown(centre, half).tolist() == [shows]
+    assert depth.test_boxes(centre, half).tolist() == [shows]
     depth.destroy()
 
 
@@ -126,13 +126,13 @@ def test_a_box_compared_with_fewer_texels_shows_beside_the_end_of_what_hides_it(
 ) -> None:
     # Six pixels beyond a coarse texel's edge, the wall ends, and the box five pixels before that.
     scene = make_boxes([(-10.0, 0.0, -5.0)], [(20.0, 40.0, 0.1)])
-    camera = look(ORIGIN, WALL).with_aspect(2.0)
+    camera = make_camera(ORIGIN, WALL_POSITION).with_aspect(2.0)
     pixel = 2.0 / 128 / camera.projection.matrix[0, 0]  # in the width of a view at a metre
     camera = replace(camera, position=camera.position - np.array([4.95 * 6.0 * pixel, 0.0, 0.0]))
     depth = OccluderDepth(cl, scene, 1, 1, texels=texels)
     depth.render(camera, np.array([0]), (128, 64))
     centre = np.array([[9.9 * pixel - 0.1, 0.0, -10.0]])  # its end is one pixel right of the eye's middle
-    assert depth.find_shown(centre, np.full((1, 3), 0.1)).tolist() == [shows]
+    assert depth.test_boxes(centre, np.full((1, 3), 0.1)).tolist() == [shows]
     depth.destroy()
 
 
@@ -140,8 +140,8 @@ def test_a_box_compared_with_fewer_texels_shows_beside_the_end_of_what_hides_it(
 def test_occluders_of_fewer_pixels_close_narrow_gaps(null: rhi.Device, pixels: int, expected: set[int]) -> None:
     # The gap between the walls is one and a half pixels wide; those of a coarse image are 8 wide, and none is in it.
     behind_the_eye, behind_the_gap = (0.0, 0.0, 9.0), (0.85, 0.0, -10.0)
-    places = [(-9.65, 0.0, -5.0), behind_the_eye, (10.5, 0.0, -5.0), behind_the_gap]
-    scene = make_boxes(places, [(20.0, 20.0, 0.02), (0.1,) * 3, (20.0, 20.0, 0.02), (0.5,) * 3])
+    object_positions = [(-9.65, 0.0, -5.0), behind_the_eye, (10.5, 0.0, -5.0), behind_the_gap]
+    scene = make_boxes(object_positions, [(20.0, 20.0, 0.02), (0.1,) * 3, (20.0, 20.0, 0.02), (0.5,) * 3])
     algorithm = visibility.SoftwareDepth(scene, None, visibility.VisibilitySettings(occluder_pixels=pixels))
     with Renderer(null, scene, size=SIZE) as renderer:
         assert visible(draw_with(renderer, algorithm, FRONT)) == expected
@@ -155,16 +155,16 @@ def test_a_box_in_front_of_the_wall_shows_and_one_behind_it_does_not(
     depth = OccluderDepth(cl, walled(), 1, 300)
     depth.render(FRONT, np.array([0]), SIZE)
     centre = np.tile([0.0, 0.0, -distance], (300, 1))
-    assert depth.find_shown(centre, np.full((300, 3), 0.1)).tolist() == [shows] * 300
+    assert depth.test_boxes(centre, np.full((300, 3), 0.1)).tolist() == [shows] * 300
     depth.render(FRONT, np.zeros(0, np.int64), SIZE)
-    assert depth.find_shown(centre, np.full((300, 3), 0.1)).all(), "nothing hides"
-    assert depth.find_shown(centre[:0], centre[:0]).tolist() == []
+    assert depth.test_boxes(centre, np.full((300, 3), 0.1)).all(), "nothing hides"
+    assert depth.test_boxes(centre[:0], centre[:0]).tolist() == []
     depth.destroy()
 
 
 def test_the_largest_occlude_near_first() -> None:
     scene = make_boxes(
-        [(0.0, 0.0, -20.0), WALL, (0.0, 0.0, -10.0), (1.0, 0.0, -4.0)],
+        [(0.0, 0.0, -20.0), WALL_POSITION, (0.0, 0.0, -10.0), (1.0, 0.0, -4.0)],
         [(9.0,) * 3, (2.5,) * 3, (6.0,) * 3, (0.01,) * 3],
     )
     everything = np.arange(4)
@@ -177,8 +177,8 @@ def test_the_largest_occlude_near_first() -> None:
 def test_what_is_simulated_occludes_nothing() -> None:
     hall = load_scene("hall:columns=4,rows=2,flags=3,fountains=3")
     algorithm = visibility.SoftwareDepth(hall)
-    sprays = np.concatenate([one.objects for one in hall.simulated])
-    flags = hall.objects.dynamic_rows
+    sprays = np.concatenate([simulation.objects for simulation in hall.simulated])
+    flags = hall.objects.dynamic_indices
     eye = hall.objects.lower[flags[0]]
     assert len(algorithm.choose_occluders(Camera.look_at(eye, eye + 1.0), flags)) == 0
     eye = hall.objects.lower[sprays[0]]
@@ -189,9 +189,9 @@ def test_what_is_simulated_occludes_nothing() -> None:
 
 def test_a_device_that_draws_nothing_is_given_the_same(device: rhi.Device, null: rhi.Device, city: Scene) -> None:
     algorithm, drawn = visibility.SoftwareDepth(city), []
-    for one in (device, null):
-        assert "software_depth" in visibility.list_algorithms(one)
-        with Renderer(one, city, size=SIZE) as renderer:
+    for each_device in (device, null):
+        assert "software_depth" in visibility.list_algorithms(each_device)
+        with Renderer(each_device, city, size=SIZE) as renderer:
             shots = walk(city, "ground", range(600, 640, 8))
             drawn.append([draw_with(renderer, algorithm, camera).visible.tolist() for camera, _ in shots])
     assert drawn[0] == drawn[1]
@@ -200,8 +200,8 @@ def test_a_device_that_draws_nothing_is_given_the_same(device: rhi.Device, null:
 
 def test_without_a_renderers_pass_it_refuses(null: rhi.Device) -> None:
     algorithm = visibility.make_visibility("software_depth", walled(), null)
-    with pytest.raises(ValidationError, match=r"^\[visibility-no-scene-pass\]"):
-        visibility.find_visible_objects(algorithm, FRONT)
+    with pytest.raises(ValidationError, match=r"^\[visibility-no-renderer\]"):
+        visibility.list_visible_objects(algorithm, FRONT)
     algorithm.destroy()
 
 
@@ -214,7 +214,7 @@ def test_on_a_walk_most_of_what_is_hidden_is_not_drawn(cl: rhi.Device, city: Sce
     counts = []
     with Renderer(cl, city, size=(320, 180)) as renderer:
         for camera, _ in walk(city, "ground", range(300, 320, 5)):
-            counts.append([len(draw_with(renderer, one, camera).visible) for one in (algorithm, frustum, none)])
+            counts.append([len(draw_with(renderer, culling, camera).visible) for culling in (algorithm, frustum, none)])
     total = np.sum(counts, axis=0)
     assert total[0] < 0.6 * total[1] < 0.6 * total[2]
     algorithm.destroy()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from occlusion_scenes import make_boxes
-from refusals import find_rule
+from refusals import refused_rule
 
 import rhi
 from renderer.renderer import Renderer
@@ -35,7 +35,7 @@ def test_a_number_that_is_missing_is_the_default(tmp_path: Path) -> None:
 ])  # fmt: skip
 def test_a_file_that_holds_no_settings_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "s.json").write_text(text)
-    assert find_rule(lambda: VisibilitySettings.load(tmp_path / "s.json")) == "visibility-bad-settings"
+    assert refused_rule(lambda: VisibilitySettings.load(tmp_path / "s.json")) == "visibility-bad-settings"
 
 
 @pytest.mark.parametrize(
@@ -46,15 +46,15 @@ def test_a_file_that_holds_no_settings_is_refused(tmp_path: Path, text: str) -> 
     ],
 )  # fmt: skip
 def test_a_value_out_of_its_range_is_refused(value: dict[str, int]) -> None:
-    assert find_rule(lambda: VisibilitySettings(**value)) == "visibility-bad-parameter"
+    assert refused_rule(lambda: VisibilitySettings(**value)) == "visibility-bad-parameter"
     VisibilitySettings(batch=1, persistence=1, leaf_size=1, threshold=0)
 
 
 def test_algorithms_are_made_with_their_settings(null: rhi.Device) -> None:
     scene = make_boxes([(0.0, 0.0, 0.0)], [(1.0, 1.0, 1.0)])
     settings = VisibilitySettings(batch=7, persistence=3, threshold=2)
-    made = make_visibility("chc_plus_plus", scene, null, settings)
-    assert (made._batch, made._persistence, made._queries.threshold) == (7, 3, 2)
+    algorithm = make_visibility("chc_plus_plus", scene, null, settings)
+    assert (algorithm._batch, algorithm._persistence, algorithm._queries.threshold) == (7, 3, 2)
     assert make_visibility("chc_plus_plus", scene, null)._batch == VisibilitySettings().batch
     assert make_visibility("conditional", scene, null, settings)._persistence == 3
     for name in ("chc", "chc_plus_plus", "conditional"):
@@ -79,7 +79,7 @@ def test_emulated_queries_are_counters_in_place_of_queries(null: rhi.Device, nam
 
 def test_what_is_drawn_on_condition_needs_native_queries(null: rhi.Device) -> None:
     scene = make_boxes([(0.0, 0.0, 0.0)], [(1.0, 1.0, 1.0)])
-    with pytest.raises(ValidationError, match=r"^\[visibility-no-conditions\]"):
+    with pytest.raises(ValidationError, match=r"^\[visibility-no-conditional-rendering\]"):
         make_visibility("conditional", scene, null, VisibilitySettings(emulated=True))
     make_visibility("conditional", scene, null, VisibilitySettings(emulated=False)).destroy()
 
@@ -87,5 +87,5 @@ def test_what_is_drawn_on_condition_needs_native_queries(null: rhi.Device) -> No
 def test_auto_hands_settings_on(gl: rhi.Device) -> None:
     scene = make_boxes([(0.0, 0.0, 0.0)], [(1.0, 1.0, 1.0)])
     auto = make_visibility("auto", scene, gl, VisibilitySettings(batch=7, emulated=True))
-    assert auto._find("chc_plus_plus")._batch == 7
-    assert auto._find("chc_plus_plus")._queries.emulated
+    assert auto._get_candidate("chc_plus_plus")._batch == 7
+    assert auto._get_candidate("chc_plus_plus")._queries.emulated

@@ -13,8 +13,8 @@ from occlusion_scenes import cameras
 from renderer.content import load_scene
 from renderer.content.shapes import box, sphere
 from renderer.scene import Camera, Scene, SceneBuilder, rotation, scaling, translation
-from renderer.visibility.boxes.culling import find_visible
-from renderer.visibility.boxes.volumes import Containment, classify, find_rotated
+from renderer.visibility.boxes.culling import select_visible
+from renderer.visibility.boxes.volumes import Containment, classify, compute_rotated_boxes
 from rhi.math import multiply
 
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
@@ -62,8 +62,8 @@ def test_what_is_said_to_be_outside_or_inside_is(scene: Scene, camera: Camera) -
 
 @given(scene=turned_scenes())
 def test_every_rotated_box_holds_its_object(scene: Scene) -> None:
-    boxes = find_rotated(scene, np.arange(len(scene.objects)))
-    for row, centre, half, axes in zip(boxes.rows, boxes.centre, boxes.half, boxes.axes, strict=True):
+    boxes = compute_rotated_boxes(scene, np.arange(len(scene.objects)))
+    for row, centre, half, axes in zip(boxes.object_indices, boxes.centre, boxes.half, boxes.axes, strict=True):
         draw = scene.meshes.ranges[scene.objects.mesh[row]]
         first, count = draw["first_index"], draw["index_count"]
         local = scene.meshes.vertices["position"][scene.meshes.indices[first : first + count] + draw["base_vertex"]]
@@ -75,7 +75,7 @@ def test_every_rotated_box_holds_its_object(scene: Scene) -> None:
 @given(turned_scenes(), cameras())
 def test_boxes_are_culled_as_the_hierarchy_culls_them_but_for_the_margin(scene: Scene, camera: Camera) -> None:
     objects, planes = scene.objects, camera.frustum.planes
-    visible = find_visible(planes, objects.lower, objects.upper)
+    visible = select_visible(planes, objects.lower, objects.upper)
     side = classify(planes, objects.lower, objects.upper)
     assert (side[visible] != Containment.OUTSIDE).all()
     away = before(planes, corners(scene)).max(axis=1).min(axis=1)

@@ -38,9 +38,9 @@ def make():
     if kind == "textures":
         return device.texture((4096, 4096), rhi.Format.RGBA8)
     if kind == "writes":
-        made = device.texture((2048, 2048), rhi.Format.RGBA8)
-        made.write(np.zeros((2048, 2048, 4), np.uint8))
-        return made
+        programs = device.texture((2048, 2048), rhi.Format.RGBA8)
+        programs.write(np.zeros((2048, 2048, 4), np.uint8))
+        return programs
     if kind == "records":
         with device.record() as commands, commands.render_pass(image):
             for _ in range(20000):
@@ -52,22 +52,22 @@ def make():
         with device.storage(rhi.shading.uint, 1) as total:
             device.dispatch(device.program(type("Counts", (Count,), size)), 1, total=total)
             return device.buffer(total.read().nbytes + (16 << 20))
-    made = device.texture((1024, 1024), rhi.Format.RGBA32F)
-    return made, made.read()
+    programs = device.texture((1024, 1024), rhi.Format.RGBA32F)
+    return programs, programs.read()
 
 wanted = draw()
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + (int(room) << 20),) * 2)
-made = []
+programs = []
 try:
     while True:
-        made.append(make())
-        assert len(made) < 400
+        programs.append(make())
+        assert len(programs) < 400
 except (rhi.RhiError, MemoryError) as error:
     told = error.rule.id if isinstance(error, rhi.RhiError) else "MemoryError"
-for each in made:
+for each in programs:
     (each[0] if isinstance(each, tuple) else each).destroy()
-made.clear()
+programs.clear()
 device.finish()
 assert (draw() == wanted).all()
 device.close()

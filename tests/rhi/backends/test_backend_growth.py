@@ -17,42 +17,44 @@ from typing import Any
 
 import numpy as np
 import pytest
-from house_kit import CALLS, SIZE, Count, House, draw_many, make_things_to_destroy, wait_for_a_query
+from harness_kit import CALLS, SIZE, Count, DeviceHarness, draw_many, make_things_to_destroy, wait_for_a_query
 
 import rhi
 from rhi import Format, Primitive
-from rhi.backends.cl.backend import ClBackend
-from rhi.backends.gl.backend import GlBackend
+from rhi.backends.cl.cl_backend import ClBackend
+from rhi.backends.gl.gl_backend import GlBackend
 
 pytestmark = pytest.mark.usefixtures("quick_collections")
 
 BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "memory.py"
 
 
-def dispatch_a_new_program(house: House) -> None:
+def dispatch_a_new_program(harness: DeviceHarness) -> None:
     class Copy(Count): ...
 
-    house.made.append(house.device.program(Copy))
-    house.device.dispatch(house.made[-1], 1, out=house.out, numbers=house.numbers)
+    harness.created.append(harness.device.program(Copy))
+    harness.device.dispatch(harness.created[-1], 1, out=harness.out, numbers=harness.numbers)
 
 
-def draw_beside_a_lasting_target(house: House) -> None:
-    house.made.append(house.device.texture((SIZE, SIZE), Format.RGBA8))
-    with house.device.render_pass(house.made[-1], house.depth, clear=(0, 0, 0, 0)):
-        house.device.draw(house.flat, house.full, tint=house.tints[0])
+def draw_beside_a_lasting_target(harness: DeviceHarness) -> None:
+    harness.created.append(harness.device.texture((SIZE, SIZE), Format.RGBA8))
+    with harness.device.render_pass(harness.created[-1], harness.depth, clear=(0, 0, 0, 0)):
+        harness.device.draw(harness.flat, harness.full, tint=harness.tints[0])
 
 
-def rewrite_indices(house: House) -> None:
-    assert house.half.indices is not None
-    house.half.indices.write(np.array([0, 1, 2], "u4"))
-    draw_many(house)
+def rewrite_indices(harness: DeviceHarness) -> None:
+    assert harness.half.indices is not None
+    harness.half.indices.write(np.array([0, 1, 2], "u4"))
+    draw_many(harness)
 
 
-def draw_new_quads(house: House) -> None:
+def draw_new_quads(harness: DeviceHarness) -> None:
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
-    house.made.append(house.device.mesh({"position": corners}, np.arange(4, dtype="u4"), primitive=Primitive.QUADS))
-    with house.device.render_pass(house.other):
-        house.device.draw(house.flat, house.made[-1], tint=house.tints[0])
+    harness.created.append(
+        harness.device.mesh({"position": corners}, np.arange(4, dtype="u4"), primitive=Primitive.QUADS)
+    )
+    with harness.device.render_pass(harness.other):
+        harness.device.draw(harness.flat, harness.created[-1], tint=harness.tints[0])
 
 
 REPEATED = [
@@ -65,43 +67,43 @@ TIMES = 20
 
 
 @pytest.fixture(params=["gl", "cl"], scope="module")
-def house(request: pytest.FixtureRequest) -> Iterator[House]:
+def harness(request: pytest.FixtureRequest) -> Iterator[DeviceHarness]:
     with rhi.create_device(request.param) as device:
-        house = House(device)
+        harness = DeviceHarness(device)
         for _ in range(70):  # memos fill up to their bounds
-            house.picture()
+            harness.draw_image()
             device.present()
-        yield house
+        yield harness
 
 
-def count_reachable(house: House) -> int:
+def count_reachable(harness: DeviceHarness) -> int:
     """Return the number of objects that the device keeps alive, those that its front end and backend refer to, and of
     the elements of its sets; without the marks of rings, of which as many come together as fit into a ring."""
     elements = 0
     seen: set[int] = set()
     shared = {id(module.__dict__) for module in list(sys.modules.values()) if hasattr(module, "__dict__")}
-    shared |= {id(mark) for ring in house.device._core.frame_rings for mark in getattr(ring, "_marks", ())}
-    waiting: list[Any] = [house.device]
+    shared |= {id(mark) for ring in harness.device._core.frame_rings for mark in getattr(ring, "_marks", ())}
+    waiting: list[Any] = [harness.device]
     while waiting:
-        found = waiting.pop()
-        if id(found) in seen or id(found) in shared or isinstance(found, (type, str, bytes, int, float)):
+        value = waiting.pop()
+        if id(value) in seen or id(value) in shared or isinstance(value, (type, str, bytes, int, float)):
             continue
-        seen.add(id(found))
-        elements += len(found) if isinstance(found, set) else 0
-        waiting += gc.get_referents(found)
+        seen.add(id(value))
+        elements += len(value) if isinstance(value, set) else 0
+        waiting += gc.get_referents(value)
     return len(seen) + elements
 
 
 @pytest.mark.parametrize("call", REPEATED, ids=lambda call: call.__name__)
-def test_repeating_leaves_no_objects_behind(house: House, call: Callable[[House], None]) -> None:
+def test_repeating_leaves_no_objects_behind(harness: DeviceHarness, call: Callable[[DeviceHarness], None]) -> None:
     def repeat(times: int) -> int:
         for _ in range(times):
-            call(house)
-            house.settle()
-        wait_for_a_query(house)  # looks at all batches, of which up to 64 may be waiting
-        house.image.read()
+            call(harness)
+            harness.settle()
+        wait_for_a_query(harness)  # looks at all batches, of which up to 64 may be waiting
+        harness.image.read()
         gc.collect()
-        return count_reachable(house)
+        return count_reachable(harness)
 
     times = COMPILED.get(call, TIMES)
     before = repeat(times)
@@ -109,21 +111,21 @@ def test_repeating_leaves_no_objects_behind(house: House, call: Callable[[House]
     assert grown < times, f"{grown} objects in {times} repetitions"
 
 
-def test_the_count_sees_what_is_kept(house: House) -> None:
-    before = count_reachable(house)
-    buffers = [house.device.buffer(16) for _ in range(10)]
-    assert count_reachable(house) - before >= len(buffers)
+def test_the_count_sees_what_is_kept(harness: DeviceHarness) -> None:
+    before = count_reachable(harness)
+    buffers = [harness.device.buffer(16) for _ in range(10)]
+    assert count_reachable(harness) - before >= len(buffers)
 
 
-def test_the_tables_of_a_backend_shrink_with_what_is_destroyed(house: House) -> None:
-    backend: Any = house.device.backend_as(
-        GlBackend if house.device.backend_name == "gl" else ClBackend  # type: ignore[arg-type]
+def test_the_tables_of_a_backend_shrink_with_what_is_destroyed(harness: DeviceHarness) -> None:
+    backend: Any = harness.device.backend_as(
+        GlBackend if harness.device.backend_name == "gl" else ClBackend  # type: ignore[arg-type]
     )
 
     def repeat() -> set[int]:
         for call in (make_things_to_destroy, dispatch_a_new_program, draw_beside_a_lasting_target):
-            call(house)
-            house.settle()
+            call(harness)
+            harness.settle()
         return set(backend._destroyers)
 
     assert repeat() == repeat()

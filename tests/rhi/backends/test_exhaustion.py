@@ -1,7 +1,7 @@
 """Memory that runs out at any creation, errors in any scope, many devices, and processes that end with everything open.
 
-Afterwards everything is closed, a fixed picture is drawn right, and the backend has the resources that it had before
-(`house_kit`). Memory runs out in front of every `create_…` of the contract, and in the driver behind it.
+Afterwards everything is closed, a fixed image is drawn right, and the backend has the resources that it had before
+(`harness_kit`). Memory runs out in front of every `create_…` of the contract, and in the driver behind it.
 """
 
 from __future__ import annotations
@@ -15,37 +15,37 @@ from typing import Any
 
 import numpy as np
 import pytest
-from house_kit import CALLS, House, create_a_buffer, draw, make_things_to_destroy
+from harness_kit import CALLS, DeviceHarness, create_a_buffer, draw, make_things_to_destroy
 from nightly_reasons import SAME_ON_EACH_BACKEND
 
 import rhi
 from rhi import Access, CullMode, DeviceError, Scissor
-from rhi.backends.cl.backend import ClBackend
-from rhi.backends.gl import buffers as gl_buffers
-from rhi.backends.gl import textures as gl_textures
+from rhi.backends.cl.cl_backend import ClBackend
+from rhi.backends.gl import gl_buffers as gl_buffers
+from rhi.backends.gl import gl_textures as gl_textures
 from rhi.errors.rules import DEVICE_MEMORY
 
 CREATIONS = [
     "create_buffer", "create_texture", "create_sampler", "create_program", "create_vertex_array", "create_query",
 ]  # fmt: skip
-MOST = 12
+MAX_FAILURES = 12
 """Creations of a call that are made to fail."""
 
 
 @pytest.fixture(scope="module", params=["gl", "cl", "null"])
-def houses(request: pytest.FixtureRequest) -> Iterator[list[House]]:
+def houses(request: pytest.FixtureRequest) -> Iterator[list[DeviceHarness]]:
     """A list with the house of this backend; a test that damages it takes it away."""
-    kept: list[House] = [House(rhi.create_device(request.param, record=False))]
-    yield kept
-    for house in kept:
-        house.device.close()
+    harnesses: list[DeviceHarness] = [DeviceHarness(rhi.create_device(request.param, record=False))]
+    yield harnesses
+    for harness in harnesses:
+        harness.device.close()
 
 
 @pytest.fixture
-def house(houses: list[House], request: pytest.FixtureRequest) -> Iterator[House]:
+def harness(houses: list[DeviceHarness], request: pytest.FixtureRequest) -> Iterator[DeviceHarness]:
     if not houses:
         backend = request.node.callspec.params["houses"]
-        houses.append(House(rhi.create_device(backend, record=False)))
+        houses.append(DeviceHarness(rhi.create_device(backend, record=False)))
     taken = houses.pop()
     yield taken
     houses.append(taken)
@@ -72,53 +72,53 @@ class Failing:
         self._patch.setattr(owner, name, fail)
 
 
-def exhaust(house: House, call: Callable[[House], None], failing: Failing) -> None:
+def exhaust(harness: DeviceHarness, call: Callable[[DeviceHarness], None], failing: Failing) -> None:
     """Make a call fail at each of its allocations, and check the device after each."""
-    if not house.can(call):
+    if not harness.can(call):
         pytest.skip("nothing is rasterised")
-    for at in range(1, MOST + 1):
+    for at in range(1, MAX_FAILURES + 1):
         if call.__name__ == "destroy_everything":
-            make_things_to_destroy(house)
+            make_things_to_destroy(harness)
         failing.count, failing.at = 0, at
         try:
-            call(house)
+            call(harness)
         except DeviceError as error:
             if error.rule is not DEVICE_MEMORY:
                 raise
         finally:
             failing.at = 0
-        made = failing.count
+        count = failing.count
         try:
-            house.check()
+            harness.check()
         except BaseException as error:
             error.add_note(f"{call.__name__}, allocation {at} failed")
             raise
-        if made < at:
+        if count < at:
             return
 
 
 @pytest.mark.parametrize("call", CALLS, ids=lambda call: call.__name__)
 def test_a_device_goes_on_when_the_backend_has_no_memory(
-    house: House, monkeypatch: pytest.MonkeyPatch, call: Callable[[House], None]
+    harness: DeviceHarness, monkeypatch: pytest.MonkeyPatch, call: Callable[[DeviceHarness], None]
 ) -> None:
     failing = Failing(monkeypatch, lambda: DeviceError(DEVICE_MEMORY, "a test"))
     for name in CREATIONS:
-        failing.patch(house.device._core.backend, name)
-    exhaust(house, call, failing)
+        failing.patch(harness.device._core.backend, name)
+    exhaust(harness, call, failing)
 
 
 @pytest.mark.parametrize("call", CALLS, ids=lambda call: call.__name__)
 def test_a_device_goes_on_when_the_driver_has_no_memory(
-    house: House, monkeypatch: pytest.MonkeyPatch, call: Callable[[House], None]
+    harness: DeviceHarness, monkeypatch: pytest.MonkeyPatch, call: Callable[[DeviceHarness], None]
 ) -> None:
-    name = house.device.backend_name
+    name = harness.device.backend_name
     if name == "null":
         pytest.skip("it has no driver")
     if name == "cl":
         import pyopencl as cl
 
         with pytest.raises(cl.Error) as caught:
-            cl.Buffer(house.device.backend_as(ClBackend).context.context, cl.mem_flags.READ_WRITE, 1 << 60)
+            cl.Buffer(harness.device.backend_as(ClBackend).context.context, cl.mem_flags.READ_WRITE, 1 << 60)
         failing = Failing(monkeypatch, lambda: caught.value)
         failing.patch(cl, "Buffer")
     else:
@@ -134,11 +134,11 @@ def test_a_device_goes_on_when_the_driver_has_no_memory(
                 return error
 
             monkeypatch.setattr(module, "find_error", find)
-    exhaust(house, call, failing)
+    exhaust(harness, call, failing)
 
 
 FIRST_DRAWS = 30
-"""More allocations than the first picture of a device makes: bindings, counters, and the pools of the rasteriser."""
+"""More allocations than the first image of a device makes: bindings, counters, and the pools of the rasteriser."""
 
 
 @pytest.mark.nightly
@@ -149,28 +149,28 @@ def test_the_first_draws_can_be_repeated_when_the_driver_had_no_memory(
     import pyopencl as cl
 
     with rhi.create_device("cl", record=False) as device:
-        house = House(device, warm_up=False)
+        harness = DeviceHarness(device, warm_up=False)
         with pytest.raises(cl.Error) as caught:
             cl.Buffer(device.backend_as(ClBackend).context.context, cl.mem_flags.READ_WRITE, 1 << 60)
         failing = Failing(monkeypatch, lambda: caught.value)
         failing.patch(cl, "Buffer")
         failing.at = at
         try:
-            house.picture()
+            harness.draw_image()
         except DeviceError as error:
             if error.rule is not DEVICE_MEMORY:
                 raise
         assert failing.count <= FIRST_DRAWS
         failing.at = 0
-        again = house.picture()
+        again = harness.draw_image()
     with rhi.create_device("cl", record=False) as device:
-        np.testing.assert_array_equal(again, House(device, warm_up=False).picture())
+        np.testing.assert_array_equal(again, DeviceHarness(device, warm_up=False).draw_image())
 
 
 def test_memory_of_destroyed_resources_is_used_before_a_creation_fails(
-    house: House, monkeypatch: pytest.MonkeyPatch
+    harness: DeviceHarness, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    backend: Any = house.device._core.backend
+    backend: Any = harness.device._core.backend
     create, room = backend.create_buffer, [1]
 
     def limited(*arguments: Any) -> None:
@@ -182,44 +182,44 @@ def test_memory_of_destroyed_resources_is_used_before_a_creation_fails(
     destroy = backend.destroy
     monkeypatch.setattr(backend, "create_buffer", limited)
     monkeypatch.setattr(backend, "destroy", lambda resource: (destroy(resource), room.append(1)))
-    first = house.device.buffer(16)
+    first = harness.device.buffer(16)
     with pytest.raises(DeviceError):
-        house.device.buffer(16)  # the first is in use
+        harness.device.buffer(16)  # the first is in use
     first.destroy()
-    house.device.buffer(16).destroy()
+    harness.device.buffer(16).destroy()
     monkeypatch.undo()
-    house.check()
+    harness.check()
 
 
 @pytest.mark.parametrize("inside", ["pass", "scopes", "query", "event", "lock", "immediate", "record"])
-def test_a_device_goes_on_after_an_error_in_any_scope(house: House, inside: str) -> None:
-    device, error = house.device, RuntimeError("mine")
+def test_a_device_goes_on_after_an_error_in_any_scope(harness: DeviceHarness, inside: str) -> None:
+    device, error = harness.device, RuntimeError("mine")
     with pytest.raises(RuntimeError, match="mine"):
         if inside == "lock":
-            with house.numbers.lock(Access.READ_WRITE) as numbers:
+            with harness.numbers.lock(Access.READ_WRITE) as numbers:
                 numbers[:] = 99
                 raise error
         if inside == "record":
-            with device.record() as commands, commands.render_pass(house.other):
+            with device.record() as commands, commands.render_pass(harness.other):
                 raise error
-        with device.event("event"), device.states(CullMode.NONE), device.render_pass(house.other):
+        with device.event("event"), device.states(CullMode.NONE), device.render_pass(harness.other):
             if inside == "event":
                 with device.event("inner"), device.event("innermost"):
                     raise error
             if inside == "scopes":
                 with device.states(Scissor(1, 1, 2, 2)), device.states(Scissor(2, 2, 1, 1)):
-                    device.draw(house.flat, house.full, tint=house.tints[0])
+                    device.draw(harness.flat, harness.full, tint=harness.tints[0])
                     raise error
             if inside == "query":
-                with house.query:
-                    device.draw(house.flat, house.full, tint=house.tints[0])
+                with harness.query:
+                    device.draw(harness.flat, harness.full, tint=harness.tints[0])
                     raise error
             if inside == "immediate":
-                with device.immediate(house.flat, rhi.Primitive.POINTS, tint=house.tints[0]) as points:
+                with device.immediate(harness.flat, rhi.Primitive.POINTS, tint=harness.tints[0]) as points:
                     points.vertex(position=(0, 0))
                     raise error
             raise error
-    house.check()
+    harness.check()
 
 
 @pytest.mark.parametrize("backend", ["gl", "cl", "null"])
@@ -240,7 +240,7 @@ def test_devices_are_opened_and_closed_without_open_files_or_threads_left(backen
 
 MANY = """
 import gc, sys
-from house_kit import House, draw
+from harness_kit import DeviceHarness, draw
 import rhi
 
 def resident():
@@ -249,9 +249,9 @@ def resident():
 
 def use():
     with rhi.create_device(sys.argv[1], record=False) as device:
-        house = House(device)
-        draw(house)
-        house.check()
+        harness = DeviceHarness(device)
+        draw(harness)
+        harness.check()
 
 for _ in range(5):
     use()
@@ -274,17 +274,17 @@ def test_two_hundred_devices_keep_less_than_a_megabyte_each(backend: str) -> Non
 
 OPEN = """
 import sys
-from house_kit import House, make_things_to_destroy
+from harness_kit import DeviceHarness, make_things_to_destroy
 import rhi
 from rhi import Access, Scissor
 
-house = House(rhi.create_device(sys.argv[1], record=False))
-device, how = house.device, sys.argv[2]
+harness = DeviceHarness(rhi.create_device(sys.argv[1], record=False))
+device, how = harness.device, sys.argv[2]
 device.timing = device.capabilities.timestamps
-make_things_to_destroy(house)
-house.made[1].destroy()
-opened = [device.states(Scissor(0, 0, 1, 1)), device.event("event"), house.numbers.lock(Access.WRITE)]
-opened += [device.render_pass(house.image, house.depth, clear=(0, 0, 0, 0)), house.query, device.record()]
+make_things_to_destroy(harness)
+harness.created[1].destroy()
+opened = [device.states(Scissor(0, 0, 1, 1)), device.event("event"), harness.numbers.lock(Access.WRITE)]
+opened += [device.render_pass(harness.image, harness.depth, clear=(0, 0, 0, 0)), harness.query, device.record()]
 for block in opened:
     block.__enter__()
 if how == "exit":
@@ -319,12 +319,12 @@ def test_a_process_ends_quietly_with_everything_open(backend: str, how: str, sta
         assert lines == []
 
 
-def test_the_calls_that_fail_do_allocate(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_calls_that_fail_do_allocate(harness: DeviceHarness, monkeypatch: pytest.MonkeyPatch) -> None:
     failing = Failing(monkeypatch, lambda: DeviceError(DEVICE_MEMORY, "a test"))
     for name in CREATIONS:
-        failing.patch(house.device._core.backend, name)
-    create_a_buffer(house)
+        failing.patch(harness.device._core.backend, name)
+    create_a_buffer(harness)
     assert failing.count == 1
-    draw(house)
+    draw(harness)
     assert failing.count == 1
-    house.settle()
+    harness.settle()

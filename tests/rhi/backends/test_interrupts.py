@@ -1,8 +1,8 @@
 """Ctrl-C at any step of any call: the device goes on as if the call had happened or not, and nothing is left behind.
 
 Each call is interrupted at each step at which Python could raise `KeyboardInterrupt` (`interrupts_kit`), or quickly at
-a few of them. Afterwards everything is closed, a fixed picture is drawn right, queries count right, and the backend has
-the resources that it had before (`house_kit`).
+a few of them. Afterwards everything is closed, a fixed image is drawn right, queries count right, and the backend has
+the resources that it had before (`harness_kit`).
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from typing import Any
 
 import numpy as np
 import pytest
-from house_kit import CALLS, House, destroy_everything, end_a_frame, make_things_to_destroy
+from harness_kit import CALLS, DeviceHarness, destroy_everything, end_a_frame, make_things_to_destroy
 from interrupts_kit import EXEMPT, Interrupt
 from nightly_reasons import SAME_ON_EACH_BACKEND
 
 import rhi
 from rhi import BlendColor, CullMode, Device, Format, Scissor
 from rhi.backends.null import NullBackend
-from rhi.device.core.interrupts import HeldInterrupts
+from rhi.device.core.interrupts import DeferredInterrupts
 
 # Python prints what is raised in a destructor and goes on.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 
 EXEMPT.add(__file__)
 QUICK = 10
-"""Steps that are tried of each call by day."""
+"""Steps of each call that the default run tries."""
 
-MOST = 1500
-"""Steps that are tried of each call by night: all, but of compiling programs each nth, others each night."""
+MAX_STEPS = 1500
+"""Steps of each call that the nightly run tries: all, but only each nth of compiling programs, others each time."""
 
 
 @pytest.fixture(autouse=True)
@@ -48,50 +48,50 @@ def interrupts() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module", params=["gl", "cl", "null"])
-def houses(request: pytest.FixtureRequest) -> Iterator[Callable[[], House]]:
+def houses(request: pytest.FixtureRequest) -> Iterator[Callable[[], DeviceHarness]]:
     """A function that returns the house of this backend: the same one until a test has damaged it."""
-    kept: list[House] = []
+    harnesses: list[DeviceHarness] = []
 
-    def get() -> House:
-        if not kept:
-            kept.append(House(rhi.create_device(request.param, record=False)))
-        return kept[0]
+    def get() -> DeviceHarness:
+        if not harnesses:
+            harnesses.append(DeviceHarness(rhi.create_device(request.param, record=False)))
+        return harnesses[0]
 
-    get.drop = kept.clear  # type: ignore[attr-defined]
+    get.drop = harnesses.clear  # type: ignore[attr-defined]
     yield get
-    for house in kept:
-        house.device.close()
+    for harness in harnesses:
+        harness.device.close()
 
 
-def interrupt(house: House, call: Callable[[House], None], at: int) -> str | None:
+def interrupt(harness: DeviceHarness, call: Callable[[DeviceHarness], None], at: int) -> str | None:
     """Make a call that is interrupted at a step; return where, or None if it has fewer steps."""
     if call is destroy_everything:
-        make_things_to_destroy(house)
+        make_things_to_destroy(harness)
     interrupted = Interrupt(at)
     try:
         # An interrupt at the first step of a scope's end is repaired by the scope around it.
-        around = nullcontext() if call is end_a_frame else house.device.states(BlendColor(1, 1, 1, 1))
+        around = nullcontext() if call is end_a_frame else harness.device.states(BlendColor(1, 1, 1, 1))
         with around, interrupted:
-            call(house)
+            call(harness)
     except KeyboardInterrupt:
         assert at
     return interrupted.where
 
 
-def count_steps(house: House, call: Callable[[House], None]) -> int:
+def count_steps(harness: DeviceHarness, call: Callable[[DeviceHarness], None]) -> int:
     if call is destroy_everything:
-        make_things_to_destroy(house)
+        make_things_to_destroy(harness)
     with Interrupt() as counted:
-        call(house)
-    house.settle()
+        call(harness)
+    harness.settle()
     return counted.steps
 
 
-def try_steps(house: House, call: Callable[[House], None], steps: list[int]) -> None:
+def try_steps(harness: DeviceHarness, call: Callable[[DeviceHarness], None], steps: list[int]) -> None:
     for at in steps:
-        where = interrupt(house, call, at)
+        where = interrupt(harness, call, at)
         try:
-            house.check()
+            harness.check()
         except BaseException as error:
             error.add_note(f"{call.__name__}, interrupted at step {at}: {where}")
             raise
@@ -105,14 +105,14 @@ def default_handler() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("call", CALLS, ids=lambda call: call.__name__)
-def test_a_device_goes_on_after_an_interrupt(houses: Any, call: Callable[[House], None]) -> None:
-    house = houses()
-    if not house.can(call):
+def test_a_device_goes_on_after_an_interrupt(houses: Any, call: Callable[[DeviceHarness], None]) -> None:
+    harness = houses()
+    if not harness.can(call):
         pytest.skip("nothing is rasterised")
-    steps = count_steps(house, call)
-    chosen = np.unique(np.linspace(1, steps, QUICK).astype(int)).tolist()
+    steps = count_steps(harness, call)
+    selected = np.unique(np.linspace(1, steps, QUICK).astype(int)).tolist()
     try:
-        try_steps(house, call, chosen)
+        try_steps(harness, call, selected)
     except BaseException:
         houses.drop()
         raise
@@ -120,14 +120,14 @@ def test_a_device_goes_on_after_an_interrupt(houses: Any, call: Callable[[House]
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("call", CALLS, ids=lambda call: call.__name__)
-def test_a_device_goes_on_after_an_interrupt_at_any_step(houses: Any, call: Callable[[House], None]) -> None:
-    house = houses()
-    if not house.can(call):
+def test_a_device_goes_on_after_an_interrupt_at_any_step(houses: Any, call: Callable[[DeviceHarness], None]) -> None:
+    harness = houses()
+    if not harness.can(call):
         pytest.skip("nothing is rasterised")
     try:
-        steps = count_steps(house, call)
-        stride = -(-steps // MOST)
-        try_steps(house, call, list(range(1 + randrange(stride), steps + 1, stride)))
+        steps = count_steps(harness, call)
+        stride = -(-steps // MAX_STEPS)
+        try_steps(harness, call, list(range(1 + randrange(stride), steps + 1, stride)))
     except BaseException:
         houses.drop()
         raise
@@ -206,17 +206,17 @@ def cut_off(block: Any, kind: type) -> None:
 
 def test_the_scope_around_repairs_one_whose_end_was_cut_off(null_device: Device) -> None:
     states = null_device._core.states
-    default = states.wanted
+    default = states.requested
     with pytest.raises(KeyboardInterrupt), null_device.states(CullMode.NONE):
-        outer = states.wanted
+        outer = states.requested
         with pytest.raises(ValueError, match="mine"), null_device.states(Scissor(1, 1, 2, 2)):
             cut_off(null_device.states(CullMode.BACK), type(null_device.states(CullMode.BACK)))
             assert states.depth == 3
             raise ValueError("mine")
-        assert states.wanted is outer
+        assert states.requested is outer
         assert states.depth == 1
         raise KeyboardInterrupt
-    assert states.wanted is default
+    assert states.requested is default
     assert states.depth == 0
 
 
@@ -225,7 +225,7 @@ def test_a_scope_around_one_whose_interrupt_was_caught_ends_both(null_device: De
     with null_device.states(CullMode.NONE):
         cut_off(null_device.states(CullMode.FRONT), type(null_device.states()))
         assert states.depth == 2
-    assert states.wanted[CullMode] is CullMode.BACK
+    assert states.requested[CullMode] is CullMode.BACK
     assert states.depth == 0
 
 
@@ -247,7 +247,7 @@ def test_a_frame_ends_scopes_whose_ends_were_cut_off(null_device: Device, kind: 
     del block
     null_device.present()
     assert len(null_device._core.scopes) == 0
-    assert null_device._core.states.wanted[CullMode] is CullMode.BACK
+    assert null_device._core.states.requested[CullMode] is CullMode.BACK
 
 
 @pytest.mark.parametrize("kind", ["states", "event"])
@@ -258,7 +258,7 @@ def test_a_scope_that_was_withdrawn_can_be_entered_again(null_device: Device, ki
     blocks[0].__enter__()
     scopes.withdraw(blocks[0])  # as the pass around it does when it can't be ended
     with blocks.pop():
-        scopes.end_unheld()
+        scopes.end_unreferenced()
         assert len(scopes) == 1
     assert len(scopes) == 0
 
@@ -268,7 +268,7 @@ def test_a_pass_begins_with_the_states_of_scopes_that_are_open(null_device: Devi
     with null_device.states(CullMode.FRONT):
         cut_off(null_device.states(CullMode.NONE), type(null_device.states()))
         with null_device.render_pass(image):
-            assert states.wanted[CullMode] is CullMode.FRONT
+            assert states.requested[CullMode] is CullMode.FRONT
 
 
 def test_an_interrupt_ends_a_scope_that_was_left_too_early(null_device: Device) -> None:
@@ -279,7 +279,7 @@ def test_an_interrupt_ends_a_scope_that_was_left_too_early(null_device: Device) 
             with pytest.raises(rhi.ValidationError):
                 outer.__exit__(None, None, None)
             raise KeyboardInterrupt
-    assert states.wanted[CullMode] is CullMode.BACK
+    assert states.requested[CullMode] is CullMode.BACK
     assert states.depth == 0
 
 
@@ -310,12 +310,12 @@ def test_scopes_inside_each_other_end_one_by_one_without_errors(null_device: Dev
 def test_the_pass_around_leaves_the_scopes_inside(null_device: Device) -> None:
     image, states = null_device.texture((4, 4), Format.RGBA8), null_device._core.states
     with null_device.states(CullMode.NONE):
-        outer = states.wanted
+        outer = states.requested
         with pytest.raises(KeyboardInterrupt), null_device.render_pass(image):
             scope = null_device.states(Scissor(1, 1, 2, 2))
             cut_off(scope, type(scope))
             raise KeyboardInterrupt
-        assert states.wanted is outer
+        assert states.requested is outer
         assert states.depth == 1
 
 
@@ -357,8 +357,8 @@ def raise_signal() -> None:
 def test_an_interrupt_waits_for_the_end_of_a_block_that_holds_it() -> None:
     done = []
     with pytest.raises(KeyboardInterrupt):
-        with HeldInterrupts():
-            with HeldInterrupts():
+        with DeferredInterrupts():
+            with DeferredInterrupts():
                 raise_signal()
                 done.append("inner")
             done.append("outer")
@@ -369,7 +369,7 @@ def test_an_interrupt_waits_for_the_end_of_a_block_that_holds_it() -> None:
 def test_a_second_interrupt_is_raised_at_once() -> None:
     done = []
     with pytest.raises(KeyboardInterrupt):
-        with HeldInterrupts():
+        with DeferredInterrupts():
             raise_signal()
             done.append("first")
             raise_signal()
@@ -378,7 +378,7 @@ def test_a_second_interrupt_is_raised_at_once() -> None:
 
 
 def test_without_an_interrupt_nothing_is_raised_and_the_handler_is_back() -> None:
-    with HeldInterrupts():
+    with DeferredInterrupts():
         assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
@@ -387,7 +387,7 @@ def test_other_threads_hold_nothing() -> None:
     seen = []
 
     def run() -> None:
-        with HeldInterrupts():
+        with DeferredInterrupts():
             seen.append(signal.getsignal(signal.SIGINT))
 
     thread = threading.Thread(target=run)
@@ -415,10 +415,10 @@ def test_a_resource_whose_creation_was_interrupted_is_destroyed(
     monkeypatch.undo()
     null_device.finish()
     null_device.finish()
-    made = [c["buffer"] for c in null_device.stream if c.op is rhi.Op.CREATE_BUFFER]
+    created = [c["buffer"] for c in null_device.stream if c.op is rhi.Op.CREATE_BUFFER]
     destroyed = [c["resource"] for c in null_device.stream if c.op is rhi.Op.DESTROY]
-    assert len(made) == 2
-    assert sorted(destroyed) == made
+    assert len(created) == 2
+    assert sorted(destroyed) == created
 
 
 # -- the end of a process ------------------------------------------------------------------------------------

@@ -20,5 +20,5 @@ def test_levels_are_means_of_the_ones_before(backend: str, most: float) -> None:
         for level in range(1, image.levels):
             linear = decode(Format.RGBA8_SRGB, image.read(level - 1)).astype(np.float64)
             means = linear.reshape(len(linear) // 2, 2, -1, 2, 4).mean(axis=(1, 3))
-            wanted = 255 * np.concatenate([linear_to_srgb(means[..., :3]), means[..., 3:]], axis=-1)
-            assert np.abs(image.read(level) - wanted).max() <= most
+            expected = 255 * np.concatenate([linear_to_srgb(means[..., :3]), means[..., 3:]], axis=-1)
+            assert np.abs(image.read(level) - expected).max() <= most

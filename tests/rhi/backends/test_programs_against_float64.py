@@ -15,14 +15,25 @@ from known_faults import CL, FAULTS, LLVMPIPE, SMALLEST
 
 import rhi
 from rhi.conformance import reference
-from rhi.conformance.programs import EXACT, Program, Rules, check, interpret
-from rhi.conformance.programs import steps as step_types
+from rhi.conformance.programs import EXACT, Program, Tolerances, check, interpret
+from rhi.conformance.programs import model as step_types
 from rhi.conformance.programs.generator import FORMATS, make_program, make_theme
 from rhi.conformance.programs.intervals import Interval
 from rhi.conformance.programs.merging import blend
+from rhi.conformance.programs.model import (
+    Draw,
+    Image,
+    Part,
+    Pass,
+    ShaderKind,
+    Shape,
+    Step,
+    Subresource,
+    Write,
+    to_python,
+)
 from rhi.conformance.programs.reducer import reduce
 from rhi.conformance.programs.runner import compare, run
-from rhi.conformance.programs.steps import Draw, Image, Ink, Part, Pass, Place, Shape, Step, Write, to_python
 from rhi.contract.formats import DEPTH_FORMATS
 
 PROGRAMS = 6
@@ -39,7 +50,7 @@ THEMES = [
 ALL_FORMATS = rhi.Capabilities("", "", "")
 
 
-def rules_of(device: rhi.Device) -> Rules:
+def rules_of(device: rhi.Device) -> Tolerances:
     if device.backend_name == "cl":
         return CL
     return LLVMPIPE if "llvmpipe" in device.capabilities.device else EXACT
@@ -55,8 +66,8 @@ def test_random_programs_leave_what_float64_allows(backend: str, themes: range) 
                 program = make_program(1000 * number + seed, theme)
                 if check(device, program, rules):
                     small = reduce(program, lambda p: bool(check(device, p, rules)), 400)
-                    shown = "\n".join(map(str, check(device, small, rules)))
-                    pytest.fail(f"theme {number}, program {seed}:\n{to_python(small)}\n{shown}")
+                    report = "\n".join(map(str, check(device, small, rules)))
+                    pytest.fail(f"theme {number}, program {seed}:\n{to_python(small)}\n{report}")
 
 
 # -- the driver's faults -------------------------------------------------------------------------------------
@@ -99,9 +110,9 @@ def test_blending_of_intervals_contains_that_of_their_ends(
     numbers = (0.25, 0.5, 0.75, 1.0)
     source, stored = colors(1, 40), colors(2, 40)
     exact = blend(rhi.Format.RGBA32F, function, constant, Interval.of(source), Interval.of(stored), EXACT)
-    wanted = reference.blend(function, source, stored, numbers)
-    assert np.abs(exact.low - wanted).max() < 1e-6
-    assert np.abs(exact.high - wanted).max() < 1e-6
+    expected = reference.blend(function, source, stored, numbers)
+    assert np.abs(exact.low - expected).max() < 1e-6
+    assert np.abs(exact.high - expected).max() < 1e-6
     around = Interval.of(source).widen(0.125), Interval.of(stored).widen(0.125)
     wide = blend(rhi.Format.RGBA32F, function, constant, *around, EXACT)
     for seed in range(3):
@@ -116,9 +127,9 @@ SQUARE = Shape(
     tuple((x, y, 0.25, 1.0, 0.5, 0.25, 1.0, 0.5) for x, y in ((1.0, 1.0), (1.0, 6.0), (7.0, 6.0), (7.0, 1.0))),
 )
 DRAW = Draw(
-    Ink.FLAT, 0, (Part(0, 4),), (8, 8), (rhi.DepthFunction.LESS, rhi.StencilTest.ON, rhi.CullMode.NONE), query=0
+    ShaderKind.FLAT, 0, (Part(0, 4),), (8, 8), (rhi.DepthFunction.LESS, rhi.StencilTest.ON, rhi.CullMode.NONE), query=0
 )
-PASS = Pass((Place(0),), Place(1), (DRAW, DRAW), ((0.25, 0.5, 0.0, 1.0),), 0.5, 7)
+PASS = Pass((Subresource(0),), Subresource(1), (DRAW, DRAW), ((0.25, 0.5, 0.0, 1.0),), 0.5, 7)
 IMAGES = (Image((8, 8), rhi.Format.RGBA8), Image((8, 8), rhi.Format.D24S8))
 STATES: list[rhi.State] = [
     rhi.CullMode.FRONT,
@@ -144,11 +155,11 @@ def test_a_state_that_a_device_ignores_is_seen(llvmpipe: rhi.Device, state: rhi.
     before = replace(DRAW, states=(*DRAW.states, *around, *facing))
     after = replace(before, states=(*(s for s in before.states if type(s) is not type(state)), state))
     programs = [Program(IMAGES, (SQUARE,), (replace(PASS, draws=(d, d)),), 1) for d in (before, after)]
-    given = [run(llvmpipe, program) for program in programs]
+    results = [run(llvmpipe, program) for program in programs]
     allowed = [interpret(program, LLVMPIPE) for program in programs]
     for i in range(2):
-        assert not compare(given[i], allowed[i])
-        assert compare(given[i], allowed[1 - i])
+        assert not compare(results[i], allowed[i])
+        assert compare(results[i], allowed[1 - i])
 
 
 def test_most_texels_have_one_possible_value() -> None:
@@ -166,12 +177,12 @@ def test_most_texels_have_one_possible_value() -> None:
 # -- the generator -------------------------------------------------------------------------------------------
 
 
-def test_themes_have_all_formats_and_inks() -> None:
+def test_themes_have_all_formats_and_shader_kinds() -> None:
     themes = [make_theme(number, ALL_FORMATS) for number in range(250)]
     kinds = [kind for theme in themes for kind in theme.kinds]
     assert {f for kind in kinds for f in kind.colors} == set(FORMATS)
     assert {kind.depth for kind in kinds} == {None, *DEPTH_FORMATS}
-    assert {pipeline.ink for kind in kinds for pipeline in kind.pipelines} == set(Ink)
+    assert {pipeline.shader for kind in kinds for pipeline in kind.pipelines} == set(ShaderKind)
     assert {kind.samples for kind in kinds} == {1, 2, 4}
 
 
@@ -195,7 +206,7 @@ def test_programs_have_all_steps_states_and_kinds_of_textures() -> None:
     # Where lines end differs from platform to platform, and what a platform has alone is its own.
     left_out = {rhi.LineWidth, rhi.PolygonMode, rhi.PlatformState}
     assert {type(state) for draw in draws for state in draw.states} == set(rhi.State.__args__) - left_out
-    assert {draw.way for draw in draws} == set(step_types.Way)
+    assert {draw.method for draw in draws} == set(step_types.DrawMethod)
     assert {image.kind for program in programs for image in program.images} == set(rhi.TextureKind)
     assert {
         level
@@ -224,7 +235,7 @@ def test_a_program_is_printed_as_python_that_makes_it() -> None:
 def test_a_failing_program_is_reduced_to_what_fails() -> None:
     """Of a program that fails because of one state, one step with one draw of one primitive with that state is left."""
     guilty = replace(DRAW, states=(rhi.CullMode.NONE, rhi.ColorWrite(red=False)), parts=(Part(0, 4, 3), Part(0, 4)))
-    more = Write(Place(0), 0, 0, 2, 2, 1)
+    more = Write(Subresource(0), 0, 0, 2, 2, 1)
     program = Program(IMAGES, (SQUARE,), (more, PASS, replace(PASS, draws=(DRAW, guilty)), more), 1)
 
     def fails(proposal: Program) -> bool:
@@ -235,7 +246,7 @@ def test_a_failing_program_is_reduced_to_what_fails() -> None:
     assert len(small.steps) == 1
     assert isinstance(small.steps[0], Pass)
     (draw,) = small.steps[0].draws
-    assert draw == Draw(Ink.FLAT, 0, draw.parts, (8, 8), (rhi.ColorWrite(red=False),))
+    assert draw == Draw(ShaderKind.FLAT, 0, draw.parts, (8, 8), (rhi.ColorWrite(red=False),))
     assert [(part.count, part.instances) for part in draw.parts] == [(1, 1)]
     assert small.steps[0].depth is None
     assert small.steps[0].clear == (None,)

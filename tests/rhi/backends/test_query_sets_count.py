@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 import rhi
 from rhi import Device, Format, Mesh, QuerySet
-from rhi.backends.cl.backend import ClBackend
-from rhi.backends.gl.backend import GlBackend
-from rhi.backends.gl.query_sets import GlQuerySet
+from rhi.backends.cl.cl_backend import ClBackend
+from rhi.backends.gl.gl_backend import GlBackend
+from rhi.backends.gl.gl_query_sets import GlQuerySet
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import texel_rectangle
 from rhi.contract.descriptors import QueryKind
@@ -135,9 +135,9 @@ def test_queries_of_gl_are_not_waited_for_one_by_one(monkeypatch: pytest.MonkeyP
         gl, asked = queries._prepared._gl, []
         get = gl.GetQueryObjectui64v
 
-        def note(name: int, what: int, place: Any) -> None:
+        def note(name: int, what: int, address: Any) -> None:
             asked.append(what)
-            get(name, what, place)
+            get(name, what, address)
 
         monkeypatch.setattr(gl, "GetQueryObjectui64v", note)
         assert queries.wait().tolist() == SAMPLES.tolist()

@@ -13,7 +13,7 @@ import pytest
 
 import rhi
 from rhi import Device
-from rhi.backends.cl.backend import ClBackend
+from rhi.backends.cl.cl_backend import ClBackend
 from rhi.backends.cl.raster import batches, draw_tables, launcher
 from rhi.backends.cl.raster.draw_state import DrawState
 from rhi.backends.cl.raster.merger import MergerKey
@@ -46,22 +46,22 @@ def test_what_is_left_out_is_not_seen(cl: Device, monkeypatch: pytest.MonkeyPatc
                     begin(self, descriptor)
                     self.fill_cleared(plain.backend_as(ClBackend).context.queue)
 
-                def gather_mixed(self: Any, *given: Any, gather: Any = gather) -> None:
-                    gather(self, *given)
+                def gather_mixed(self: Any, *actual: Any, gather: Any = gather) -> None:
+                    gather(self, *actual)
                     self.spread()
 
                 patch.setattr(MergerKey, "bounds_depth", property(lambda _: False))
                 patch.setattr(DrawState, "begin_pass", begin_cleared)
                 patch.setattr(batches.Batch, "gather", gather_mixed)
-                wanted = run(plain, program)
+                expected = run(plain, program)
             with monkeypatch.context() as patch:
                 if seed % 2:
                     patch.setattr(draw_tables, "_FIRST_PIECE_GROUPS", 2)
                     patch.setattr(draw_tables, "_PIECE_GROUPS", 8)
                     patch.setattr(launcher, "_SLICE_GROUPS", 16)
                     patch.setattr(launcher, "_FEW_GROUPS", 1)
-                given = run(cl, program)
-            for (name, one), (_, other) in zip(wanted, given, strict=True):
-                np.testing.assert_array_equal(one, other, name)
-                hidden += int((one == 0).sum()) if "quer" in name else 0
+                actual = run(cl, program)
+            for (name, expected_output), (_, output) in zip(expected, actual, strict=True):
+                np.testing.assert_array_equal(expected_output, output, name)
+                hidden += int((expected_output == 0).sum()) if "quer" in name else 0
     assert hidden > len(seeds) / 4

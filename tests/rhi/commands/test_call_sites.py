@@ -17,13 +17,13 @@ import rhi
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from rhi import CullMode, Device, Format, Op
-from rhi.errors import MARK
+from rhi.errors.call_sites import MARK
 
 
 @pytest.fixture
 def device() -> Iterator[Device]:
-    with rhi.create_device("null") as made:
-        yield made
+    with rhi.create_device("null") as created:
+        yield created
 
 
 def here(offset: int = 0) -> tuple[str, int]:
@@ -112,7 +112,7 @@ def test_a_layer_of_the_user_that_the_renderer_calls_has_its_own_lines(device: D
     buffer = device.buffer(4)
 
     class Clearing:
-        def render(self, *given: Any) -> None:
+        def render(self, *arguments: Any) -> None:
             buffer.clear(1)
 
         def destroy(self) -> None: ...
@@ -139,8 +139,8 @@ def test_a_module_that_users_run_is_theirs_whatever_its_name(tmp_path: Path, nam
     file = tmp_path / f"{name}.py"
     file.write_text(PROGRAM)
     for command in ([sys.executable, "-m", name], [sys.executable, str(file)]):
-        told = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-        assert told.splitlines() == [str((str(file), 4))], command
+        output = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+        assert output.splitlines() == [str((str(file), 4))], command
 
 
 def test_globals_of_the_user_are_left_as_they_are(device: Device) -> None:

@@ -130,10 +130,10 @@ def test_a_filter_keeps_what_meets_all_its_conditions(labelled, conditions, coun
         assert [command["count"] for command in labelled.filter(**conditions)] == counts
 
 
-def test_filters_can_be_chained_and_keep_places_in_the_stream(labelled):
-    found = labelled.draws().filter(label="shadows").filter(Op.DRAW, count=20)
-    assert [command.index for command in found] == [4]
-    assert found[0]["count"] == 20
+def test_filters_can_be_chained_and_keep_indices_in_the_stream(labelled):
+    draws = labelled.draws().filter(label="shadows").filter(Op.DRAW, count=20)
+    assert [command.index for command in draws] == [4]
+    assert draws[0]["count"] == 20
 
 
 def test_draws_include_indirect_ones(recorder):
@@ -179,15 +179,15 @@ def test_states_given_out_are_a_copy(recorder):
 
 def test_a_command_of_a_cleared_stream_keeps_its_own_but_refuses_what_is_derived(recorder):
     draw(recorder, 12)
-    kept = recorder.stream[0]
-    assert kept.labels == ()
+    command = recorder.stream[0]
+    assert command.labels == ()
     recorder.stream.clear()
     draw(recorder, 99)
-    assert kept["count"] == 12
-    assert kept.site is not None
+    assert command["count"] == 12
+    assert command.site is not None
     for name in ("labels", "states", "program", "render_pass"):
         with pytest.raises(ValidationError, match=r"^\[command-cleared\]"):
-            getattr(kept, name)
+            getattr(command, name)
 
 
 STEPS = st.lists(st.sampled_from(["push", "pop", "cull", "draw", "clear", "pause", "resume", "look"]), max_size=60)
@@ -221,9 +221,9 @@ def test_what_holds_is_what_a_model_says_whatever_was_cleared_or_left_out(steps,
         elif step == "resume" and pauses:
             pauses.pop().__exit__(None, None, None)
         elif step == "look" and expected:
-            place = random.randrange(len(expected))
-            found = recorder.stream.draws()[place]
-            assert (found["count"], found.labels, found.states[CullMode]) == expected[place]
+            index = random.randrange(len(expected))
+            command = recorder.stream.draws()[index]
+            assert (command["count"], command.labels, command.states[CullMode]) == expected[index]
     draws = recorder.stream.draws()
     assert [(d["count"], d.labels, d.states[CullMode]) for d in draws] == expected
 

@@ -15,7 +15,8 @@ from rhi.commands.stream import Op
 from rhi.contract import descriptors
 from rhi.contract.formats import Format
 from rhi.contract.states import CullMode, StateChange
-from rhi.errors import MARK, DeviceError
+from rhi.errors import DeviceError
+from rhi.errors.call_sites import MARK
 from rhi.errors.rules import DEVICE_MEMORY
 
 
@@ -215,8 +216,8 @@ def test_a_traceback_through_a_generated_method_shows_its_source():
     recorder = Recorder(Broken(ValueError("no")))
     with pytest.raises(ValueError, match="no") as caught:
         recorder.signal(1)
-    shown = "".join(traceback.format_tb(caught.value.__traceback__))
-    assert "return self.backend.signal(value, )" in shown
+    text = "".join(traceback.format_tb(caught.value.__traceback__))
+    assert "return self.backend.signal(value, )" in text
 
 
 # -- pausing ---------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The judge is judged: what the kit compares devices with."""
+"""Tests of the kit's references, which devices are compared with."""
 
 from __future__ import annotations
 

@@ -77,11 +77,11 @@ def test_ratios_are_computed_exactly_and_rounded_once(format):
 
 def pack(*fields):
     """A block of (value, bits) from the lowest bit on."""
-    number = place = 0
+    number = position = 0
     for value, bits in fields:
-        number |= value << place
-        place += bits
-    assert place <= 128
+        number |= value << position
+        position += bits
+    assert position <= 128
     return np.frombuffer(number.to_bytes(16, "little"), np.uint8)
 
 
@@ -92,8 +92,8 @@ def test_mode_6_of_bc7_has_two_ends_and_16_steps():
     texels = decode_blocks(CompressedFormat.BC7, block).reshape(16, 4)
     weights = [0, 4, 9, 13, 17, 21, 26, 30, 34, 38, 43, 47, 51, 55, 60, 64]
     whole = [(2 * a, 2 * b + 1) for a, b in ends]
-    for place, texel in enumerate(texels.tolist()):
-        w = weights[7 if place == 0 else place]
+    for index, texel in enumerate(texels.tolist()):
+        w = weights[7 if index == 0 else index]
         assert texel == [(a * (64 - w) + b * w + 32) >> 6 for a, b in whole]
 
 

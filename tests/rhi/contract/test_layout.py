@@ -21,8 +21,8 @@ from rhi.contract.layout import (
     dtype_of,
     element_dtype,
     is_host_shareable,
-    place,
-    scalar_places,
+    memory_layout,
+    scalar_offsets,
     shape_of,
     stride_of,
 )
@@ -98,9 +98,9 @@ def scalars_of_dtype(type, dtype, start=0):
 
 
 @given(types, st.sampled_from([Layout.STD140, Layout.STD430]))
-def test_places_are_those_of_the_specification(type, layout):
+def test_offsets_are_those_of_the_specification(type, layout):
     align, size, _ = rules_of_the_specification(type, layout is Layout.STD140)
-    placement = place(type, layout)
+    placement = memory_layout(type, layout)
     assert (placement.alignment, placement.size) == (align, size)
 
 
@@ -110,7 +110,7 @@ def test_dtypes_have_every_scalar_where_the_specification_has_it(type, layout):
     dtype = dtype_of(type, layout)
     assert dtype.itemsize == size
     assert list(scalars_of_dtype(type, dtype)) == scalars
-    assert [offset for offset, _ in scalar_places(type, layout)] == scalars
+    assert [offset for offset, _ in scalar_offsets(type, layout)] == scalars
 
 
 @given(types, st.sampled_from([Layout.STD140, Layout.STD430]))
@@ -146,22 +146,22 @@ def test_a_bool_has_no_layout_and_a_uint_has():
     for type in (BOOL, VectorType(BOOL, 2), ArrayType(BOOL, 2), StructType("S", (Field("a", BOOL),))):
         assert not is_host_shareable(type)
         with pytest.raises(TypeError, match="uint"):
-            place(type, Layout.STD430)
+            memory_layout(type, Layout.STD430)
     assert is_host_shareable(StructType("S", (Field("a", UINT),)))
 
 
 def test_a_comparison_shows_both_layouts_and_marks_the_differences():
-    wanted = dtype_of(LIGHT, Layout.STD430)
-    given = np.dtype([("range", "f8"), ("position", "f4", 3), ("extra", "f4")])
-    lines = compare_layouts(wanted, given).splitlines()
+    expected = dtype_of(LIGHT, Layout.STD430)
+    actual = np.dtype([("range", "f8"), ("position", "f4", 3), ("extra", "f4")])
+    lines = compare_layouts(expected, actual).splitlines()
     rows = {line.split()[0]: line for line in lines}
     assert rows["range"].split()[1:5] == ["0", "float32", "0", "float64"]
     assert rows["range"].endswith("<- type")
     assert rows["position"].endswith("<- offset")
     assert rows["turn"].endswith("<- missing")
-    assert rows["extra"].endswith("<- not wanted")
+    assert rows["extra"].endswith("<- not expected")
     assert rows["(bytes)"].endswith("<- size")
-    assert "<-" not in compare_layouts(wanted, wanted)
+    assert "<-" not in compare_layouts(expected, expected)
 
 
 def test_a_comparison_names_nested_fields_by_their_path():

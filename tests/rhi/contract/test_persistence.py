@@ -14,31 +14,31 @@ from rhi.contract import trust
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("RHI_CACHE", str(tmp_path))
-    return tmp_path / "kept"
+    return tmp_path / "dictionaries"
 
 
-def keep(entries: dict[str, int], most: int = 3) -> list[tuple[str, int]]:
+def save_entries(entries: dict[str, int], max_entries: int = 3) -> list[tuple[str, int]]:
     """Set entries, and return what comes back."""
-    made = PersistentDict("numbers", most)
+    saved = PersistentDict("numbers", max_entries)
     for name, number in entries.items():
-        made[name] = number
-    made.save()
-    return list(PersistentDict("numbers", most).items())
+        saved[name] = number
+    saved.save()
+    return list(PersistentDict("numbers", max_entries).items())
 
 
 def test_what_was_set_last_comes_back(folder: Path) -> None:
-    assert keep({"a": 1, "b": 2}) == [("a", 1), ("b", 2)]
-    assert keep({"a": 3, "c": 4}) == [("b", 2), ("a", 3), ("c", 4)]
-    assert keep({"d": 5}) == [("a", 3), ("c", 4), ("d", 5)]
+    assert save_entries({"a": 1, "b": 2}) == [("a", 1), ("b", 2)]
+    assert save_entries({"a": 3, "c": 4}) == [("b", 2), ("a", 3), ("c", 4)]
+    assert save_entries({"d": 5}) == [("a", 3), ("c", 4), ("d", 5)]
 
 
 def test_what_others_could_have_written_does_not(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    keep({"a": 1})
+    save_entries({"a": 1})
     whole = (folder / "numbers.json").read_bytes()
     for name, content in (("numbers", whole.replace(b"1}", b"2}")), ("numbers", b""), ("others", whole)):
         (folder / f"{name}.json").write_bytes(content)
         assert PersistentDict(name, 3) == {}
-    assert keep({"a": 1}) == [("a", 1)]
+    assert save_entries({"a": 1}) == [("a", 1)]
     monkeypatch.setenv("RHI_CACHE_KEY", "another")
     assert PersistentDict("numbers", 3) == {}
 
@@ -46,12 +46,12 @@ def test_what_others_could_have_written_does_not(folder: Path, monkeypatch: pyte
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no users")
 @pytest.mark.parametrize(("mode", "is_used"), [(0o700, True), (0o770, False)])
 def test_a_folder_that_others_may_write_to_is_not_used(folder: Path, mode: int, is_used: bool) -> None:
-    keep({"a": 1})
+    save_entries({"a": 1})
     folder.chmod(mode)
-    assert keep({"b": 2}) == ([("a", 1), ("b", 2)] if is_used else [])
+    assert save_entries({"b": 2}) == ([("a", 1), ("b", 2)] if is_used else [])
 
 
 def test_what_cannot_be_written_stays_as_it_was(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    keep({"a": 1})
-    monkeypatch.setattr(trust, "write_whole", lambda *_: os.stat("not there"))
-    assert keep({"b": 2}) == [("a", 1)]
+    save_entries({"a": 1})
+    monkeypatch.setattr(trust, "write_atomically", lambda *_: os.stat("not there"))
+    assert save_entries({"b": 2}) == [("a", 1)]

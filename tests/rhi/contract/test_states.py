@@ -79,8 +79,8 @@ def test_a_state_value_cannot_be_changed(state_type):
 
 
 def test_choosing_a_target_leaves_the_rest_as_it_was():
-    one = states.ColorWrite.OFF.at(2)
-    assert one == states.ColorWrite(False, False, False, False, target=2)
+    state = states.ColorWrite.OFF.at(2)
+    assert state == states.ColorWrite(False, False, False, False, target=2)
     assert states.ColorWrite.OFF.target is None
     assert set(states.PER_TARGET) == {states.ColorWrite, states.BlendFunction}
 

@@ -16,7 +16,7 @@ NORMALIZED = [f for f in UNPACKED if f.kind in (ChannelKind.UNORM, ChannelKind.S
 BY_NAME = {"ids": lambda f: f.name}
 
 
-def one(format, value):
+def encode_one(format, value):
     """The first channel of a texel in which all channels have this value."""
     return encode(format, np.full(format.channels, value, np.float64))[0]
 
@@ -34,9 +34,9 @@ def test_every_stored_value_of_a_normalized_format_survives_a_round_trip(format)
 def test_the_ends_of_a_normalized_format_are_exact_and_what_lies_beyond_saturates(format):
     limits = np.iinfo(format.dtype)
     low = -1.0 if format.kind is ChannelKind.SNORM else 0.0
-    assert one(format, 1.0) == one(format, 7.0) == one(format, np.inf) == limits.max
-    assert one(format, low) == one(format, -7.0) == one(format, -np.inf) == round(low * limits.max)
-    assert one(format, np.nan) == 0
+    assert encode_one(format, 1.0) == encode_one(format, 7.0) == encode_one(format, np.inf) == limits.max
+    assert encode_one(format, low) == encode_one(format, -7.0) == encode_one(format, -np.inf) == round(low * limits.max)
+    assert encode_one(format, np.nan) == 0
 
 
 @pytest.mark.parametrize("format", [f for f in NORMALIZED if f.kind is not ChannelKind.SRGB], **BY_NAME)
@@ -47,7 +47,7 @@ def test_normalized_values_go_to_the_nearest_step(format, value):
     exact = Fraction(value) * steps
     if format.kind is not ChannelKind.SNORM:
         exact = max(exact, Fraction(0))
-    assert abs(Fraction(int(one(format, value))) - exact) <= Fraction(1, 2) + Fraction(1, 1 << 30)
+    assert abs(Fraction(int(encode_one(format, value))) - exact) <= Fraction(1, 2) + Fraction(1, 1 << 30)
 
 
 def test_both_lowest_values_of_a_signed_format_mean_minus_one():
@@ -55,7 +55,7 @@ def test_both_lowest_values_of_a_signed_format_mean_minus_one():
 
 
 def test_half_of_an_8_bit_channel_is_128_as_on_hardware():
-    assert one(Format.RGBA8, 0.5) == 128
+    assert encode_one(Format.RGBA8, 0.5) == 128
 
 
 @pytest.mark.parametrize(
@@ -71,22 +71,22 @@ def test_srgb_follows_its_curve_and_leaves_alpha_linear(linear, stored):
 def test_integers_saturate_and_keep_every_bit(format):
     limits = np.iinfo(format.dtype)
     for value in (limits.max, limits.max - 1, 7, limits.min):
-        assert one(format, float(value)) == value
-    assert one(format, float(limits.max) + 1) == limits.max
-    assert one(format, float(limits.min) - 1) == limits.min
-    assert (one(format, 2.4), one(format, 2.6), one(format, np.nan)) == (2, 3, 0)
+        assert encode_one(format, float(value)) == value
+    assert encode_one(format, float(limits.max) + 1) == limits.max
+    assert encode_one(format, float(limits.min) - 1) == limits.min
+    assert (encode_one(format, 2.4), encode_one(format, 2.6), encode_one(format, np.nan)) == (2, 3, 0)
 
 
 @pytest.mark.parametrize("format", [f for f in UNPACKED if f.kind is ChannelKind.FLOAT], **BY_NAME)
 def test_floats_are_rounded_once_and_overflow_to_infinity(format):
     largest = np.finfo(format.dtype).max
-    assert one(format, float(largest)) == largest
-    assert one(format, float(largest) * 2) == np.inf
-    assert one(format, -float(largest) * 2) == -np.inf
-    assert np.isnan(one(format, np.nan))
+    assert encode_one(format, float(largest)) == largest
+    assert encode_one(format, float(largest) * 2) == np.inf
+    assert encode_one(format, -float(largest) * 2) == -np.inf
+    assert np.isnan(encode_one(format, np.nan))
     step = float(np.finfo(format.dtype).eps)
-    assert one(format, 1.0 + 0.49 * step) == 1.0
-    assert one(format, 1.0 + 0.51 * step) == 1.0 + step
+    assert encode_one(format, 1.0 + 0.49 * step) == 1.0
+    assert encode_one(format, 1.0 + 0.51 * step) == 1.0 + step
 
 
 @pytest.mark.parametrize(
@@ -96,12 +96,12 @@ def test_floats_are_rounded_once_and_overflow_to_infinity(format):
 def test_depth_is_kept_to_the_steps_of_its_format(format, steps):
     for value in (0.0, 0.1, 1 / 3, 0.5, 0.9999, 1.0):
         expected = np.float32(round(value * steps) / steps) if steps else np.float32(value)
-        assert one(format, value) == expected
+        assert encode_one(format, value) == expected
 
 
 @pytest.mark.parametrize("format", DEPTH_FORMATS, **BY_NAME)
 def test_depth_is_kept_within_0_and_1(format):
-    assert [one(format, value) for value in (-0.5, 1.5, np.inf, np.nan)] == [0.0, 1.0, 1.0, 0.0]
+    assert [encode_one(format, value) for value in (-0.5, 1.5, np.inf, np.nan)] == [0.0, 1.0, 1.0, 0.0]
 
 
 # -- mip levels ------------------------------------------------------------------------------------------
@@ -192,16 +192,16 @@ def test_small_floats_are_rounded_to_the_nearest(channel):
     every = every[np.isfinite(every)]
     rng = np.random.default_rng(1)
     values = np.concatenate([rng.uniform(0, 2, 500), 2.0 ** rng.uniform(-22, 16, 2000), every, every * (1 + 2.0**-9)])
-    given = np.zeros((len(values), 3))
-    given[:, channel] = values
-    stored = decode(Format.R11G11B10F, encode(Format.R11G11B10F, given))[:, channel]
+    colors = np.zeros((len(values), 3))
+    colors[:, channel] = values
+    stored = decode(Format.R11G11B10F, encode(Format.R11G11B10F, colors))[:, channel]
     nearest = np.abs(every[None] - np.minimum(values, every.max())[:, None]).min(axis=1)
     np.testing.assert_array_equal(np.abs(stored - np.minimum(values, every.max())), nearest)
 
 
 def test_small_floats_have_no_sign_and_stay_finite():
-    given = [-1.0, -np.inf, 0.0], [1e9, 65024.0, 65520.0], [np.inf, np.nan, np.inf]
-    stored = decode(Format.R11G11B10F, encode(Format.R11G11B10F, np.array(given)))
+    colors = [-1.0, -np.inf, 0.0], [1e9, 65024.0, 65520.0], [np.inf, np.nan, np.inf]
+    stored = decode(Format.R11G11B10F, encode(Format.R11G11B10F, np.array(colors)))
     np.testing.assert_array_equal(stored, [[0, 0, 0], [65024, 65024, 64512], [np.inf, np.nan, np.inf]])
 
 

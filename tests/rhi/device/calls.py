@@ -31,7 +31,7 @@ from rhi.conformance.shapes import rectangle
 from rhi.contract.states import STATE_TYPES
 from rhi.shading import Shader, StorageRW, Struct
 
-Takes = Callable[["House", Any], bool]
+Takes = Callable[["CallHarness", Any], bool]
 NOT_USED: Final = enum.Enum("NOT_USED", "MEMBER").MEMBER  # type: ignore[attr-defined]
 
 
@@ -44,7 +44,7 @@ class Doubled(Shader):
         self.numbers[0] = self.numbers[0] * 2.0
 
 
-class House:
+class CallHarness:
     """One object of each kind on one device."""
 
     def __init__(self, device: Device) -> None:
@@ -90,7 +90,7 @@ class House:
         return self.transient.mesh(self.plain, ROWS)
 
     def owns(self, value: object) -> bool:
-        """Return whether a value is one of this house's objects."""
+        """Return whether a value is an object of this harness."""
         return any(value is each for each in vars(self).values())
 
 
@@ -113,25 +113,25 @@ OBJECTS: Final = {
     "QuerySet": "queries", "CommandBuffer": "commands", "TransientMemory": "transient",
     "TransientMesh": "transient_mesh",
 }  # fmt: skip
-"""The house's object of each class."""
+"""The harness's object of each class."""
 
 INTERNAL: Final = {
     "CommandBuffer": {"note_retired"},
-    "TransientMemory": {"mark", "note_retired", "place_mesh"},
-    "Mesh": {"create_vertex_array", "place_draws"},
-    "TransientMesh": {"create_vertex_array", "place_draws"},
+    "TransientMemory": {"mark", "note_retired", "upload_mesh"},
+    "Mesh": {"create_vertex_array", "offset_draws"},
+    "TransientMesh": {"create_vertex_array", "offset_draws"},
     "Program": {
         "bind", "bind_current", "build", "check", "check_can_dispatch", "check_can_draw", "check_instances",
-        "check_names", "check_unknown", "draw_unprepared", "draw_with", "exchange", "explain", "find_vertex_array",
+        "check_names", "check_unknown", "draw_unprepared", "draw_with", "exchange", "explain", "get_vertex_array",
         "make_current", "note_retired", "pack_value", "prepare_draw", "take_uniform",
     },
     "OcclusionQuery": {
-        "abandon", "check_ended", "check_usable", "complete", "cut_off", "describe", "discard_answer", "find_block",
+        "abandon", "check_ended", "check_usable", "complete", "cut_off", "describe", "discard_result", "get_block",
         "finish", "mark_submitted", "write_begin", "write_end",
     },
     "QuerySet": {
-        "check_conditions", "check_ended", "check_rows", "counted", "discard_answer", "draw", "draw_conditional",
-        "mark_rows_drawn", "mark_rows_submitted", "mark_submitted",
+        "check_conditions", "check_ended", "check_query_indices", "counted", "discard_result", "draw",
+        "draw_conditional", "mark_drawn", "mark_indices_submitted", "mark_submitted",
     },
 }  # fmt: skip
 """Methods that the package's own modules call on each other."""
@@ -140,50 +140,50 @@ INTERNAL: Final = {
 # -- what parameters take ----------------------------------------------------------------------------------
 
 
-def whole(least: float = -math.inf, most: float = math.inf) -> Takes:
+def integer(minimum: float = -math.inf, maximum: float = math.inf) -> Takes:
     """Whole numbers: int and NumPy's integers, no bool."""
-    return lambda house, value: (
-        isinstance(value, (int, np.integer)) and not isinstance(value, bool) and least <= value <= most
+    return lambda harness, value: (
+        isinstance(value, (int, np.integer)) and not isinstance(value, bool) and minimum <= value <= maximum
     )
 
 
-def number(least: float = -3.5e38, most: float = 3.5e38) -> Takes:
+def number(minimum: float = -3.5e38, maximum: float = 3.5e38) -> Takes:
     """Finite numbers, no bool."""
     kinds = (int, float, np.integer, np.floating)
-    return lambda house, value: (
-        isinstance(value, kinds) and not isinstance(value, bool) and least <= float(value) <= most
+    return lambda harness, value: (
+        isinstance(value, kinds) and not isinstance(value, bool) and minimum <= float(value) <= maximum
     )
 
 
 def instance(*kinds: Any) -> Takes:
     """Values of some classes."""
-    return lambda house, value: isinstance(value, kinds)
+    return lambda harness, value: isinstance(value, kinds)
 
 
 def own(*kinds: Any) -> Takes:
     """Living objects of the device."""
-    return lambda house, value: isinstance(value, kinds) and house.owns(value)
+    return lambda harness, value: isinstance(value, kinds) and harness.owns(value)
 
 
 def optional(takes: Takes) -> Takes:
     """The same, or None."""
-    return lambda house, value: value is None or takes(house, value)
+    return lambda harness, value: value is None or takes(harness, value)
 
 
-def empty(house: House, value: Any) -> bool:
+def empty(harness: CallHarness, value: Any) -> bool:
     """A list or tuple without elements."""
     return isinstance(value, (list, tuple)) and not value
 
 
 def either(*takes: Takes) -> Takes:
     """What one of several takes."""
-    return lambda house, value: any(each(house, value) for each in takes)
+    return lambda harness, value: any(each(harness, value) for each in takes)
 
 
 def array(*dtypes: Any) -> Takes:
     """What NumPy makes an array of one of these dtypes of."""
 
-    def takes(house: House, value: Any) -> bool:
+    def takes(harness: CallHarness, value: Any) -> bool:
         try:
             return np.asarray(value).ndim > 0 and np.asarray(value).dtype in [np.dtype(each) for each in dtypes]
         except (TypeError, ValueError):
@@ -192,22 +192,22 @@ def array(*dtypes: Any) -> Takes:
     return takes
 
 
-flag, text, nothing = instance(bool, np.bool_), instance(str), lambda house, value: False
-natural = whole(0)
+flag, text, nothing = instance(bool, np.bool_), instance(str), lambda harness, value: False
+natural = integer(0)
 
 
 ROWS: Final = np.zeros(6, Corner.dtype)
 DRAWS: Final = array(rhi.DRAW_UNINDEXED)
-MANY: Final = either(natural, array("i8"), lambda house, value: array("f8")(house, value) and not len(value))
+MANY: Final = either(natural, array("i8"), lambda harness, value: array("f8")(harness, value) and not len(value))
 ROW: Final = array("f4", "f8", "i8")
-UNENDING: Final = lambda house, value: isinstance(value, float) and not math.isfinite(value)  # noqa: E731
-WORD, BYTE, TARGET, PORTION = whole(-(2**31), 2**32 - 1), whole(0, 255), whole(0, 7), number(0, 1)
-CONSTANTS: Final = either(instance(Struct, float, np.number), whole(-(2**31), 2**31 - 1), array("f8"))
+UNENDING: Final = lambda harness, value: isinstance(value, float) and not math.isfinite(value)  # noqa: E731
+WORD, BYTE, TARGET, PORTION = integer(-(2**31), 2**32 - 1), integer(0, 255), integer(0, 7), number(0, 1)
+CONSTANTS: Final = either(instance(Struct, float, np.number), integer(-(2**31), 2**31 - 1), array("f8"))
 
 
-def of(name: str) -> Callable[[House], Any]:
+def of(name: str) -> Callable[[CallHarness], Any]:
     """The object of this name."""
-    return lambda house: getattr(house, name)
+    return lambda harness: getattr(harness, name)
 
 
 KINDS: Final[dict[str, tuple[Any, Takes]]] = {
@@ -215,7 +215,7 @@ KINDS: Final[dict[str, tuple[Any, Takes]]] = {
     "int": (1, natural),
     "float": (0.5, number()),
     "str": ("name", text),
-    "None": (None, lambda house, value: value is None),
+    "None": (None, lambda harness, value: value is None),
     **dict.fromkeys(("NDArray", "ArrayLike"), (np.arange(6, dtype="u2"), array("i8"))),
     "Sequence": ((), empty),
     "Clear": ((0, 0, 0, 1), optional(either(array("f8", "i8", "f4"), instance(tuple)))),
@@ -247,11 +247,11 @@ EXCEPTIONS: Final[dict[str, tuple[Any, Any]]] = {
     **each("row_bytes depth", None),
     **each("clear_depth", None, optional(PORTION)),
     **each("clear_stencil", None, optional(BYTE)),
-    **each("draws", lambda house: house.mesh.draws([0, 3], 3), DRAWS),
-    **each("rows", [0, 1], optional(array("i8"))),
+    **each("draws", lambda harness: harness.mesh.draws([0, 3], 3), DRAWS),
+    **each("query_indices", [0, 1], optional(array("i8"))),
     **each("clips", [(0, 0, 2, 2), (1, 0, 0, 1)], nothing),
-    **each("element", float, lambda house, value: value is int),
-    **each("capacity", 4, whole(1, 1 << 40)),
+    **each("element", float, lambda harness, value: value is int),
+    **each("capacity", 4, integer(1, 1 << 40)),
     **each("front back", 1, BYTE),
     # of a method of any class
     **each("at.target", 0, optional(TARGET)),
@@ -261,11 +261,11 @@ EXCEPTIONS: Final[dict[str, tuple[Any, Any]]] = {
     **each("dispatch.groups", 1, either(natural, array("i8"))),
     **each("dispatch.program dispatch_indirect.program", of("compute")),
     **each("dispatch_indirect.buffer", of("arguments")),
-    **each("draw.instances", ..., whole(0, 2**31 - 1)),
+    **each("draw.instances", ..., integer(0, 2**31 - 1)),
     **each("draws.first draws.base_instance", 0, MANY),
     **each("draws.count", 3, optional(MANY)),
     **each("draws.instances", 1, MANY),
-    **each("draws.base_vertex", 0, either(whole(), MANY)),
+    **each("draws.base_vertex", 0, either(integer(), MANY)),
     **each("immediate.primitive", Primitive.POINTS),
     **each("instances.arrays", {"color": np.zeros((2, 4), "f4")}, nothing),
     **each("render_pass.color resolve.source", of("many")),
@@ -276,10 +276,10 @@ EXCEPTIONS: Final[dict[str, tuple[Any, Any]]] = {
     **each("vertices.arrays", ROWS, nothing),
     **each("view.first", 0),
     **each("view.count", 3),
-    **each("view.base_vertex", 0, whole()),
+    **each("view.base_vertex", 0, integer()),
     # of one call
     **each("create_device.name", "null"),
-    **each("create_device.frames_in_flight", ..., whole(1)),
+    **each("create_device.frames_in_flight", ..., integer(1)),
     **each("Device.adopt_texture.native", 1, natural),
     **each("Device.backend_as.kind", object, instance(type)),
     **each("Device.buffer.dtype", "u4", optional(instance(type, str))),
@@ -290,10 +290,10 @@ EXCEPTIONS: Final[dict[str, tuple[Any, Any]]] = {
     **each("Device.prepare.states", (rhi.CullMode.NONE,)),
     **each("Device.prepare.targets", (Format.RGBA8,)),
     **each("Device.program.shader", Colored, nothing),
-    **each("Device.query_set.size", 2, whole(0, 1 << 20)),
+    **each("Device.query_set.size", 2, integer(0, 1 << 20)),
     **each("Device.storage.source", 4, either(natural, own(rhi.Buffer), ROW)),
     **each("Device.texture.source", (4, 4), nothing),
-    **each("Device.uniform_array.struct", Tint, lambda house, value: value is Tint),
+    **each("Device.uniform_array.struct", Tint, lambda harness, value: value is Tint),
     **each("Device.wait.seconds", 0.01, optional(number(0))),
     **each("Device.wait.value", 0),
     **each("TransientMemory.mesh.instances", None, optional(nothing)),
@@ -303,32 +303,32 @@ EXCEPTIONS: Final[dict[str, tuple[Any, Any]]] = {
     **each("Buffer.copy_to.target", of("other")),
     **each("Buffer.write.data", np.zeros(4, "u4"), array("u4")),
     **each("UniformBuffer.write.value", Tint(color=(1, 1, 1, 1)), instance(Tint)),
-    **each("UniformArray.write.rows", lambda house: np.zeros(2, house.tints.dtype), nothing),
-    **each("StorageBuffer.write.rows", np.zeros(4, "f4"), either(ROW, number(), UNENDING)),
+    **each("UniformArray.write.values", lambda harness: np.zeros(2, harness.tints.dtype), nothing),
+    **each("StorageBuffer.write.values", np.zeros(4, "f4"), either(ROW, number(), UNENDING)),
     **each("Texture.copy_to.target", of("copy")),
     **each("Texture.image.layer", 0),
     **each("Texture.save.path", f"{tempfile.gettempdir()}/rhi_calls.png", nothing),
     **each("Texture.write.texels", np.zeros((2, 2, 4), "u1"), nothing),
-    **each("Region.x Region.y Region.width Region.height Region.layer Region.layers", 1, whole()),
+    **each("Region.x Region.y Region.width Region.height Region.layer Region.layers", 1, integer()),
     **each("SamplerDescriptor.border", (0, 0, 0, 1), nothing),
     **each("SamplerDescriptor.max_anisotropy", ..., number(1)),
     **each("IndirectDraws.buffer", of("draws"), instance(rhi.Buffer, rhi.StorageBuffer)),  # checked in draws
     **each("IndirectDraws.count", None, optional(instance(rhi.Buffer, rhi.StorageBuffer))),
-    **each("IndirectDraws.draws", 1, whole()),
-    **each("IndirectDraws.offset IndirectDraws.stride IndirectDraws.count_offset", ..., whole()),
-    **each("Sampler.id", lambda house: house.sampler.id, whole(1)),  # the descriptor decides
-    **each("Sampler.descriptor", lambda house: house.sampler.descriptor),
+    **each("IndirectDraws.draws", 1, integer()),
+    **each("IndirectDraws.offset IndirectDraws.stride IndirectDraws.count_offset", ..., integer()),
+    **each("Sampler.id", lambda harness: harness.sampler.id, integer(1)),  # the descriptor decides
+    **each("Sampler.descriptor", lambda harness: harness.sampler.descriptor),
     **each("ProgramDescriptor.stages", frozenset({rhi.Stage.COMPUTE}), nothing),
     **each("ProgramDescriptor.bindings ProgramDescriptor.attributes ProgramDescriptor.outputs", (), nothing),
     **each("ProgramDescriptor.varyings", (), nothing),
     **each("ProgramDescriptor.work_group", (1, 1, 1), nothing),
-    **each("ProgramDescriptor.emit", len, lambda house, value: callable(value)),
+    **each("ProgramDescriptor.emit", len, lambda harness, value: callable(value)),
     **each("AlphaReference.value Viewport.near Viewport.far", ..., PORTION),
     **each("ColorWrite.target BlendFunction.target", 0, optional(TARGET)),
     **each("Viewport.x Viewport.y", ..., number(-32_767, 32_767)),
     **each("Viewport.width Viewport.height", ..., number(0, 16_384)),
-    **each("Scissor.x Scissor.y", ..., whole(-(2**30), 2**30)),
-    **each("Scissor.width Scissor.height", ..., whole(0, 2**30)),
+    **each("Scissor.x Scissor.y", ..., integer(-(2**30), 2**30)),
+    **each("Scissor.width Scissor.height", ..., integer(0, 2**30)),
     **each("LineWidth.width", ..., number(1)),
 }
 """Values and what is taken where the annotation and the default don't say it (`...`: they do), by parameter, by method
@@ -341,10 +341,10 @@ def describe(call: str, parameter: inspect.Parameter) -> tuple[Any, Takes]:
     keys = f"{call}.{name}", f"{call.rpartition('.')[2]}.{name}", name
     value, takes = next((EXCEPTIONS[key] for key in keys if key in EXCEPTIONS), (..., ...))
     if value is ... or takes is ...:
-        shown = str(parameter.annotation)
-        while (plain := re.sub(r"\[[^][]*\]", "", shown)) != shown:
-            shown = plain
-        kinds = [find_kind(part) for part in shown.split(" | ")]
+        annotation = str(parameter.annotation)
+        while (plain := re.sub(r"\[[^][]*\]", "", annotation)) != annotation:
+            annotation = plain
+        kinds = [get_kind(part) for part in annotation.split(" | ")]
         if takes is ...:
             takes = either(*(each for _, each in kinds))
         if value is ...:
@@ -353,7 +353,7 @@ def describe(call: str, parameter: inspect.Parameter) -> tuple[Any, Takes]:
     return value, takes
 
 
-def find_kind(annotation: str) -> tuple[Any, Takes]:
+def get_kind(annotation: str) -> tuple[Any, Takes]:
     """Return a value of one annotation, and what it takes."""
     if annotation not in KINDS:
         kind = getattr(rhi, annotation)
@@ -370,8 +370,8 @@ class Sample:
     """A call that works.
 
     Attributes:
-        call: makes the call, given a house and the arguments by name.
-        parameters: for each parameter its value, or a function of the house that returns it, and what it takes.
+        call: makes the call, given a harness and the arguments by name.
+        parameters: for each parameter its value, or a function of the harness that returns it, and what it takes.
         within: opens what the call needs to be open.
         enters: whether the result is a context manager, which the test enters.
         needs: the capabilities that the device needs for it.
@@ -379,66 +379,66 @@ class Sample:
 
     call: Callable[..., Any]
     parameters: dict[str, tuple[Any, Takes]]
-    within: Callable[[House, ExitStack], None] = lambda house, stack: None
+    within: Callable[[CallHarness, ExitStack], None] = lambda harness, stack: None
     enters: bool = False
     needs: tuple[str, ...] = ()
 
 
-def in_pass(house: House, stack: ExitStack) -> None:
-    stack.enter_context(house.device.render_pass(house.target))
+def in_pass(harness: CallHarness, stack: ExitStack) -> None:
+    stack.enter_context(harness.device.render_pass(harness.target))
 
 
-def call_method(name: str, positional: list[str], house: House, **given: Any) -> Any:
-    """Call a method of the house's object."""
+def call_method(name: str, positional: list[str], harness: CallHarness, **arguments: Any) -> Any:
+    """Call a method of an object of the harness."""
     kind, _, method = name.partition(".")
-    called = getattr(getattr(house, RECEIVERS.get(name, OBJECTS[kind])), method)
-    first = [given.pop(each) for each in positional]
-    return called(*first, **given)
+    called = getattr(getattr(harness, RECEIVERS.get(name, OBJECTS[kind])), method)
+    first = [arguments.pop(each) for each in positional]
+    return called(*first, **arguments)
 
 
-def call_encoder(name: str, positional: list[str], house: House, **given: Any) -> None:
+def call_encoder(name: str, positional: list[str], harness: CallHarness, **arguments: Any) -> None:
     """Call a method that devices and command buffers share, or one of a command buffer, where it may be called."""
     kind, _, method = name.partition(".")
     is_recorded = kind == "CommandBuffer"
-    with house.device.record() if is_recorded else nullcontext(house.device) as encoder, ExitStack() as stack:
-        if method.startswith(("draw", "immediate", "query")) and house.device._core.render_pass is None:
-            stack.enter_context(encoder.render_pass(house.target))
+    with harness.device.record() if is_recorded else nullcontext(harness.device) as encoder, ExitStack() as stack:
+        if method.startswith(("draw", "immediate", "query")) and harness.device._core.render_pass is None:
+            stack.enter_context(encoder.render_pass(harness.target))
         if method == "draw_conditional":
-            draws = house.mesh.draws([0, 3], 3)
-            encoder.draw_counted(house.program, house.mesh, draws, house.queries, tint=house.tint)
-        first = [given.pop(each) for each in positional]
-        made = getattr(encoder, method)(*first, **given)
-        if hasattr(made, "__enter__"):
-            with made:
+            draws = harness.mesh.draws([0, 3], 3)
+            encoder.draw_counted(harness.program, harness.mesh, draws, harness.queries, tint=harness.tint)
+        first = [arguments.pop(each) for each in positional]
+        result = getattr(encoder, method)(*first, **arguments)
+        if hasattr(result, "__enter__"):
+            with result:
                 if method == "immediate":  # a block without vertices draws nothing
-                    made.vertex(position=(0, 0, 0, 1), color=(0, 0, 0, 1))
+                    result.vertex(position=(0, 0, 0, 1), color=(0, 0, 0, 1))
 
 
-def call_immediate(name: str, positional: list[str], house: House, **given: Any) -> None:
+def call_immediate(name: str, positional: list[str], harness: CallHarness, **arguments: Any) -> None:
     """Call a method of an immediate-mode block."""
-    with house.device.render_pass(house.target), house.device.immediate(house.plain, Primitive.POINTS) as block:
-        getattr(block, name.partition(".")[2])(**given)
+    with harness.device.render_pass(harness.target), harness.device.immediate(harness.plain, Primitive.POINTS) as block:
+        getattr(block, name.partition(".")[2])(**arguments)
         if name == "Immediate.instances":
             block.vertex(position=(0, 0, 0, 1))
 
 
 RECEIVERS: Final = {"Texture.read_stencil": "depth", "Texture.resolve_to": "many"}
-"""The names of other objects of the house whose methods are called."""
+"""The names of other objects of the harness whose methods are called."""
 
 CALLS: Final[dict[str, Callable[..., Any]]] = {
-    "create_device": lambda house, **given: rhi.create_device(**given).close(),
-    "Device.backend_as": lambda house, kind: bool(house.device.backend_as(kind)),
-    "Device.close": lambda house, quiet: Device(rhi.backends.null.NullBackend()).close(quiet=quiet),
-    "Device.program": lambda house, shader: bool(house.device.program(shader)),
-    "Device.timing": lambda house, on: setattr(house.device, "timing", on),
-    "ColorWrite.at": lambda house, target: rhi.ColorWrite.OFF.at(target),
-    "BlendFunction.at": lambda house, target: rhi.BlendFunction.ALPHA.at(target),
-    "TextureTarget": lambda house, **given: house.device.render_pass(rhi.TextureTarget(**given)),
-    "Sampler": lambda house, **given: house.image.sampled(rhi.Sampler(**given)),
+    "create_device": lambda harness, **arguments: rhi.create_device(**arguments).close(),
+    "Device.backend_as": lambda harness, kind: bool(harness.device.backend_as(kind)),
+    "Device.close": lambda harness, quiet: Device(rhi.backends.null.NullBackend()).close(quiet=quiet),
+    "Device.program": lambda harness, shader: bool(harness.device.program(shader)),
+    "Device.timing": lambda harness, on: setattr(harness.device, "timing", on),
+    "ColorWrite.at": lambda harness, target: rhi.ColorWrite.OFF.at(target),
+    "BlendFunction.at": lambda harness, target: rhi.BlendFunction.ALPHA.at(target),
+    "TextureTarget": lambda harness, **arguments: harness.device.render_pass(rhi.TextureTarget(**arguments)),
+    "Sampler": lambda harness, **arguments: harness.image.sampled(rhi.Sampler(**arguments)),
 }
-"""How what isn't a method of the house's object is called, or what becomes of the result."""
+"""How what isn't a method of the harness's object is called, or what becomes of the result."""
 
-NEEDS: Final = {
+REQUIREMENTS: Final = {
     "adopt_texture": ("shares_textures",), "native_texture": ("shares_textures",),
     "conditional": ("conditional_rendering",), "draw_conditional": ("conditional_rendering",),
 }  # fmt: skip
@@ -476,7 +476,7 @@ def make_sample(name: str, signature: inspect.Signature) -> Sample | None:
     if name in CALLS:
         call = CALLS[name]
     elif not method:
-        call = functools.partial(lambda made, house, **given: made(**given), getattr(rhi, name))
+        call = functools.partial(lambda kind, harness, /, **arguments: kind(**arguments), getattr(rhi, name))
     elif kind == "CommandBuffer" or (kind == "Device" and hasattr(rhi.CommandBuffer, method)):
         call = functools.partial(call_encoder, name, positional)
     else:
@@ -486,7 +486,7 @@ def make_sample(name: str, signature: inspect.Signature) -> Sample | None:
         {each.name: describe(name, each) for each in parameters},
         within=in_pass if name == "Program.draw" else Sample.within,
         enters=method == "lock",
-        needs=NEEDS.get(method, ()),
+        needs=REQUIREMENTS.get(method, ()),
     )
 
 
@@ -498,31 +498,31 @@ SAMPLES: Final = {
 # -- making a call -----------------------------------------------------------------------------------------
 
 
-def run(house: House, sample: Sample, arguments: dict[str, Any]) -> None:
+def run(harness: CallHarness, sample: Sample, arguments: dict[str, Any]) -> None:
     """Make a call, and enter and leave the scope that it returns; destroy what it creates, but no view."""
     with ExitStack() as stack:
-        sample.within(house, stack)
-        made = sample.call(house, **arguments)
+        sample.within(harness, stack)
+        result = sample.call(harness, **arguments)
         if sample.enters:
-            with made:
+            with result:
                 pass
-        viewed = getattr(made, "owner", None) or getattr(getattr(made, "data", None), "vertices", None)
-        if hasattr(made, "destroy") and not house.owns(viewed) and viewed is not house.mesh.vertices:
-            made.destroy()
+        viewed = getattr(result, "owner", None) or getattr(getattr(result, "data", None), "vertices", None)
+        if hasattr(result, "destroy") and not harness.owns(viewed) and viewed is not harness.mesh.vertices:
+            result.destroy()
 
 
-def given_arguments(house: House, sample: Sample) -> dict[str, Any]:
+def make_arguments(harness: CallHarness, sample: Sample) -> dict[str, Any]:
     """Return the arguments of a call that works, by name."""
-    made = {name: value for name, (value, _) in sample.parameters.items()}
-    return {name: value(house) if inspect.isfunction(value) else value for name, value in made.items()}
+    values = {name: value for name, (value, _) in sample.parameters.items()}
+    return {name: value(harness) if inspect.isfunction(value) else value for name, value in values.items()}
 
 
-def check_drawing(house: House) -> None:
+def check_drawing(harness: CallHarness) -> None:
     """Check that the device draws, and that no draw before it left anything that shifts or hides this one."""
-    device = house.device
+    device = harness.device
     assert not device.transient._core.locked
-    with device.render_pass(house.target, clear=(0, 0, 0, 0)):
-        device.draw(house.program, house.mesh, tint=house.tint)
-        device.draw(house.plain, house.mesh)
+    with device.render_pass(harness.target, clear=(0, 0, 0, 0)):
+        device.draw(harness.program, harness.mesh, tint=harness.tint)
+        device.draw(harness.plain, harness.mesh)
     if device.capabilities.renders:
-        assert_same(house.target.read(), 255)
+        assert_same(harness.target.read(), 255)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from calls import EXCEPTIONS, NOT_USED, SAMPLES, House, check_drawing, given_arguments, run
+from calls import EXCEPTIONS, NOT_USED, SAMPLES, CallHarness, check_drawing, make_arguments, run
 
 import rhi
 from rhi.conformance.shapes import rectangle
@@ -28,12 +28,12 @@ PLAIN: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module", params=["null", "gl", "cl"])
-def street(request: pytest.FixtureRequest) -> Iterator[tuple[House, dict[str, Any]]]:
-    """A house on a device of each backend, and the wrong values: also objects of another device, and destroyed ones."""
+def harness_and_wrong_values(request: pytest.FixtureRequest) -> Iterator[tuple[CallHarness, dict[str, Any]]]:
+    """A harness on each backend, and wrong values: among them objects of another device and destroyed objects."""
     with rhi.create_device(request.param, record=False) as device, rhi.create_device("null") as other:
-        house, foreign, ruin = House(device), House(other), House(device)
+        harness, foreign, ruin = CallHarness(device), CallHarness(other), CallHarness(device)
         wrong = dict(PLAIN)
-        for resource in house.resources:
+        for resource in harness.resources:
             wrong[f"a {type(resource).__name__}"] = resource
         for resource in foreign.resources:
             wrong[f"another device's {type(resource).__name__}"] = resource
@@ -42,33 +42,35 @@ def street(request: pytest.FixtureRequest) -> Iterator[tuple[House, dict[str, An
                 resource.destroy()
                 wrong[f"a destroyed {type(resource).__name__}"] = resource
         wrong["a target of another device"] = foreign.image.at()
-        wrong["a binding"] = house.image.sampled(house.sampler)
+        wrong["a binding"] = harness.image.sampled(harness.sampler)
         wrong["the device"] = device
-        yield house, wrong
+        yield harness, wrong
 
 
 @pytest.mark.parametrize("name", SAMPLES)
-def test_a_wrong_argument_is_refused_by_a_rule(street: tuple[House, dict[str, Any]], name: str) -> None:
-    house, wrong = street
+def test_a_wrong_argument_is_refused_by_a_rule(
+    harness_and_wrong_values: tuple[CallHarness, dict[str, Any]], name: str
+) -> None:
+    harness, wrong = harness_and_wrong_values
     sample = SAMPLES[name]
-    if not all(getattr(house.device.capabilities, need) for need in sample.needs):
-        pytest.skip(f"{house.device.backend_name} lacks {sample.needs}")
-    house.mesh.vertices.write(rectangle())  # type: ignore[union-attr]
-    right = given_arguments(house, sample)
-    run(house, sample, right)
+    if not all(getattr(harness.device.capabilities, need) for need in sample.needs):
+        pytest.skip(f"{harness.device.backend_name} lacks {sample.needs}")
+    harness.mesh.vertices.write(rectangle())  # type: ignore[union-attr]
+    right = make_arguments(harness, sample)
+    run(harness, sample, right)
     faults = []
     for parameter, (_, takes) in sample.parameters.items():
-        for shown, value in wrong.items():
+        for description, value in wrong.items():
             try:
-                run(house, sample, right | {parameter: value})
+                run(harness, sample, right | {parameter: value})
             except rhi.RhiError:
                 continue
             except BaseException as error:
-                faults.append(f"{parameter}={shown}: {error!r}")
+                faults.append(f"{parameter}={description}: {error!r}")
             else:
-                if not takes(house, value):
-                    faults.append(f"{parameter}={shown}: accepted")
-    check_drawing(house)
+                if not takes(harness, value):
+                    faults.append(f"{parameter}={description}: accepted")
+    check_drawing(harness)
     assert not faults, "\n".join(faults)
 
 
@@ -85,26 +87,30 @@ ODD: dict[str, Any] = {
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", range(4))
-def test_several_wrong_arguments_at_once_are_refused_by_a_rule(street: tuple[House, dict[str, Any]], seed: int) -> None:
-    house, random = street[0], np.random.default_rng(seed)
-    odd = [*(street[1] | ODD).items()]
+def test_several_wrong_arguments_at_once_are_refused_by_a_rule(
+    harness_and_wrong_values: tuple[CallHarness, dict[str, Any]], seed: int
+) -> None:
+    harness, random = harness_and_wrong_values[0], np.random.default_rng(seed)
+    odd = [*(harness_and_wrong_values[1] | ODD).items()]
     odd += [(f"[{name}]", [value]) for name, value in odd]
     faults = []
     for name, sample in SAMPLES.items():
-        if not all(getattr(house.device.capabilities, need) for need in sample.needs):
+        if not all(getattr(harness.device.capabilities, need) for need in sample.needs):
             continue
         for _ in range(12 if len(sample.parameters) else 0):
-            house.mesh.vertices.write(rectangle())  # type: ignore[union-attr]
+            harness.mesh.vertices.write(rectangle())  # type: ignore[union-attr]
             count = random.integers(1, min(len(sample.parameters), 3) + 1)
-            chosen = random.choice([*sample.parameters], count, replace=False).tolist()
-            given = {parameter: odd[random.integers(len(odd))] for parameter in chosen}
+            parameters = random.choice([*sample.parameters], count, replace=False).tolist()
+            arguments = {parameter: odd[random.integers(len(odd))] for parameter in parameters}
             try:
-                run(house, sample, given_arguments(house, sample) | {one: value for one, (_, value) in given.items()})
+                wrong = {parameter: value for parameter, (_, value) in arguments.items()}
+                run(harness, sample, make_arguments(harness, sample) | wrong)
             except rhi.RhiError:
                 continue
             except BaseException as error:
-                faults.append(f"{name}, { {one: shown for one, (shown, _) in given.items()} }: {error!r}")
-    check_drawing(house)
+                descriptions = {parameter: description for parameter, (description, _) in arguments.items()}
+                faults.append(f"{name}, {descriptions}: {error!r}")
+    check_drawing(harness)
     assert not faults, "\n".join(faults)
 
 
@@ -118,15 +124,15 @@ def as_numpy(value: Any) -> Any:
 
 
 @pytest.mark.parametrize("name", SAMPLES)
-def test_numpys_numbers_are_numbers(street: tuple[House, dict[str, Any]], name: str) -> None:
-    house, sample = street[0], SAMPLES[name]
-    if not all(getattr(house.device.capabilities, need) for need in sample.needs):
-        pytest.skip(f"{house.device.backend_name} lacks {sample.needs}")
-    right = given_arguments(house, sample)
+def test_numpys_numbers_are_numbers(harness_and_wrong_values: tuple[CallHarness, dict[str, Any]], name: str) -> None:
+    harness, sample = harness_and_wrong_values[0], SAMPLES[name]
+    if not all(getattr(harness.device.capabilities, need) for need in sample.needs):
+        pytest.skip(f"{harness.device.backend_name} lacks {sample.needs}")
+    right = make_arguments(harness, sample)
     for parameter, value in right.items():
         if as_numpy(value) is not None:
-            run(house, sample, right | {parameter: as_numpy(value)})
-    check_drawing(house)
+            run(harness, sample, right | {parameter: as_numpy(value)})
+    check_drawing(harness)
 
 
 def test_every_exception_is_that_of_a_parameter() -> None:

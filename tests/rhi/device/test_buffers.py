@@ -13,19 +13,19 @@ from rhi.shading import Struct, ivec3, uvec3, vec2, vec3, vec4
 
 
 class Light(Struct):
-    place: vec2
+    position: vec2
     color: vec4
 
 
 def test_an_array_that_names_its_padding_is_accepted_without_a_copy(kit: Kit) -> None:
-    rows = np.zeros(2, [("place", "f4", 2), ("pad", "f4", 2), ("color", "f4", 4)])
+    rows = np.zeros(2, [("position", "f4", 2), ("pad", "f4", 2), ("color", "f4", 4)])
     rows["color"] = 1
     assert kit.device.storage(Light, rows).read()["color"].tolist() == [[1] * 4] * 2
 
 
 def test_an_array_without_the_padding_is_refused_with_both_layouts(kit: Kit) -> None:
-    rows = np.zeros(2, [("place", "f4", 2), ("color", "f4", 4)])
-    with pytest.raises(rhi.ValidationError, match=r"offset\s+wanted\s+offset\s+given[\s\S]*<- offset") as caught:
+    rows = np.zeros(2, [("position", "f4", 2), ("color", "f4", 4)])
+    with pytest.raises(rhi.ValidationError, match=r"offset\s+expected\s+offset\s+actual[\s\S]*<- offset") as caught:
         kit.device.storage(Light, rows)
     assert caught.value.rule.id == "layout-mismatch"
 
@@ -47,12 +47,12 @@ def test_vectors_are_rows_of_a_plain_array(kit: Kit) -> None:
 
 @pytest.mark.parametrize(("element", "scalar"), [(vec3, "f4"), (ivec3, "i4"), (uvec3, "u4")])
 def test_vectors_of_three_components_are_padded(kit: Kit, element: Any, scalar: str) -> None:
-    given = np.arange(12).reshape(4, 3).astype(scalar)
-    padded = np.concatenate([given, np.zeros((4, 1), scalar)], axis=1)
-    storage = kit.device.storage(element, given)
+    vectors = np.arange(12).reshape(4, 3).astype(scalar)
+    padded = np.concatenate([vectors, np.zeros((4, 1), scalar)], axis=1)
+    storage = kit.device.storage(element, vectors)
     assert len(storage) == 4
     assert (storage.read() == padded).all()
-    storage.write(given[:2], 2)
+    storage.write(vectors[:2], 2)
     assert (storage.read()[2:] == padded[:2]).all()
 
 

@@ -52,12 +52,12 @@ SAFE = {
     "Texture": "at compressed core descriptor destroyed format id image kind label layers levels lock owner sampled "
     "requested sampler samples size texture",
     "Mesh": "base_instance base_vertex buffers core count data draws element_count first index_count indices instances "
-    "instance_count instance_fields is_indexed keep_vertex_array place_draws create_vertex_array prepared_draws "
+    "instance_count instance_fields is_indexed cache_vertex_array offset_draws create_vertex_array prepared_draws "
     "primitive vertex_arrays vertex_count vertices view",
-    "Program": "core descriptor destroyed draw_code id label name recorded_code",
+    "Program": "core descriptor destroyed id label name recorded_code uniforms",
     "OcclusionQuery": "core destroyed emulated id ids label",
     "QuerySet": "core destroyed emulated id ids label",
-    "TransientMemory": "arguments capacity",
+    "TransientMemory": "arguments capacity uniforms",
 }
 """Members that any thread may use: they read what never changes, or create a block, view or recording that is checked
 when it is used."""
@@ -84,20 +84,20 @@ def test_a_call_on_another_thread_is_refused(name: str) -> None:
         ThreadPoolExecutor(1) as pool,
         ExitStack() as stack,
     ):
-        house = calls.House(device)
+        harness = calls.CallHarness(device)
 
         def call() -> object:
             if name in calls.SAMPLES:
-                right = calls.given_arguments(house, calls.SAMPLES[name]) | FRESH.get(name, {})
-                return calls.run(house, replace(calls.SAMPLES[name], within=lambda house, stack: None), right)
+                right = calls.make_arguments(harness, calls.SAMPLES[name]) | FRESH.get(name, {})
+                return calls.run(harness, replace(calls.SAMPLES[name], within=lambda harness, stack: None), right)
             kind, _, member = name.partition(".")
-            found = getattr(getattr(house, calls.OBJECTS[kind]), member)
-            return found() if callable(found) else found
+            attribute = getattr(getattr(harness, calls.OBJECTS[kind]), member)
+            return attribute() if callable(attribute) else attribute
 
         if "draw" in name or name == "OcclusionQuery.end":
-            calls.in_pass(house, stack)
+            calls.in_pass(harness, stack)
         if name == "OcclusionQuery.end":
-            stack.enter_context(house.query)
+            stack.enter_context(harness.query)
         before = len(device.stream)
         with pytest.raises(rhi.ValidationError, match=r"^\[device-thread\]") as caught:
             pool.submit(call).result()
@@ -105,4 +105,4 @@ def test_a_call_on_another_thread_is_refused(name: str) -> None:
         assert caught.value.site.file in (__file__, calls.__file__, contextlib.__file__)
         assert len(device.stream) == before
         stack.close()
-        calls.check_drawing(house)
+        calls.check_drawing(harness)

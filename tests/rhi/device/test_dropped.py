@@ -15,47 +15,47 @@ from rhi import Format
 from rhi.backends.null import NullBackend
 from rhi.errors.rules import DEVICE_MEMORY
 
-MADE: dict[str, Callable[[rhi.Device], object]] = {
+CREATIONS: dict[str, Callable[[rhi.Device], object]] = {
     "Texture": lambda device: device.texture((4, 4), Format.R8, label="it"),
     "Buffer": lambda device: device.buffer(4, label="it"),
     "OcclusionQuery": lambda device: device.occlusion_query(),
 }
 
 
-def find_warnings(use: Callable[[rhi.Device], object], **options: bool) -> list[warnings.WarningMessage]:
+def collect_warnings(use: Callable[[rhi.Device], object], **options: bool) -> list[warnings.WarningMessage]:
     """Return the warnings about resources that a function leaves behind."""
-    with rhi.create_device("null", **options) as device, warnings.catch_warnings(record=True) as found:
+    with rhi.create_device("null", **options) as device, warnings.catch_warnings(record=True) as collected:
         warnings.simplefilter("always")
         use(device)
-    return found
+    return collected
 
 
-@pytest.mark.parametrize("kind", MADE)
+@pytest.mark.parametrize("kind", CREATIONS)
 def test_a_device_with_validation_warns_at_the_line_of_creation(kind: str) -> None:
-    (found,) = find_warnings(MADE[kind], validation=True)
-    assert found.category is ResourceWarning
-    assert (found.filename, found.lineno) == (__file__, MADE[kind].__code__.co_firstlineno)
+    (warning,) = collect_warnings(CREATIONS[kind], validation=True)
+    assert warning.category is ResourceWarning
+    assert (warning.filename, warning.lineno) == (__file__, CREATIONS[kind].__code__.co_firstlineno)
     named = kind + ("('it')" if kind != "OcclusionQuery" else "")
-    assert named in str(found.message)
-    assert str(found.message).endswith("was collected instead of destroyed")
+    assert named in str(warning.message)
+    assert str(warning.message).endswith("was collected instead of destroyed")
 
 
-@pytest.mark.parametrize("kind", MADE)
+@pytest.mark.parametrize("kind", CREATIONS)
 def test_other_devices_do_not_warn(kind: str) -> None:
-    assert not find_warnings(MADE[kind])
+    assert not collect_warnings(CREATIONS[kind])
 
 
 def test_what_was_destroyed_is_no_warning() -> None:
-    assert not find_warnings(lambda device: device.texture((4, 4), Format.R8).destroy(), validation=True)
+    assert not collect_warnings(lambda device: device.texture((4, 4), Format.R8).destroy(), validation=True)
 
 
 def test_what_outlives_its_device_is_no_warning() -> None:
-    with warnings.catch_warnings(record=True) as found:
+    with warnings.catch_warnings(record=True) as collected:
         warnings.simplefilter("always")
         with rhi.create_device("null", validation=True) as device:
-            held = device.texture((4, 4), Format.R8)
-        del held
-    assert not found
+            texture = device.texture((4, 4), Format.R8)
+        del texture
+    assert not collected
 
 
 def test_a_refused_creation_leaves_nothing_to_warn_of() -> None:
@@ -65,7 +65,7 @@ def test_a_refused_creation_leaves_nothing_to_warn_of() -> None:
         with pytest.raises(rhi.ValidationError):
             device.mesh(np.zeros(3, np.dtype([("position", "f4", 3)])), np.array([3], np.uint32))
 
-    assert not find_warnings(refuse, validation=True)
+    assert not collect_warnings(refuse, validation=True)
 
 
 @pytest.mark.parametrize(("options", "count"), [((), 0), (("-X", "dev"), 1)])

@@ -81,12 +81,12 @@ def begin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
         try:
             red = draw()
         except Exception as error:
-            if not reloader.put_back(error):
+            if not reloader.roll_back(error):
                 raise
             red = draw()
         reloader.watch(*(sys.modules[name] for name in NAMES))
         if keeps:
-            reloader.keep()
+            reloader.checkpoint()
         reloader.close()
         return reloader, red
 
@@ -118,7 +118,7 @@ def test_a_fault_is_reported_until_the_file_is_right(begin: Any, tmp_path: Path,
     path = tmp_path / "kept_shaders.py"
     if fault == "binding":  # which only a frame finds
         assert reloader.update()
-        assert reloader.put_back(ValueError("nothing is bound"))
+        assert reloader.roll_back(ValueError("nothing is bound"))
     else:
         assert not reloader.update()
     assert list(reloader.errors) == [path]
@@ -149,7 +149,7 @@ def test_only_what_a_program_is_made_of_is_kept(begin: Any, text: str, colors: s
         reloader.watch(*(sys.modules[name] for name in NAMES))
         for shader, count in ((Unconcerned, 0), (sys.modules[NAMES[1]].Plain, 2)):
             device.program(shader)
-            reloader.keep()
+            reloader.checkpoint()
             assert len(PersistentDict("texts", 9)) == count
 
 
@@ -170,8 +170,8 @@ def test_modules_that_only_go_together_do(begin: Any, tmp_path: Path) -> None:
     assert set(reloader.errors) == paths
     assert save(reloader, tmp_path / "kept_shaders.py", text)
     assert reloader.errors == {}
-    (tmp_path / "cache/kept/texts.json").unlink()
-    assert reloader.put_back(ValueError("drawn with neither"))
+    (tmp_path / "cache/dictionaries/texts.json").unlink()
+    assert reloader.roll_back(ValueError("drawn with neither"))
     assert set(reloader.errors) == paths
 
 

@@ -21,7 +21,7 @@ backend, other = sys.argv[1:]
 device = rhi.create_device(backend, record=False)
 image, buffer = device.texture((4, 4), rhi.Format.RGBA8), device.buffer(np.arange(4))
 
-def find_rule(use):
+def refused_rule(use):
     try:
         use()
     except rhi.RhiError as error:
@@ -39,7 +39,7 @@ def make_other():
 child = os.fork()
 if not child:
     uses = (clear, buffer.read, device.finish, lambda: device.texture((4, 4), rhi.Format.R8), make_other, device.close)
-    print(*map(find_rule, uses), flush=True)
+    print(*map(refused_rule, uses), flush=True)
     os._exit(0)
 assert os.waitpid(child, 0)[1] == 0
 clear()
@@ -66,11 +66,11 @@ def test_a_child_may_close_its_parents_device_and_nothing_else(backend: str) -> 
 
 @pytest.mark.nightly_cases("null-cl-done", "cl-null-done", reason=CHEAPER_TEST)
 @pytest.mark.parametrize(
-    ("backend", "other", "made"),
+    ("backend", "other", "expected"),
     [
         ("gl", "gl", "device-forked"), ("cl", "cl", "device-forked"), ("gl", "null", "done"), ("cl", "null", "done"),
         ("null", "null", "done"), ("null", "gl", "done"), ("null", "cl", "done"),
     ],
 )  # fmt: skip
-def test_a_child_has_devices_whose_drivers_its_parent_had_not(backend: str, other: str, made: str) -> None:
-    assert fork(backend, other)[4] == made
+def test_a_child_has_devices_whose_drivers_its_parent_had_not(backend: str, other: str, expected: str) -> None:
+    assert fork(backend, other)[4] == expected

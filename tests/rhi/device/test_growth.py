@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from house_kit import Corner
+from harness_kit import Corner
 from null_kit import Camera, Kit
 
 import rhi
@@ -40,7 +40,7 @@ def make_shader() -> type[Shader]:
     return Flat
 
 
-class House:
+class GrowthHarness:
     """A device with what outlives the programs of these tests."""
 
     def __init__(self, device: Device) -> None:
@@ -67,18 +67,18 @@ class House:
 
 
 @pytest.fixture
-def house(null_device: Device) -> House:
-    return House(null_device)
+def harness(null_device: Device) -> GrowthHarness:
+    return GrowthHarness(null_device)
 
 
 def ids(device: Device, op: Op, field: str) -> list[int]:
     return [command[field] for command in device.stream if command.op is op]
 
 
-def test_nothing_keeps_a_destroyed_program_or_its_shader(house: House) -> None:
+def test_nothing_keeps_a_destroyed_program_or_its_shader(harness: GrowthHarness) -> None:
     shader = make_shader()
-    program = house.device.program(shader)
-    house.draw_everything(program)
+    program = harness.device.program(shader)
+    harness.draw_everything(program)
     program.destroy()
     seen = [weakref.ref(shader), weakref.ref(program.draw)]
     del shader, program
@@ -86,76 +86,76 @@ def test_nothing_keeps_a_destroyed_program_or_its_shader(house: House) -> None:
     assert [each() for each in seen] == [None, None]
 
 
-def test_a_program_that_lives_is_kept_with_its_shader(house: House) -> None:
+def test_a_program_that_lives_is_kept_with_its_shader(harness: GrowthHarness) -> None:
     shader = make_shader()
-    made = house.device.program(shader).id
+    program_id = harness.device.program(shader).id
     gc.collect()
-    assert house.device.program(shader).id == made
+    assert harness.device.program(shader).id == program_id
 
 
-def test_a_programs_vertex_arrays_are_destroyed_with_it_and_only_those(house: House) -> None:
-    device, kept = house.device, house.device.program(make_shader())
-    house.draw_everything(kept)
+def test_a_programs_vertex_arrays_are_destroyed_with_it_and_only_those(harness: GrowthHarness) -> None:
+    device, remaining = harness.device, harness.device.program(make_shader())
+    harness.draw_everything(remaining)
     before = set(ids(device, Op.CREATE_VERTEX_ARRAY, "vertex_array"))
     program = device.program(make_shader())
-    house.draw_everything(program)
-    made = set(ids(device, Op.CREATE_VERTEX_ARRAY, "vertex_array")) - before
-    assert len(made) >= 3  # of the two meshes, and of transient vertices
+    harness.draw_everything(program)
+    vertex_arrays = set(ids(device, Op.CREATE_VERTEX_ARRAY, "vertex_array")) - before
+    assert len(vertex_arrays) >= 3  # of the two meshes, and of transient vertices
     program.destroy()
     device.finish()
-    assert set(ids(device, Op.DESTROY, "resource")) == {*made, program.id}
+    assert set(ids(device, Op.DESTROY, "resource")) == {*vertex_arrays, program.id}
 
 
-def test_a_shader_whose_program_was_destroyed_gets_another_that_draws(house: House) -> None:
+def test_a_shader_whose_program_was_destroyed_gets_another_that_draws(harness: GrowthHarness) -> None:
     shader = make_shader()
-    first = house.device.program(shader)
-    house.draw_everything(first)
+    first = harness.device.program(shader)
+    harness.draw_everything(first)
     first.destroy()
-    second = house.device.program(shader)
-    house.draw_everything(second)
+    second = harness.device.program(shader)
+    harness.draw_everything(second)
     assert second.id != first.id
 
 
-def test_vertex_arrays_of_two_command_buffers_are_both_destroyed_with_the_program(house: House) -> None:
-    device, program = house.device, house.device.program(make_shader())
+def test_vertex_arrays_of_two_command_buffers_are_both_destroyed_with_the_program(harness: GrowthHarness) -> None:
+    device, program = harness.device, harness.device.program(make_shader())
     buffers = []
     for _ in range(2):
-        with device.record() as commands, commands.render_pass(house.image):
-            commands.draw(program, house.meshes[0], camera=house.camera)
+        with device.record() as commands, commands.render_pass(harness.image):
+            commands.draw(program, harness.meshes[0], camera=harness.camera)
         buffers.append(commands)
     device.submit(*buffers)
-    made = ids(device, Op.CREATE_VERTEX_ARRAY, "vertex_array")
-    assert len(made) == 2
+    vertex_arrays = ids(device, Op.CREATE_VERTEX_ARRAY, "vertex_array")
+    assert len(vertex_arrays) == 2
     program.destroy()
     device.finish()
-    assert set(ids(device, Op.DESTROY, "resource")) == {*made, program.id}
+    assert set(ids(device, Op.DESTROY, "resource")) == {*vertex_arrays, program.id}
 
 
-def test_the_draws_of_a_destroyed_program_still_count(house: House) -> None:
-    program = house.device.program(make_shader())
-    with house.device.render_pass(house.image):
+def test_the_draws_of_a_destroyed_program_still_count(harness: GrowthHarness) -> None:
+    program = harness.device.program(make_shader())
+    with harness.device.render_pass(harness.image):
         for _ in range(3):
-            house.device.draw(program, house.meshes[0], camera=house.camera)
+            harness.device.draw(program, harness.meshes[0], camera=harness.camera)
     program.destroy()
-    assert house.device.statistics.draws == 3
-    house.device.reset_statistics()
-    assert house.device.statistics.draws == 0
+    assert harness.device.statistics.draws == 3
+    harness.device.reset_statistics()
+    assert harness.device.statistics.draws == 0
 
 
-def test_a_buffer_keeps_no_mesh_that_was_made_of_it(house: House) -> None:
-    mesh = house.device.mesh(house.vertices)
+def test_a_buffer_keeps_no_mesh_that_was_made_of_it(harness: GrowthHarness) -> None:
+    mesh = harness.device.mesh(harness.vertices)
     seen = weakref.ref(mesh.data)
     del mesh
     gc.collect()
     assert seen() is None
 
 
-def test_a_mesh_forgets_its_draws_with_a_buffer_that_it_was_made_of(house: House) -> None:
-    program = house.device.program(make_shader())
-    house.draw_everything(program)
-    house.vertices.destroy()
-    assert not house.meshes[1].prepared_draws
-    assert house.meshes[0].prepared_draws
+def test_a_mesh_forgets_its_draws_with_a_buffer_that_it_was_made_of(harness: GrowthHarness) -> None:
+    program = harness.device.program(make_shader())
+    harness.draw_everything(program)
+    harness.vertices.destroy()
+    assert not harness.meshes[1].prepared_draws
+    assert harness.meshes[0].prepared_draws
 
 
 @pytest.mark.parametrize(
@@ -237,12 +237,12 @@ def test_samplers_are_shared_and_too_many_different_ones_refused(
     image = null_device.texture((4, 4), Format.RGBA8)
     monkeypatch.setattr(core, "MAX_SAMPLERS", 8)
     room = 8 - len(null_device._core._samplers)
-    made = [SamplerDescriptor(border=(0, (i + 1) / 16, 0, 0)) for i in range(room + 1)]
-    for descriptor in made[:room]:
+    descriptors = [SamplerDescriptor(border=(0, (i + 1) / 16, 0, 0)) for i in range(room + 1)]
+    for descriptor in descriptors[:room]:
         image.sampled(descriptor)
     with pytest.raises(rhi.ValidationError, match=r"^\[device-capability\]"):
-        image.sampled(made[room])
-    image.sampled(made[0])
+        image.sampled(descriptors[room])
+    image.sampled(descriptors[0])
 
 
 def test_shaders_that_ran_on_the_cpu_leave_no_source_lines(null_device: Device) -> None:

@@ -54,11 +54,11 @@ def test_other_formats_are_written_as_a_screen_shows_them(format: Format, gl_dev
     texture = gl_device.texture(texels if texels.shape[-1] == format.components else texels[..., None], format)
     png = texture._repr_png_()
     assert png is not None
-    shown = rhi.load_image(png)
+    image = rhi.load_image(png)
     expected = 188 if format.kind.value == "float" else 128
-    assert np.abs(shown[1, 1, : min(format.channels, 3)].astype(int) - expected).max() <= 1
-    assert (shown[0, 0, : min(format.channels, 3)] == 255).all()
-    assert (shown[..., 2] == 0).all() == (format is Format.RG8)
+    assert np.abs(image[1, 1, : min(format.channels, 3)].astype(int) - expected).max() <= 1
+    assert (image[0, 0, : min(format.channels, 3)] == 255).all()
+    assert (image[..., 2] == 0).all() == (format is Format.RG8)
 
 
 def test_depth_is_grey(gl_device: rhi.Device) -> None:

@@ -112,10 +112,10 @@ def test_vertex_arrays_of_instances_live_for_a_frame(kit: Kit) -> None:
             kit.device.transient.mesh(kit.program, 3, instances=shifts)
         kit.device.present()
     kit.device.finish()
-    made = [c["vertex_array"] for c in kit.ops(Op.CREATE_VERTEX_ARRAY)]
+    created = [c["vertex_array"] for c in kit.ops(Op.CREATE_VERTEX_ARRAY)]
     gone = [c["resource"] for c in kit.ops(Op.DESTROY)]
-    assert len(made) == 1 + 5 * 3
-    assert set(made) - set(gone) == {made[0]}
+    assert len(created) == 1 + 5 * 3
+    assert set(created) - set(gone) == {created[0]}
 
 
 def test_vertex_arrays_of_programs_that_are_gone_do_not_stay(kit: Kit, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -37,19 +37,19 @@ def test_a_resource_that_cannot_be_filled_is_destroyed(
     def count(op: Op) -> int:
         return sum(command.op is op for command in device.stream)
 
-    made, destroyed = count(Op.CREATE_BUFFER) + count(Op.CREATE_TEXTURE), count(Op.DESTROY)
+    created, destroyed = count(Op.CREATE_BUFFER) + count(Op.CREATE_TEXTURE), count(Op.DESTROY)
     with monkeypatch.context() as patch:
         patch.setattr(device.backend_as(NullBackend), method, fail)
         with pytest.raises(rhi.DeviceError):
             make(device)
     device.finish()
-    made = count(Op.CREATE_BUFFER) + count(Op.CREATE_TEXTURE) - made
-    assert made == 1
-    assert count(Op.DESTROY) - destroyed == made
-    held = make(device)
+    created = count(Op.CREATE_BUFFER) + count(Op.CREATE_TEXTURE) - created
+    assert created == 1
+    assert count(Op.DESTROY) - destroyed == created
+    resource = make(device)
     device.finish()
-    assert count(Op.DESTROY) - destroyed == made
-    del held
+    assert count(Op.DESTROY) - destroyed == created
+    del resource
 
 
 def test_destroying_a_view_leaves_the_mesh(kit: Kit) -> None:
@@ -65,9 +65,9 @@ def test_destroying_a_view_leaves_the_mesh(kit: Kit) -> None:
 @pytest.mark.parametrize("fails", [False, True])
 def test_a_creation_inside_another_is_a_part_of_it(kit: Kit, fails: bool) -> None:
     with contextlib.suppress(KeyError), kit.device._core.creation():
-        held = [kit.device.buffer(16), kit.device.texture((4, 4), Format.R8)]
+        resources = [kit.device.buffer(16), kit.device.texture((4, 4), Format.R8)]
         if fails:
             raise KeyError
     kit.device.finish()
     destroyed = {command.arguments["resource"] for command in kit.device.stream.filter(Op.DESTROY)}
-    assert [each.id in destroyed for each in held] == [fails, fails]
+    assert [each.id in destroyed for each in resources] == [fails, fails]

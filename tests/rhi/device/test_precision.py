@@ -17,7 +17,7 @@ from nightly_reasons import CHEAPER_TEST
 import rhi
 import rhi.shading as sl
 from rhi.contract.descriptors import Stage
-from rhi.device.device import SLOW_WAIT, UNTOLD_FRAMES
+from rhi.device.device import FRAMES_BEFORE_PRECISION_LOG, SLOW_WAIT
 from rhi.shading import Precision
 
 FAST, EXACT = Precision.FAST, Precision.EXACT
@@ -71,21 +71,21 @@ def kernel(program: rhi.Program[Any]) -> str:
 
 
 def test_shaders_that_say_none_have_the_precision_of_the_device() -> None:
-    for given in (None, EXACT, FAST):
-        with rhi.create_device("null", precision=given) as device:
-            assert device.precision is (given or EXACT)
-            for shader, own in ((Wave, given or EXACT), (ExactWave, EXACT), (FastWave, FAST), (Heir, FAST)):
+    for requested in (None, EXACT, FAST):
+        with rhi.create_device("null", precision=requested) as device:
+            assert device.precision is (requested or EXACT)
+            for shader, own in ((Wave, requested or EXACT), (ExactWave, EXACT), (FastWave, FAST), (Heir, FAST)):
                 program = device.program(shader)
                 assert program is device.program(shader)
-                assert ("rhi_fast_sin" in kernel(program)) == (own is FAST), (given, shader)
+                assert ("rhi_fast_sin" in kernel(program)) == (own is FAST), (requested, shader)
                 assert program.descriptor.flushes_denormals == (own is FAST)
                 assert program.name == shader.__name__
 
 
-@pytest.mark.parametrize(("text", "wanted"), [("fast", FAST), ("FAST", FAST), ("exact", EXACT), ("", EXACT)])
-def test_the_environment_names_the_precision(monkeypatch: pytest.MonkeyPatch, text: str, wanted: Precision) -> None:
+@pytest.mark.parametrize(("text", "expected"), [("fast", FAST), ("FAST", FAST), ("exact", EXACT), ("", EXACT)])
+def test_the_environment_names_the_precision(monkeypatch: pytest.MonkeyPatch, text: str, expected: Precision) -> None:
     monkeypatch.setenv("RHI_PRECISION", text)
-    assert rhi.create_device("null").precision is wanted
+    assert rhi.create_device("null").precision is expected
     assert rhi.create_device("null", precision=EXACT).precision is EXACT
 
 
@@ -143,7 +143,7 @@ def test_an_edit_keeps_the_precision(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize(
-    ("shader", "precision", "language", "waited", "said"),
+    ("shader", "precision", "language", "waited", "is_logged"),
     [
         (Wave, EXACT, "opencl16", 0.3, True),
         (Wave, EXACT, "opencl16", SLOW_WAIT, False),
@@ -155,16 +155,17 @@ def test_an_edit_keeps_the_precision(tmp_path: Path, monkeypatch: pytest.MonkeyP
     ids=["exact", "not slow", "another language", "a fast device", "a fast shader", "nothing to gain"],
 )
 def test_slow_frames_name_what_is_computed_exactly_once(
-    caplog: pytest.LogCaptureFixture, shader: Any, precision: Precision, language: str, waited: float, said: bool
+    caplog: pytest.LogCaptureFixture, shader: Any, precision: Precision, language: str, waited: float, is_logged: bool
 ) -> None:
     shader = type("Own", (shader,), {"__module__": __name__})  # with texts of its own
     with rhi.create_device("null", precision=precision) as device, caplog.at_level(logging.WARNING, "rhi.device"):
         device.program(shader).descriptor.emit(language, Stage.COMPUTE)
         for frame in range(6):
-            assert bool(caplog.records) == (said and frame >= UNTOLD_FRAMES)
+            assert bool(caplog.records) == (is_logged and frame >= FRAMES_BEFORE_PRECISION_LOG)
             device._core.timeline.waited = waited
             device.present()
-        assert [each.args[1] for each in caplog.records if isinstance(each.args, tuple)] == ["Own (divide, sin)"] * said
+        shader_names = [record.args[1] for record in caplog.records if isinstance(record.args, tuple)]
+        assert shader_names == ["Own (divide, sin)"] * is_logged
 
 
 def test_waiting_for_the_device_is_what_counts() -> None:

@@ -52,8 +52,8 @@ def test_a_value_of_another_type_is_refused_with_the_call_that_creates_one(kit: 
 
 
 def test_the_fields_of_a_value_are_checked_by_name(kit: Kit) -> None:
-    for wrong, given in (({"tnt": (0, 0, 0, 0)}, "tint"), ({"tint": (0, 0)}, "shape"), ({}, "no tint")):
-        with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError, match=given) as caught:
+    for wrong, expected in (({"tnt": (0, 0, 0, 0)}, "tint"), ({"tint": (0, 0)}, "shape"), ({}, "no tint")):
+        with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError, match=expected) as caught:
             kit.device.draw(kit.program, kit.mesh, camera=wrong, object=kit.objects[0])
         assert caught.value.rule.id == "shading-struct-value"
         assert caught.value.site is not None
@@ -69,8 +69,8 @@ def test_a_value_is_one_upload_and_one_binding_of_its_bytes(kit: Kit) -> None:
         kit.device.draw(kit.program, kit.mesh, camera=tint, object=kit.objects[0])
         kit.device.draw(kit.program, kit.mesh, **kit.bindings)
     sent = [command for command in list(kit.device.stream)[before:] if command.op is not Op.CREATE_BUFFER]
-    one = [Op.WRITE_BUFFER, Op.BIND_UNIFORM, Op.DRAW]
-    assert [command.op for command in sent] == [*one, *one, Op.BIND_UNIFORM, Op.DRAW, Op.END_PASS]
+    value_ops = [Op.WRITE_BUFFER, Op.BIND_UNIFORM, Op.DRAW]
+    assert [command.op for command in sent] == [*value_ops, *value_ops, Op.BIND_UNIFORM, Op.DRAW, Op.END_PASS]
     assert bytes(sent[0]["data"]) == np.array([1, 2, 3, 4], "f4").tobytes()
     assert (sent[1]["buffer"], sent[1]["offset"]) == (sent[0]["buffer"], sent[0]["offset"])
     assert sent[3]["offset"] != sent[0]["offset"]  # the first draw may not have run yet
@@ -96,9 +96,9 @@ def test_drawing_while_something_else_is_locked_works(kit: Kit) -> None:
 def test_a_number_of_instances_reaches_the_backend(kit: Kit, instances: int) -> None:
     with kit.device.render_pass(kit.image):
         kit.device.draw(kit.program, kit.mesh, instances, **kit.bindings)
-    given = kit.ops(Op.DRAW)[0]["instances"]
-    assert given == instances
-    assert type(given) is int
+    argument = kit.ops(Op.DRAW)[0]["instances"]
+    assert argument == instances
+    assert type(argument) is int
 
 
 def test_the_same_class_gives_the_same_program(kit: Kit) -> None:

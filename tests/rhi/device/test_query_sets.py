@@ -11,24 +11,24 @@ from rhi import Op
 from rhi.backends.null import NullBackend
 from rhi.backends.null.answers import AnswerLog
 
-ROWS = [2, 0, 0, 3]
+QUERY_INDICES = [2, 0, 0, 3]
 
 
 def ask(kit: Kit, queries: rhi.QuerySet, encoder: rhi.Encoder | None = None) -> None:
-    """Four draws for three rows."""
+    """Four draws for three queries."""
     draws = kit.mesh.draws(np.zeros(4, int), 3)
     encoder = kit.device if encoder is None else encoder  # an empty command buffer is false
     with encoder.render_pass(kit.image):
-        encoder.draw_counted(kit.program, kit.mesh, draws, queries, ROWS, **kit.bindings)
+        encoder.draw_counted(kit.program, kit.mesh, draws, queries, QUERY_INDICES, **kit.bindings)
 
 
-def test_rows_are_begun_and_ended_one_after_the_other(kit: Kit) -> None:
+def test_queries_are_begun_and_ended_one_after_the_other(kit: Kit) -> None:
     queries = kit.device.query_set(5)
     ask(kit, queries)
     commands = kit.ops(Op.BEGIN_QUERY, Op.END_QUERY, Op.DRAW)
     begin, draw, end = Op.BEGIN_QUERY, Op.DRAW, Op.END_QUERY
     assert [c.op for c in commands] == [begin, draw, end, begin, draw, draw, end, begin, draw, end]
-    assert [c["query"] for c in commands if c.op is begin] == [queries.ids[row] for row in (2, 0, 3)]
+    assert [c["query"] for c in commands if c.op is begin] == [queries.ids[query_index] for query_index in (2, 0, 3)]
     assert all(command.site is not None and command.site.file == __file__ for command in commands)
     assert len(queries.ids) == len(queries) == 5
 
@@ -55,7 +55,7 @@ def test_an_empty_array_of_draws_sends_no_commands(kit: Kit) -> None:
         assert queries.wait().tolist() == [-1, -1]
 
 
-def test_an_oracle_answers_rows_in_the_order_of_their_draws(kit: Kit) -> None:
+def test_an_oracle_answers_queries_in_the_order_of_their_draws(kit: Kit) -> None:
     null = kit.device.backend_as(NullBackend)
     null.answer_queries([7, 8, 9])
     queries = kit.device.query_set(5)
@@ -64,7 +64,7 @@ def test_an_oracle_answers_rows_in_the_order_of_their_draws(kit: Kit) -> None:
 
 
 @pytest.mark.parametrize("emulated", [False, True])
-def test_counted_samples_of_draws_add_up_by_row(kit: Kit, emulated: bool) -> None:
+def test_counted_samples_of_draws_add_up_by_query(kit: Kit, emulated: bool) -> None:
     samples = iter([1, 10, 100, 1000])
     kit.device.backend_as(NullBackend).count_samples(lambda draw: next(samples))
     queries = kit.device.query_set(5, emulated=emulated)
@@ -86,10 +86,10 @@ def test_a_log_of_answers_knows_those_of_sets() -> None:
     log = AnswerLog(backend)
     with rhi.Device(log) as device:
         queries = device.query_set(3)
-        for row in (0, 2):
-            log.begin_query(queries.ids[row])
-            log.end_query(queries.ids[row])
-        queries.mark_rows_drawn(np.array([0, 2]))
+        for query_index in (0, 2):
+            log.begin_query(queries.ids[query_index])
+            log.end_query(queries.ids[query_index])
+        queries.mark_drawn(np.array([0, 2]))
         backend.answer_queries({queries.ids[0]: 4, queries.ids[2]: 6})
         assert queries.wait().tolist() == [4, -1, 6]
         assert log.answers.samples == {(queries.ids[0], 0): 4, (queries.ids[2], 0): 6}
@@ -133,10 +133,10 @@ def test_a_command_buffer_writes_plain_commands(kit: Kit) -> None:
 
 def test_a_set_that_cannot_be_made_leaves_nothing_behind(kit: Kit) -> None:
     null = kit.device.backend_as(NullBackend)
-    create, made = null.create_query, iter(range(3))
+    create, successes = null.create_query, iter(range(3))
 
     def fail(*arguments: object) -> None:
-        if next(made, None) is None:
+        if next(successes, None) is None:
             raise rhi.DeviceError(rhi.errors.rules.DEVICE_MEMORY, "create_query")
         create(*arguments)  # type: ignore[arg-type]
 
@@ -148,7 +148,7 @@ def test_a_set_that_cannot_be_made_leaves_nothing_behind(kit: Kit) -> None:
     assert len(kit.ops(Op.DESTROY)) == 3
 
 
-def test_conditional_draws_are_one_condition_for_each_run_of_rows(kit: Kit) -> None:
+def test_conditional_draws_are_one_condition_for_each_run_of_a_query(kit: Kit) -> None:
     queries = kit.device.query_set(5)
     kit.device.backend_as(NullBackend).answer_queries(1)
     ask(kit, queries)
@@ -159,7 +159,7 @@ def test_conditional_draws_are_one_condition_for_each_run_of_rows(kit: Kit) -> N
     begin, draw, end = Op.BEGIN_CONDITIONAL, Op.DRAW_INDIRECT, Op.END_CONDITIONAL
     commands = kit.device.stream[before:].filter(frozenset({begin, draw, end}))
     assert [c.op for c in commands] == [begin, draw, end] * 3
-    assert [c["query"] for c in commands if c.op is begin] == [queries.ids[row] for row in (3, 0, 2)]
+    assert [c["query"] for c in commands if c.op is begin] == [queries.ids[query_index] for query_index in (3, 0, 2)]
     assert [c["draws"] for c in commands if c.op is draw] == [2, 1, 2]
     assert all(command.site is not None and command.site.file == __file__ for command in commands)
     assert kit.device.statistics.draws == counted.draws + 3

@@ -25,7 +25,7 @@ def test_an_unknown_name_is_refused_with_a_suggestion() -> None:
     assert caught.value.rule.id == "device-unknown"
 
 
-@pytest.mark.parametrize("name", ["os:system", "os:path", "math:pi", "rhi:find_function"])
+@pytest.mark.parametrize("name", ["os:system", "os:path", "math:pi", "rhi:load_backend_factory"])
 def test_what_creates_no_backend_is_refused_without_being_called(name: str) -> None:
     with pytest.raises(rhi.DeviceError, match="device-unknown") as caught:
         rhi.create_device(name)
@@ -142,7 +142,7 @@ def imported(code: str) -> set[str]:
 
 
 @pytest.mark.parametrize("code", ["import rhi", "import rhi.shading", "import rhi\nrhi.create_device('null').close()"])
-def test_importing_the_package_leaves_out_what_a_first_picture_does_not_need(code: str) -> None:
+def test_importing_the_package_leaves_out_what_a_first_frame_does_not_need(code: str) -> None:
     """Each of these takes part of the first second: languages that no device has asked for, tools, and modules of the
     standard library and NumPy that only errors or rare features need."""
     modules = imported(code)
@@ -161,7 +161,7 @@ def test_importing_the_package_leaves_out_what_a_first_picture_does_not_need(cod
 
 @pytest.mark.nightly_cases("gl", reason=CHEAPER_TEST)
 @pytest.mark.parametrize("name", ["gl", "cl"])
-def test_a_first_picture_imports_only_its_own_backend_and_language(name: str) -> None:
+def test_a_first_frame_imports_only_its_own_backend_and_language(name: str) -> None:
     draws = """
 import rhi
 from rhi.conformance.shaders import Colored

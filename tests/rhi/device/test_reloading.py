@@ -67,16 +67,16 @@ _numbers = itertools.count()
 def import_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], ModuleType]]:
     """Writes a text to a file of its own and imports it."""
     monkeypatch.syspath_prepend(str(tmp_path))
-    made: list[str] = []
+    names: list[str] = []
 
     def make(text: str) -> ModuleType:
-        made.append(f"reloaded_{next(_numbers)}")
-        (tmp_path / f"{made[-1]}.py").write_text(text)
+        names.append(f"reloaded_{next(_numbers)}")
+        (tmp_path / f"{names[-1]}.py").write_text(text)
         importlib.invalidate_caches()
-        return importlib.import_module(made[-1])
+        return importlib.import_module(names[-1])
 
     yield make
-    for name in made:
+    for name in names:
         del sys.modules[name]
 
 
@@ -91,7 +91,7 @@ def device() -> Iterator[rhi.Device]:
         yield opened
 
 
-class Picture:
+class FlatDrawer:
     """A device that draws the shader `Flat` into an image."""
 
     def __init__(self, device: rhi.Device, shaders: Any) -> None:
@@ -114,13 +114,13 @@ class Picture:
 @pytest.mark.parametrize("backend", ["gl", "cl"])
 def test_an_edit_is_seen_and_a_faulty_one_isnt(backend: str, shaders: Any) -> None:
     with rhi.create_device(backend) as device:
-        picture, reloader = Picture(device, shaders), Reloader(device)
-        assert picture.draw() == [255, 153, 51]
+        drawer, reloader = FlatDrawer(device, shaders), Reloader(device)
+        assert drawer.draw() == [255, 153, 51]
         assert reloader.reload(shaders, TEXT.replace("SHARE = 1.0", "SHARE = 0.4")) == 1
-        assert picture.draw() == [102, 61, 20]
+        assert drawer.draw() == [102, 61, 20]
         with pytest.raises(ShaderError):
             reloader.reload(shaders, TEXT.replace("weaken(v.color)", "weaken(v.colour)"))
-        assert picture.draw() == [102, 61, 20]
+        assert drawer.draw() == [102, 61, 20]
 
 
 def glsl(program: Any) -> str:
@@ -201,36 +201,36 @@ def test_what_didnt_change_is_not_exchanged(device: rhi.Device, shaders: Any) ->
 
 
 def test_new_bindings_are_asked_for_by_the_next_draw(device: rhi.Device, shaders: Any) -> None:
-    picture = Picture(device, shaders)
-    picture.draw()
+    drawer = FlatDrawer(device, shaders)
+    drawer.draw()
     text = TEXT.replace("gain = 1.0", "gain = 1.0\n    more: Uniform[float]").replace("* SHARE", "* self.more")
     Reloader(device).reload(shaders, text)
     with pytest.raises(ValidationError, match=r"^\[binding-missing\]"):
-        picture.draw()
-    picture.draw(more=device.uniform(0.5))
+        drawer.draw()
+    drawer.draw(more=device.uniform(0.5))
 
 
 def test_lines_that_are_commented_out_are_a_warning_once(device: rhi.Device, import_text: Any) -> None:
     """First what reads a binding, then its declaration too: the same draws go on, by the device and by the program."""
     text = TEXT.replace("gain = 1.0", "gain = 1.0\n    more: Uniform[float]").replace("* SHARE", "* self.more")
     shaders = import_text(text)
-    picture, reloader = Picture(device, shaders), Reloader(device)
-    picture.draw(more=0.5)
+    drawer, reloader = FlatDrawer(device, shaders), Reloader(device)
+    drawer.draw(more=0.5)
     text = text.replace("* self.more", "")
     with pytest.warns(rhi.ShaderWarning, match="more is never used"):
         reloader.reload(shaders, text)
-    picture.draw(more=0.5)
+    drawer.draw(more=0.5)
     reloader.reload(shaders, text.replace("    more:", "    # more:"))
     with pytest.warns(rhi.ShaderWarning, match="'Flat' doesn't read 'more', which a draw gives") as caught:
-        picture.draw(more=0.5)
+        drawer.draw(more=0.5)
     assert [each.filename for each in caught] == [__file__]
-    picture.draw(more=0.5)
-    with device.render_pass(picture.image):
-        picture.program.draw(picture.mesh, tint=picture.tint, more=0.5)
+    drawer.draw(more=0.5)
+    with device.render_pass(drawer.image):
+        drawer.program.draw(drawer.mesh, tint=drawer.tint, more=0.5)
     assert len(device.stream.filter(Op.DRAW)) == 5
-    for given in ({"tint": picture.tint, "moer": 0.5}, {"more": 0.5}):
-        with device.render_pass(picture.image), pytest.raises(ValidationError, match=r"binding-(unknown|missing)"):
-            picture.program.draw(picture.mesh, **given)
+    for bindings in ({"tint": drawer.tint, "moer": 0.5}, {"more": 0.5}):
+        with device.render_pass(drawer.image), pytest.raises(ValidationError, match=r"binding-(unknown|missing)"):
+            drawer.program.draw(drawer.mesh, **bindings)
 
 
 def test_functions_are_evaluated_as_edited(device: rhi.Device, shaders: Any) -> None:
@@ -289,9 +289,9 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_faulty_edit_names_its_line_and_changes_nothing(device: rhi.Device, shaders: Any, fault: str) -> None:
     old, new, rule = FAULTS[fault]
-    picture, reloader = Picture(device, shaders), Reloader(device)
-    picture.draw()
-    number, declared = picture.program.id, dict(shaders.Flat._declared)
+    drawer, reloader = FlatDrawer(device, shaders), Reloader(device)
+    drawer.draw()
+    number, declared = drawer.program.id, dict(shaders.Flat._declared)
     text = TEXT.replace(old, new).replace("gain = 1.0", "gain = 0.375").replace("color * 1.0", "color * 0.375")
     with pytest.raises(RhiError, match=rf"^\[{rule}\]") as error:
         reloader.reload(shaders, text)
@@ -299,15 +299,24 @@ def test_a_faulty_edit_names_its_line_and_changes_nothing(device: rhi.Device, sh
     assert site is not None
     if fault != "binding":  # whose line is not known before the class exists
         assert site.file == shaders.__file__
-        wanted = next(n for n, line in enumerate(text.splitlines(), 1) if new.split("\n")[0].strip() in line)
-        assert abs(site.line - wanted) <= 1
-    assert picture.program.id == number
+        expected = next(n for n, line in enumerate(text.splitlines(), 1) if new.split("\n")[0].strip() in line)
+        assert abs(site.line - expected) <= 1
+    assert drawer.program.id == number
     assert shaders.Flat._declared == declared
     assert (shaders.SHARE, shaders.Flat.gain) == (1.0, 1.0)
-    picture.draw()
+    drawer.draw()
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_module_can_be_edited_after_a_faulty_edit(device: rhi.Device, shaders: Any, fault: str) -> None:
+    old, new, rule = FAULTS[fault]
+    drawer, reloader = FlatDrawer(device, shaders), Reloader(device)
+    drawer.draw()
+    with pytest.raises(RhiError, match=rf"^\[{rule}\]"):
+        reloader.reload(shaders, TEXT.replace(old, new))
     assert reloader.reload(shaders, TEXT) == 0, "what is there is the first text"
     assert reloader.reload(shaders, TEXT.replace("* SHARE", "* 0.375")) == 1, "and can be edited again"
-    assert "0.375" in glsl(picture.program)
+    assert "0.375" in glsl(drawer.program)
 
 
 def test_a_program_that_the_device_refuses_changes_nothing(shaders: Any) -> None:
@@ -327,8 +336,8 @@ def test_a_program_that_the_device_refuses_changes_nothing(shaders: Any) -> None
 
 
 def test_inside_a_pass_nothing_is_exchanged(device: rhi.Device, shaders: Any) -> None:
-    picture = Picture(device, shaders)
-    with device.render_pass(picture.image):
+    drawer = FlatDrawer(device, shaders)
+    with device.render_pass(drawer.image):
         with pytest.raises(ValidationError, match=r"^\[pass-open\]"):
             Reloader(device).reload(shaders, TEXT.replace("SHARE = 1.0", "SHARE = 0.5"))
     assert shaders.SHARE == 1.0
@@ -342,11 +351,11 @@ def test_programs_of_several_devices_are_exchanged_together(device: rhi.Device, 
 
 
 def test_command_buffers_of_an_exchanged_program_are_stale(device: rhi.Device, shaders: Any) -> None:
-    picture = Picture(device, shaders)
+    drawer = FlatDrawer(device, shaders)
 
     def record() -> rhi.CommandBuffer:
-        with device.record() as commands, commands.render_pass(picture.image):
-            commands.draw(picture.program, picture.mesh, tint=picture.tint)
+        with device.record() as commands, commands.render_pass(drawer.image):
+            commands.draw(drawer.program, drawer.mesh, tint=drawer.tint)
         return commands
 
     commands = record()
@@ -361,15 +370,15 @@ def test_command_buffers_of_an_exchanged_program_are_stale(device: rhi.Device, s
 
 
 def test_what_was_exchanged_is_destroyed(device: rhi.Device, shaders: Any) -> None:
-    picture, reloader = Picture(device, shaders), Reloader(device)
+    drawer, reloader = FlatDrawer(device, shaders), Reloader(device)
     for number in range(5):
-        picture.draw()
+        drawer.draw()
         reloader.reload(shaders, TEXT.replace("SHARE = 1.0", f"SHARE = 0.{number + 1}"))
-    picture.draw()
+    drawer.draw()
     device.finish()
-    made = device.stream.filter(Op.CREATE_PROGRAM)
+    creations = device.stream.filter(Op.CREATE_PROGRAM)
     gone = {command["resource"] for command in device.stream.filter(Op.DESTROY)}
-    assert [command["program"] for command in made if command["program"] not in gone] == [picture.program.id]
+    assert [command["program"] for command in creations if command["program"] not in gone] == [drawer.program.id]
     arrays = {command["vertex_array"] for command in device.stream.filter(Op.CREATE_VERTEX_ARRAY)}
     assert len(arrays - gone) == 1
     assert device.statistics.draws == 6
@@ -401,15 +410,26 @@ def save(path: Path, text: str, replaces: bool) -> None:
 def test_a_saved_module_is_exchanged_by_update(device: rhi.Device, shaders: Any, replaces: bool) -> None:
     pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
     program: Any = device.program(shaders.Flat)
-    errors: list[Exception] = []
     path = Path(shaders.__file__)
-    with Reloader(device, on_error=errors.append) as reloader:
+    with Reloader(device) as reloader:
         reloader.watch(shaders)
         assert not reloader.update()
         save(path, TEXT.replace("SHARE = 1.0", "SHARE = 0.375"), replaces)
         assert update(reloader)
         assert (reloader.reloaded, reloader.exchanged) == (1, 1)
         assert "0.375" in glsl(program)
+
+
+@pytest.mark.parametrize("replaces", [True, False])
+def test_an_error_of_a_saved_module_lasts_until_it_is_mended(device: rhi.Device, shaders: Any, replaces: bool) -> None:
+    pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
+    device.program(shaders.Flat)
+    errors: list[Exception] = []
+    path = Path(shaders.__file__)
+    with Reloader(device, on_error=errors.append) as reloader:
+        reloader.watch(shaders)
+        save(path, TEXT.replace("SHARE = 1.0", "SHARE = 0.375"), replaces)
+        assert update(reloader)
         save(path, TEXT.replace("SHARE = 1.0", "SHARE = 0.5 +"), replaces)
         assert update(reloader)
         assert reloader.error is errors[-1]
@@ -512,23 +532,23 @@ def test_all_shaders_are_watched_also_those_that_are_imported_later(
 
 def test_what_does_not_draw_is_put_back(device: rhi.Device, shaders: Any) -> None:
     pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
-    picture, path, errors = Picture(device, shaders), Path(shaders.__file__), []
-    picture.draw()
+    drawer, path, errors = FlatDrawer(device, shaders), Path(shaders.__file__), []
+    drawer.draw()
     with Reloader(device, on_error=errors.append) as reloader:
         reloader.watch(shaders)
-        assert not reloader.put_back(ValueError("of something else"))
+        assert not reloader.roll_back(ValueError("of something else"))
         text = TEXT.replace("gain = 1.0", "gain = 1.0\n    more: Uniform[float]").replace("* SHARE", "* self.more")
         save(path, text, replaces=True)
         assert update(reloader)
         with pytest.raises(ValidationError) as error:
-            picture.draw()
-        assert reloader.put_back(error.value)
+            drawer.draw()
+        assert reloader.roll_back(error.value)
         assert errors == [error.value] == [reloader.error]
-        picture.draw()
+        drawer.draw()
         save(path, TEXT.replace("SHARE = 1.0", "SHARE = 0.375"), replaces=True)
         assert update(reloader)
         assert reloader.error is None
-        assert "0.375" in glsl(picture.program)
+        assert "0.375" in glsl(drawer.program)
 
 
 def test_each_file_at_fault_has_its_error(
@@ -555,12 +575,12 @@ def test_each_file_at_fault_has_its_error(
 @pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_fifty_edits_leave_memory_where_it_was(shaders: Any) -> None:
     with rhi.create_device("null", record=False) as device:
-        picture, reloader = Picture(device, shaders), Reloader(device)
+        drawer, reloader = FlatDrawer(device, shaders), Reloader(device)
 
         def edit(count: int) -> int:
             for number in range(count):
                 assert reloader.reload(shaders, TEXT.replace("SHARE = 1.0", f"SHARE = 0.{number + 1}")) == 1
-                picture.draw()
+                drawer.draw()
             device.finish()
             gc.collect()
             return sys.getallocatedblocks()
@@ -577,12 +597,12 @@ def test_500_edits_leave_memory_where_it_was(shaders: Any, backend: str) -> None
     bound = {"gl": 10_000, "cl": 250_000}[backend]
     trim = ctypes.CDLL(None).malloc_trim
     with rhi.create_device(backend) as device:
-        picture, reloader = Picture(device, shaders), Reloader(device)
+        drawer, reloader = FlatDrawer(device, shaders), Reloader(device)
 
         def edit(first: int, count: int) -> int:
             for number in range(first, first + count):
                 assert reloader.reload(shaders, TEXT.replace("SHARE = 1.0", f"SHARE = {number}.0 / 1000.0")) == 1
-                assert abs(picture.draw()[0] - 0.255 * number) < 1
+                assert abs(drawer.draw()[0] - 0.255 * number) < 1
             device.finish()
             gc.collect()
             trim(0)

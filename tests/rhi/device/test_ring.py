@@ -156,7 +156,7 @@ def test_no_write_ever_touches_what_the_gpu_may_still_read(steps: list[tuple[str
         assert offset % alignment == 0
         assert offset + number <= gpu.sizes[ring.buffer]
         assert ring.buffer not in gpu.destroyed
-        live = [place for place in live if place[3] is None or place[3] > gpu.reached]
+        live = [allocation for allocation in live if allocation[3] is None or allocation[3] > gpu.reached]
         for buffer, begin, end, _ in live:
             assert buffer != ring.buffer or offset >= end or offset + number <= begin
         live.append((ring.buffer, offset, offset + number, None))

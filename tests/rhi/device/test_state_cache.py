@@ -65,8 +65,8 @@ def apply(model, states):
     return model
 
 
-def wanted(cache):
-    return dict(zip(STATE_TYPES, cache.wanted.values, strict=True))
+def requested(cache):
+    return dict(zip(STATE_TYPES, cache.requested.values, strict=True))
 
 
 DEFAULT_MODEL = {state_type: expand(value) for state_type, value in DEFAULTS.items()} | {PlatformState: ()}
@@ -98,7 +98,7 @@ def test_the_hardware_always_ends_up_with_what_the_scopes_ask_for(program, pool_
             open_scopes.append(scope)
             models.append(apply(models[-1], step))
             software += len(step)
-        assert wanted(cache) == models[-1]
+        assert requested(cache) == models[-1]
         assert cache.depth == len(open_scopes)
         assert cache.vector_count <= pool_entries + 2
     assert (cache.software_changes, cache.hardware_changes) == (software, sent)
@@ -112,35 +112,35 @@ def test_scopes_restore_when_an_exception_leaves_them(scopes, depth):
     def enter(level):
         if level == min(depth, len(scopes)):
             raise KeyError(level)
-        before = cache.wanted
+        before = cache.requested
         try:
             with cache.scope(scopes[level]):
                 enter(level + 1)
         finally:
-            assert cache.wanted.values == before.values
+            assert cache.requested.values == before.values
 
     with pytest.raises(KeyError):
         enter(0)
-    assert wanted(cache) == DEFAULT_MODEL
+    assert requested(cache) == DEFAULT_MODEL
     assert cache.depth == 0
 
 
 def test_equal_combinations_are_one_vector_whichever_way_they_came_about():
     cache = StateCache()
     with cache.scope((CullMode.NONE,)), cache.scope((DepthTest.OFF,)):
-        first = cache.wanted
+        first = cache.requested
     with cache.scope((DepthTest.OFF, CullMode.NONE)):
-        assert cache.wanted is first
+        assert cache.requested is first
 
 
 def test_a_scope_of_no_states_changes_nothing():
     cache = StateCache()
     with cache.scope((CullMode.NONE,)):
-        before = cache.wanted
+        before = cache.requested
         with cache.scope(()):
-            assert cache.wanted is before
+            assert cache.requested is before
             assert (cache.depth, cache.software_changes) == (2, 1)
-    assert wanted(cache) == DEFAULT_MODEL
+    assert requested(cache) == DEFAULT_MODEL
 
 
 def test_a_missing_capability_refuses_the_state_but_not_its_default():
@@ -152,15 +152,15 @@ def test_a_missing_capability_refuses_the_state_but_not_its_default():
     assert "alpha_test" in caught.value.allowed
 
 
-@pytest.mark.parametrize(("most", "wider"), [(1.0, 1.001), (8.0, 8.5)])
-def test_a_line_is_as_wide_as_the_device_allows_and_no_wider(most, wider):
-    limits = replace(ANY_DEVICE, max_line_width=most)
+@pytest.mark.parametrize(("maximum", "wider"), [(1.0, 1.001), (8.0, 8.5)])
+def test_a_line_is_as_wide_as_the_device_allows_and_no_wider(maximum, wider):
+    limits = replace(ANY_DEVICE, max_line_width=maximum)
     for cache in (StateCache(limits), StateCache(limits).fresh()):
-        with cache.scope((LineWidth(most),)):
+        with cache.scope((LineWidth(maximum),)):
             pass
         with pytest.raises(ValidationError, match=r"^\[state-capability\]") as caught, cache.scope((LineWidth(wider),)):
             pass
-        assert f"max_line_width, {most:g}" in caught.value.allowed
+        assert f"max_line_width, {maximum:g}" in caught.value.allowed
 
 
 def test_the_deepest_scope_fits_and_one_more_is_refused():
@@ -173,7 +173,7 @@ def test_the_deepest_scope_fits_and_one_more_is_refused():
     assert cache.software_changes == STACK_DEPTH
     for _ in range(STACK_DEPTH):
         scope.__exit__(None, None, None)
-    assert wanted(cache) == DEFAULT_MODEL
+    assert requested(cache) == DEFAULT_MODEL
 
 
 def test_the_pool_of_vectors_stays_bounded():
@@ -183,8 +183,8 @@ def test_the_pool_of_vectors_stays_bounded():
             assert cache.flush() == (StateChange(Viewport, Viewport(x, 0, 8, 8)),)
         assert cache.flush() == (StateChange(Viewport, Viewport.TARGET),)
         assert cache.vector_count <= 52
-        assert len(cache.wanted.after) <= 52
-        assert len(cache.wanted.changes) <= 52
+        assert len(cache.requested.after) <= 52
+        assert len(cache.requested.changes) <= 52
 
 
 def test_stack_and_hardware_cache_fit_into_4_kilobytes():

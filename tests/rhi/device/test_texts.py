@@ -34,7 +34,7 @@ def test_what_users_hold_says_what_it_is(device: Device) -> None:
     image, program = device.texture((8, 4), Format.RGBA8, label="image"), device.program(Fill)
     array, queries = device.uniform_array(Tint, 3), device.query_set(5)
     query, states = device.occlusion_query(), device.states(CullMode.NONE, DepthTest.OFF)
-    shown = {
+    expected = {
         device.uniform(tint): "UniformBuffer('Tint', Tint)",
         array[1]: f"UniformRange(Tint, bytes 256 to 272 of buffer {array[1].buffer})",
         device.storage(sl.vec3, np.zeros((5, 3), np.float32)): "StorageBuffer('vec3[]', 5 × vec3)",
@@ -44,7 +44,7 @@ def test_what_users_hold_says_what_it_is(device: Device) -> None:
         states: "StateScope(CullMode.NONE, DepthTest.OFF)",
         program: "Program('Fill')",
     }
-    assert {repr(thing): text for thing, text in shown.items() if repr(thing) != text} == {}
+    assert {repr(thing): text for thing, text in expected.items() if repr(thing) != text} == {}
     sampled = image.sampled(SamplerDescriptor())
     assert repr(sampled) == f"TextureBinding(Texture('image', 8×4, RGBA8), sampler {sampled.sampler})"
     with device.render_pass(image), states:

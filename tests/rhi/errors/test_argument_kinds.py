@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 
 from rhi import Access, Format, Scissor, ValidationError
-from rhi.errors.arguments import Arguments
+from rhi.errors.arguments import ArgumentChecker
 
-CHECK = Arguments("a call")
+CHECK = ArgumentChecker("a call")
 
 
 @pytest.mark.parametrize("value", [3, np.int8(3), np.uint64(3), np.array(3)], ids=repr)
 def test_a_whole_number_becomes_an_int(value: Any) -> None:
-    assert type(CHECK.whole("n", value, 3, 3)) is int
+    assert type(CHECK.integer("n", value, 3, 3)) is int
 
 
 @pytest.mark.parametrize("value", [3.0, True, np.bool_(True), "3", None, np.array([3]), np.float64(3), 2, 4], ids=repr)
 def test_anything_else_is_no_whole_number(value: Any) -> None:
     with pytest.raises(ValidationError) as caught:
-        CHECK.whole("n", value, 3, 3)
+        CHECK.integer("n", value, 3, 3)
     assert caught.value.given.startswith("n=")
 
 
@@ -32,8 +32,8 @@ def test_anything_else_is_no_whole_number(value: Any) -> None:
     ids=repr,
 )
 def test_a_number_becomes_a_float_or_stays_an_int(value: Any, expected: float) -> None:
-    made = CHECK.number("n", value, 0, 1)
-    assert (made, type(made)) == (expected, type(expected))
+    converted = CHECK.number("n", value, 0, 1)
+    assert (converted, type(converted)) == (expected, type(expected))
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_of_many_choices_a_refusal_shows_the_first() -> None:
 
 def test_a_long_value_is_cut() -> None:
     with pytest.raises(ValidationError) as caught:
-        CHECK.whole("n", "x" * 1000)
+        CHECK.integer("n", "x" * 1000)
     assert len(caught.value.given) < 150
     assert caught.value.given.endswith("(str)")
 

@@ -6,24 +6,15 @@ import sys
 
 import pytest
 
-from rhi.errors import (
-    MARK,
-    RULES,
-    CallSite,
-    DeviceError,
-    Rule,
-    ShaderError,
-    ValidationError,
-    find_user_frame,
-    refuse,
-)
+from rhi.errors import RULES, DeviceError, Rule, ShaderError, ValidationError, refuse
+from rhi.errors.call_sites import MARK, CallSite, find_user_frame
 
 
 @pytest.fixture
 def rule():
-    made = Rule("test-rule", "the rule's sentence", "the rule's tip")
-    yield made
-    del RULES[made.id]
+    created = Rule("test-rule", "the rule's sentence", "the rule's tip")
+    yield created
+    del RULES[created.id]
 
 
 def internal(source):
@@ -48,10 +39,10 @@ def test_ids_are_short_words_and_sentences_have_no_full_stop():
     import rhi.errors.rules  # noqa: F401
 
     assert len(RULES) > 20
-    for found in RULES.values():
-        assert re.fullmatch(r"[a-z]+(-[a-z]+)+", found.id)
-        assert found.sentence
-        assert not found.sentence.endswith(".")
+    for each in RULES.values():
+        assert re.fullmatch(r"[a-z]+(-[a-z]+)+", each.id)
+        assert each.sentence
+        assert not each.sentence.endswith(".")
 
 
 def test_a_refusal_names_everything(rule):

@@ -10,42 +10,42 @@ from rhi.errors import ValidationError
 from rhi.math import Camera, Depth, FrustumPlane, Orthographic, Perspective, look_at, orbit, orthographic, perspective
 
 
-def clip_depth(lens, distance):
-    clip = lens.matrix @ (0.0, 0.0, -distance, 1.0)
+def clip_depth(projection, distance):
+    clip = projection.matrix @ (0.0, 0.0, -distance, 1.0)
     return clip[2] / clip[3]
 
 
 @pytest.mark.parametrize(
-    "lens",
+    "projection",
     [
         Perspective(near=0.5, far=80.0),
         Orthographic(height=4.0, near=-3.0, far=9.0),
         Perspective(near=1e-3, far=1e7),
     ],
 )
-def test_reversed_depth_is_one_at_near_and_zero_at_far(lens):
-    assert clip_depth(lens, lens.near) == pytest.approx(1.0, abs=1e-12)
-    assert clip_depth(lens, lens.far) == pytest.approx(0.0, abs=1e-12)
+def test_reversed_depth_is_one_at_near_and_zero_at_far(projection):
+    assert clip_depth(projection, projection.near) == pytest.approx(1.0, abs=1e-12)
+    assert clip_depth(projection, projection.far) == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(
-    "lens",
+    "projection",
     [
         Perspective(near=0.5, far=80.0, depth=Depth.STANDARD),
         Orthographic(height=4.0, near=-3.0, far=9.0, depth=Depth.STANDARD),
     ],
 )
-def test_standard_depth_is_zero_at_near_and_one_at_far(lens):
-    assert clip_depth(lens, lens.near) == pytest.approx(0.0, abs=1e-12)
-    assert clip_depth(lens, lens.far) == pytest.approx(1.0, abs=1e-12)
+def test_standard_depth_is_zero_at_near_and_one_at_far(projection):
+    assert clip_depth(projection, projection.near) == pytest.approx(0.0, abs=1e-12)
+    assert clip_depth(projection, projection.far) == pytest.approx(1.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("depth", list(Depth))
 def test_an_infinite_far_plane_is_approached_and_has_no_plane(depth):
-    lens = Perspective(near=0.25, depth=depth)
-    assert clip_depth(lens, 0.25) == (1.0 if depth is Depth.REVERSED else 0.0)
-    assert clip_depth(lens, 1e12) == pytest.approx(0.0 if depth is Depth.REVERSED else 1.0, abs=1e-11)
-    assert len(Camera.look_at((0, 0, 0), (0, 0, -1), projection=lens).frustum.planes) == 5
+    projection = Perspective(near=0.25, depth=depth)
+    assert clip_depth(projection, 0.25) == (1.0 if depth is Depth.REVERSED else 0.0)
+    assert clip_depth(projection, 1e12) == pytest.approx(0.0 if depth is Depth.REVERSED else 1.0, abs=1e-11)
+    assert len(Camera.look_at((0, 0, 0), (0, 0, -1), projection=projection).frustum.planes) == 5
     far = Camera.look_at((0, 0, 0), (0, 0, -1), projection=Perspective(near=0.25, far=9.0, depth=depth))
     assert len(far.frustum.planes) == 6
 
@@ -73,10 +73,10 @@ def views(draw):
     depth = draw(st.sampled_from(list(Depth)))
     if draw(st.booleans()):
         far = draw(st.sampled_from([np.inf, 50.0]))
-        lens = Perspective(draw(st.floats(0.1, 2.5)), draw(st.floats(0.3, 3.0)), 0.5, far, depth)
+        projection = Perspective(draw(st.floats(0.1, 2.5)), draw(st.floats(0.3, 3.0)), 0.5, far, depth)
     else:
-        lens = Orthographic(draw(st.floats(0.1, 50.0)), 1.5, -2.0, 40.0, depth)
-    return Camera.look_at(eye, np.array(eye) + forward, projection=lens)
+        projection = Orthographic(draw(st.floats(0.1, 50.0)), 1.5, -2.0, 40.0, depth)
+    return Camera.look_at(eye, np.array(eye) + forward, projection=projection)
 
 
 @given(camera=views(), seed=st.integers(0, 2**32 - 1))
@@ -94,8 +94,8 @@ def test_frustum_planes_hold_exactly_the_points_in_clip_space(camera, seed):
 
 
 def test_the_planes_come_in_the_order_of_their_names():
-    lens = Perspective(fov=np.pi / 2, aspect=1.0, near=1.0, far=9.0)
-    planes = Camera.look_at((0, 0, 0), (0, 0, -1), projection=lens).frustum.planes
+    projection = Perspective(fov=np.pi / 2, aspect=1.0, near=1.0, far=9.0)
+    planes = Camera.look_at((0, 0, 0), (0, 0, -1), projection=projection).frustum.planes
     r = np.sqrt(0.5)
     assert np.allclose(planes[FrustumPlane.LEFT], (r, 0, -r, 0))
     assert np.allclose(planes[FrustumPlane.RIGHT], (-r, 0, -r, 0))
@@ -178,7 +178,7 @@ def test_pixels_of_a_plane_image_begin_in_its_top_left_corner():
     assert np.allclose(orthographic(-2, 4, 1, 3, 0.5, 7, Depth.STANDARD) @ (4.0, 3.0, -7.0, 1.0), 1.0)
 
 
-def test_a_lens_and_its_function_are_one():
+def test_a_projection_and_its_function_are_one():
     assert np.array_equal(perspective(0.7, 1.5, 0.2, 90.0), Perspective(0.7, 1.5, 0.2, 90.0).matrix)
     assert np.array_equal(orthographic(-3, 3, -2, 2, 1.0, 9.0), Orthographic(4.0, 1.5, 1.0, 9.0).matrix)
 
@@ -226,10 +226,10 @@ def test_the_module_is_there_without_an_import_of_its_own():
 @pytest.mark.parametrize("name", ["right", "forward", "view", "view_projection", "relative_view_projection", "frustum"])
 def test_what_follows_from_a_camera_is_computed_once_and_cannot_be_written_to(name):
     camera = Camera.look_at((1.0, 2.0, 3.0), (4.0, 5.0, 7.0))
-    found = getattr(camera, name)
-    assert getattr(camera, name) is found
+    value = getattr(camera, name)
+    assert getattr(camera, name) is value
     with pytest.raises(ValueError, match="read-only"):
-        getattr(found, "planes", found)[0] = 1.0
+        getattr(value, "planes", value)[0] = 1.0
 
 
 def test_matrices_that_functions_return_can_be_written_to():

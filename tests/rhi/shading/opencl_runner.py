@@ -14,14 +14,14 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from rhi.backends.cl.context import KERNELS_ENVIRONMENT, QUICK, caches_kernels, declares_kernels
-from rhi.backends.cl.pocl.cache import KernelCache
+from rhi.backends.cl.cl_context import KERNELS_ENVIRONMENT, QUICK, caches_kernels, declares_kernels
+from rhi.backends.cl.pocl.kernel_cache import KernelCache
 from rhi.contract.descriptors import BindingKind, ProgramDescriptor, StageText
 from rhi.shading import Shader, compile_shader, opencl_kernel
 from rhi.shading.evaluation.compute import storage_words, uniform_words
 from rhi.shading.ir.faults import FAULT_WORDS, find_fault
 from rhi.shading.ir.texture_words import LevelLayout, describe_texture
-from rhi.shading.numpy.textures import HostTexture
+from rhi.shading.numpy.host_textures import HostTexture
 
 PROBE = "kernel void probe(global int *p) { p[get_global_id(0)] = (int)get_global_id(0); }"
 
@@ -36,10 +36,10 @@ def queue() -> cl.CommandQueue:
     for platform in platforms:
         for device in platform.get_devices():
             try:
-                found = cl.Context([device])
-                found_queue = cl.CommandQueue(found)
-                buffer = cl.Buffer(found, cl.mem_flags.READ_WRITE, 16)
-                cl.Kernel(cl.Program(found, PROBE).build(), "probe")(found_queue, (4,), None, buffer).wait()
+                context = cl.Context([device])
+                found_queue = cl.CommandQueue(context)
+                buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, 16)
+                cl.Kernel(cl.Program(context, PROBE).build(), "probe")(found_queue, (4,), None, buffer).wait()
                 result = np.zeros(4, "i4")
                 cl.enqueue_copy(found_queue, result, buffer)
                 if result.tolist() == [0, 1, 2, 3]:
@@ -98,12 +98,12 @@ def built_together(shaders: Iterable[type[Shader]], width: int) -> Iterator[None
         for part in split_functions(text.text):
             parts.setdefault(part.replace("kernel void compute(", f"kernel void {name}("))
     program = build("\n".join(parts), shaders[0])
-    made = {(shader, width): (text, program, name) for shader, text, name in zip(shaders, texts, names, strict=True)}
-    _together.update(made)
+    kernels = {(shader, width): (text, program, name) for shader, text, name in zip(shaders, texts, names, strict=True)}
+    _together.update(kernels)
     try:
         yield
     finally:
-        for key in made:
+        for key in kernels:
             del _together[key]
 
 
@@ -152,7 +152,7 @@ class BoundMemory:
             if binding.kind is BindingKind.UNIFORM:
                 self.arguments.append(buffer(value))
             elif binding.kind in (BindingKind.TEXTURE, BindingKind.IMAGE):
-                memory, described = place_texture(value)
+                memory, described = texture_memory(value)
                 self.arguments += [buffer(memory), buffer(described)]
                 if binding.kind is BindingKind.IMAGE:
                     self._images[binding.name] = (self.arguments[-2], memory, value)
@@ -162,7 +162,7 @@ class BoundMemory:
                 if binding.writes:
                     self._buffers[binding.name] = (self.arguments[-2], whole)
 
-    def contents(self) -> dict[str, Any]:
+    def read_back(self) -> dict[str, Any]:
         """Return the contents of each writable buffer and each image."""
         for memory, whole in self._buffers.values():
             if whole.size:
@@ -202,18 +202,18 @@ class Kernel:
                 raise error
 
 
-def place_texture(texture: HostTexture) -> tuple[Any, Any]:
+def texture_memory(texture: HostTexture) -> tuple[Any, Any]:
     """Return a texture's levels as bytes, with padding in rows and columns that must not be read, and its words."""
-    parts, places = [], []
+    parts, levels = [], []
     for texels in texture.levels:
         layers, height, width, channels = texels.shape
         padded = np.full((layers, -(-height // 4) * 4, -(-width // 4) * 4, channels), 77, texels.dtype)
         padded[:, :height, :width] = texels
         start = sum(map(len, parts))
-        places.append(LevelLayout(start, width, height, layers, padded[0, 0].nbytes, padded[0].nbytes))
+        levels.append(LevelLayout(start, width, height, layers, padded[0, 0].nbytes, padded[0].nbytes))
         parts.append(padded.view(np.uint8).reshape(-1))
         parts.append(np.zeros(-len(parts[-1]) % 128, np.uint8))
-    words = describe_texture(texture.format, texture.kind, places, texture.sampler)
+    words = describe_texture(texture.format, texture.kind, levels, texture.sampler)
     return np.concatenate(parts), words
 
 
@@ -228,4 +228,4 @@ def run_opencl(shader: type[Shader], width: int, groups: Any = 1, **bindings: An
     """Run a compute shader once and return the contents of each writable buffer."""
     kernel = Kernel(shader, width, **bindings)
     kernel.launch(groups)
-    return kernel.memory.contents()
+    return kernel.memory.read_back()

@@ -76,8 +76,8 @@ class StageKernel:
         else:
             self.outputs = 4 * len(descriptor.outputs)
         text = (VERTEX if stage is Stage.VERTEX else FRAGMENT).format(
-            parameters="".join(f"{one}, " for one in parameters),
-            arguments="".join(f"{one}, " for one in arguments),
+            parameters="".join(f"{argument}, " for argument in parameters),
+            arguments="".join(f"{argument}, " for argument in arguments),
             inputs=self.inputs,
             outputs=self.outputs,
         )
@@ -88,8 +88,8 @@ class StageKernel:
         """Run groups of lanes and return their words, (groups, words, 16) uint32."""
         out = np.zeros((groups, words, 16), np.uint32)
         target = buffer(out)
-        given = [buffer(value) if isinstance(value, np.ndarray) else np.int32(value) for value in values]
-        self.kernel(queue(), (groups,), None, *self.memory.arguments, *given, target).wait()
+        arguments = [buffer(value) if isinstance(value, np.ndarray) else np.int32(value) for value in values]
+        self.kernel(queue(), (groups,), None, *self.memory.arguments, *arguments, target).wait()
         cl.enqueue_copy(queue(), out, target)
         return out
 
@@ -127,8 +127,8 @@ def run_vertex_lanes(
     groups = -(-count // 16)
     words = np.zeros((groups * 16, kernel.inputs), np.uint32)
     if kernel.inputs:
-        given = [as_words(attributes[attribute.name], count) for attribute in descriptor.attributes]
-        words[:count] = np.concatenate(given, axis=1)
+        columns = [as_words(attributes[attribute.name], count) for attribute in descriptor.attributes]
+        words[:count] = np.concatenate(columns, axis=1)
     indices = np.arange(groups * 16, dtype=np.int32) + first
     if vertices is not None:
         indices[:count] = vertices
@@ -140,7 +140,7 @@ def run_vertex_lanes(
     for varying in descriptor.varyings:
         part = rows[:, 4 + varying.word : 4 + varying.word + varying.words]
         results[varying.name] = view(part, varying.kind)
-    return results | kernel.memory.contents()
+    return results | kernel.memory.read_back()
 
 
 def blocks(image: Any) -> Any:
@@ -190,24 +190,26 @@ def run_fragment_lanes(
         else:
             words[..., span] = as_words(value, height * width).reshape(height, width, -1)
     rows, columns = np.mgrid[:height, :width]
-    place = np.stack([columns + 0.5, rows + 0.5, np.broadcast_to(depth, shape), np.broadcast_to(w, shape)], axis=-1)
+    coordinates = np.stack(
+        [columns + 0.5, rows + 0.5, np.broadcast_to(depth, shape), np.broadcast_to(w, shape)], axis=-1
+    )
     masks = -np.broadcast_to(mask, shape).astype(np.int32)
     out = kernel.launch(
         count,
         kernel.outputs + 2,
         blocks(words),
         flats,
-        blocks(place.astype(np.float32)),
+        blocks(coordinates.astype(np.float32)),
         int(front),
         primitive,
         blocks(masks[..., None]),
     )
     image = unblocked(out, height, width)
-    results = {"depth": view(image[..., -2], "float"), "kept": image[..., -1] != 0}
+    results = {"depth": view(image[..., -2], "float"), "coverage": image[..., -1] != 0}
     for output in descriptor.outputs:
         part = image[..., 4 * output.location : 4 * output.location + output.components]
         results[output.name] = view(part, output.kind)
-    return results | kernel.memory.contents()
+    return results | kernel.memory.read_back()
 
 
 # -- NumPy -------------------------------------------------------------------------------------------------
@@ -255,7 +257,7 @@ def run_fragment_numpy(
         fragment_coordinate=np.stack([columns + 0.5, rows + 0.5, *rest], axis=-1), dtype=dtype, **bindings,
     )  # fmt: skip
     outputs = {name: value.reshape(*shape, -1) for name, value in run.outputs.items()}
-    return {"depth": run.depth, "kept": run.kept, **outputs, **run.memory}
+    return {"depth": run.depth, "coverage": run.coverage, **outputs, **run.memory}
 
 
 # -- GLSL --------------------------------------------------------------------------------------------------
@@ -301,9 +303,9 @@ def run_vertex_glsl(
     for varying in descriptor.varyings:
         part = out[:, 4 + varying.word : 4 + varying.word + varying.words]
         results[varying.name] = view(part, varying.kind)
-    for one in (array, target, program, index, frame, *used):
-        if one is not None:
-            one.release()
+    for resource in (array, target, program, index, frame, *used):
+        if resource is not None:
+            resource.release()
     return results | buffers.finish()
 
 
@@ -344,8 +346,8 @@ def run_fragment_glsl(
             words = as_words(start + corners[:, :1] * width * right + corners[:, 1:] * height * down, 3)
         kind = {"float": "f4", "int": "i4", "uint": "u4"}[varying.kind]
         content.append((context.buffer(words.tobytes()), f"{varying.words}{kind}", f"in_{varying.name}"))
-    place = f"gl_Position = vec4(corner * 2.0 - 1.0, {float(depth) * 2 - 1!r}, 1.0);"
-    text = ["#version 430 core", "in vec2 corner;", *declared, "void main() {", *sets, place, "}"]
+    position = f"gl_Position = vec4(corner * 2.0 - 1.0, {float(depth) * 2 - 1!r}, 1.0);"
+    text = ["#version 430 core", "in vec2 corner;", *declared, "void main() {", *sets, position, "}"]
     program = context.program(
         vertex_shader="\n".join(text), fragment_shader=descriptor.emit("glsl", Stage.FRAGMENT).text
     )
@@ -367,15 +369,15 @@ def run_fragment_glsl(
     context.depth_func = "1"
     order = [0, 1, 2] if front else [0, 2, 1]
     index = context.buffer(np.array(order, np.uint32).tobytes())
-    array = context.vertex_array(program, [one for one in content if one[2] in program], index_buffer=index)
+    array = context.vertex_array(program, [item for item in content if item[2] in program], index_buffer=index)
     array.render(moderngl.TRIANGLES)
     context.finish()
     depth_image = np.frombuffer(depths.read(), np.float32).reshape(height, width)
-    results: dict[str, Any] = {"depth": depth_image, "kept": np.broadcast_to(mask, shape)}
+    results: dict[str, Any] = {"depth": depth_image, "coverage": np.broadcast_to(mask, shape)}
     for output, target in zip(descriptor.outputs, targets, strict=True):
         image = np.frombuffer(target.read(), np.uint32).reshape(height, width, -1)
-        results["kept"] = results["kept"] & (image != SENTINEL).any(axis=-1)
+        results["coverage"] = results["coverage"] & (image != SENTINEL).any(axis=-1)
         results[output.name] = view(image, output.kind)
-    for one in (array, index, frame, depths, program, *targets, *(part[0] for part in content)):
-        one.release()
+    for item in (array, index, frame, depths, program, *targets, *(part[0] for part in content)):
+        item.release()
     return results | buffers.finish()

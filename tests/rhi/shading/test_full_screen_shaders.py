@@ -12,7 +12,7 @@ from rhi.shading import FullScreen, Shader, Struct, fragment_coordinate, vec3, v
 BACKENDS = ["gl", pytest.param("cl", marks=pytest.mark.nightly)]
 
 
-class Place(FullScreen):
+class ShowCoordinates(FullScreen):
     def fragment(self) -> vec4:
         return vec4(fragment_coordinate().xy / 255.0, 0.5, 1.0)
 
@@ -45,7 +45,7 @@ def test_each_pixel_is_drawn_once(backend: str, size: tuple[int, int]) -> None:
     with rhi.create_device(backend) as device:
         image = device.texture(size, Format.RGBA8)
         with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(BlendFunction.ADDITIVE):
-            device.draw(device.program(Place), device.mesh(3))
+            device.draw(device.program(ShowCoordinates), device.mesh(3))
         y, x = np.indices(size[::-1])
         assert np.abs(image.read()[..., :2].astype(int) - np.dstack([x, y])).max() <= 1
         assert (np.abs(image.read()[..., 2].astype(int) - 128) <= 1).all()
@@ -59,7 +59,7 @@ def test_it_is_behind_what_is_drawn_before_and_after_it(backend: str, first: boo
         image, depth = device.texture((8, 8), Format.RGBA8), device.texture((8, 8), Format.D32F)
         corners = np.array([(-1, -1, 1e-7), (0, -1, 1e-7), (0, 1, 1e-7), (-1, 1, 1e-7)], np.float32)
         square = device.mesh({"position": corners}, np.array([0, 1, 2, 0, 2, 3], np.uint16))
-        draws = [(Place, device.mesh(3)), (Flat, square)]
+        draws = [(ShowCoordinates, device.mesh(3)), (Flat, square)]
         with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.0):
             for shader, mesh in draws if first else draws[::-1]:
                 device.draw(device.program(shader), mesh)

@@ -9,7 +9,7 @@ import pytest
 from null_kit import Camera, Object, hand_made_program
 
 from rhi import BlendFunction, Format, PolygonOffset, SamplerDescriptor, Stage, ValidationError, create_device
-from rhi.backends.null import find_profile
+from rhi.backends.null import get_profile
 from rhi.shading import Shader, StorageRW, compile_shader, local_index, shared
 from rhi.testing.portability import check_portability
 
@@ -31,11 +31,11 @@ def deferred_frame(device):
 def test_a_frame_is_told_everything_that_stops_it_with_lines():
     report = check_portability(deferred_frame)
     first = inspect.getsourcelines(deferred_frame)[1]
-    found = {
+    features = {
         name: [(obstacle.capability, obstacle.error.rule.id, obstacle.error.site.line - first) for obstacle in each]
         for name, each in report.obstacles.items()
     }
-    assert found == {
+    assert features == {
         "everything": [],
         "gl-4.5": [],
         "gl-3.3": [("max_texture_size", "texture-size", 3), ("blend_per_target", "state-capability", 7)],
@@ -69,8 +69,8 @@ def test_each_capability_is_named_at_the_first_line_that_lacks_it_and_then_at_th
     changed, rounds = set(), []
     while not rounds or rounds[-1]:
         frame = functools.partial(scattered_frame, changed=frozenset(changed))
-        found = check_portability(frame, {"gl-3.3": find_profile("gl-3.3")}).obstacles["gl-3.3"]
-        rounds.append([(each.capability, each.error.site.line - first) for each in found])
+        features = check_portability(frame, {"gl-3.3": get_profile("gl-3.3")}).obstacles["gl-3.3"]
+        rounds.append([(each.capability, each.error.site.line - first) for each in features])
         changed |= {line for _, line in rounds[-1]}
     assert rounds == [
         [("max_anisotropy", 2), ("max_texture_size", 4), ("depth_bias_clamp", 6)],
@@ -85,8 +85,8 @@ def test_timestamps_are_granted_as_other_capabilities_are():
         device.timing = True
         device.texture((4000, 4), Format.R8)
 
-    found = check_portability(frame, {"gles": find_profile("gles-3")}).obstacles["gles"]
-    assert [each.capability for each in found] == ["timestamps", "max_texture_size"]
+    features = check_portability(frame, {"gles": get_profile("gles-3")}).obstacles["gles"]
+    assert [each.capability for each in features] == ["timestamps", "max_texture_size"]
 
 
 def test_a_frame_sees_the_profile_as_it_is_whatever_was_granted():
@@ -96,7 +96,7 @@ def test_a_frame_sees_the_profile_as_it_is_whatever_was_granted():
         device.sampler(SamplerDescriptor(max_anisotropy=8))
         asked.append(device.capabilities.max_anisotropy)
 
-    check_portability(frame, {"gles": find_profile("gles-3")})
+    check_portability(frame, {"gles": get_profile("gles-3")})
     assert asked[0] == 16.0
     assert set(asked[1:]) == {1.0}
 
@@ -115,15 +115,15 @@ class TooMuch(Shader):
 
 @pytest.mark.parametrize(("limit", "fits"), [(40_000, True), (39_999, False)])
 def test_shared_memory_is_a_limit_of_a_profile(limit, fits):
-    profile = dataclasses.replace(find_profile("gl-4.5"), max_shared_bytes=limit)
+    profile = dataclasses.replace(get_profile("gl-4.5"), max_shared_bytes=limit)
     report = check_portability(lambda device: device.program(TooMuch), {"own": profile})
-    assert [found.capability for found in report.obstacles["own"]] == ([] if fits else ["max_shared_bytes"])
+    assert [features.capability for features in report.obstacles["own"]] == ([] if fits else ["max_shared_bytes"])
     assert compile_shader(TooMuch).shared_bytes == 40_000
 
 
 @pytest.mark.parametrize(("anisotropy", "fits"), [(1.0, True), (4.0, True), (4.5, False)])
 def test_anisotropy_is_a_limit_of_a_profile(anisotropy, fits):
-    profile = dataclasses.replace(find_profile("gl-4.5"), max_anisotropy=4.0)
+    profile = dataclasses.replace(get_profile("gl-4.5"), max_anisotropy=4.0)
     with create_device("null", profile=profile) as device:
         descriptor = SamplerDescriptor(max_anisotropy=anisotropy)
         if fits:
@@ -134,7 +134,7 @@ def test_anisotropy_is_a_limit_of_a_profile(anisotropy, fits):
 
 
 def test_the_report_prints_the_call_what_was_given_and_what_is_allowed():
-    text = str(check_portability(deferred_frame, {"small": find_profile("gl-3.3"), "all": find_profile("everything")}))
+    text = str(check_portability(deferred_frame, {"small": get_profile("gl-3.3"), "all": get_profile("everything")}))
     assert text.splitlines()[0] == "small: stopped by 2"
     assert "max_texture_size" in text
     assert "1500" in text

@@ -6,24 +6,24 @@ import re
 
 import pytest
 from nightly_reasons import CHEAPER_TEST
-from testing_kit import House, Light, Shadow
+from testing_kit import Light, SampleFrame, Shadow
 
 import rhi
 from rhi import CullMode, DepthBias, DepthFunction, DepthWrite, Op
-from rhi.testing import Calls, expect, frames, watch
+from rhi.testing import CallCounts, count_work, expect, frames
 
 pytest_plugins = ["pytester"]
 
 
 @pytest.fixture
-def house(null_device: rhi.Device) -> House:
-    return House(null_device)
+def sample_frame(null_device: rhi.Device) -> SampleFrame:
+    return SampleFrame(null_device)
 
 
 @pytest.fixture
-def frame(house: House) -> rhi.CommandStream:
-    house.render()
-    return house.device.stream
+def frame(sample_frame: SampleFrame) -> rhi.CommandStream:
+    sample_frame.render()
+    return sample_frame.device.stream
 
 
 def failure(check) -> str:
@@ -50,18 +50,18 @@ def test_a_wrong_number_fails(frame, verdict: str, number: int) -> None:
     assert message.startswith(f"expected {verdict.replace('_', ' ')} {number}: draws of program 'Shadow'\nfound 2")
 
 
-def test_a_program_is_known_by_object_id_class_and_name(frame, house) -> None:
-    for program in (house.shadow, house.shadow.id, Shadow, "Shadow"):
+def test_a_program_is_known_by_object_id_class_and_name(frame, sample_frame) -> None:
+    for program in (sample_frame.shadow, sample_frame.shadow.id, Shadow, "Shadow"):
         expect(frame).draws(program=program).exactly(2)
-    for program in (house.lit, house.lit.id, "Lit"):
+    for program in (sample_frame.lit, sample_frame.lit.id, "Lit"):
         expect(frame).draws(program=program).exactly(1)
     expect(frame).draws(program="shadow").exactly(0)
 
 
-def test_programs_are_known_after_the_stream_was_cleared(house) -> None:
-    house.device.stream.clear()
-    house.render()
-    expect(house.device).draws(program="Lit").with_bindings(tint="tint").exactly(1)
+def test_programs_are_known_after_the_stream_was_cleared(sample_frame) -> None:
+    sample_frame.device.stream.clear()
+    sample_frame.render()
+    expect(sample_frame.device).draws(program="Lit").with_bindings(tint="tint").exactly(1)
 
 
 def test_labels_nest_in_their_order(frame) -> None:
@@ -95,36 +95,36 @@ def test_states_are_those_at_the_command(frame) -> None:
     draws.with_states(DepthBias(-2.1), tolerance=0.05).exactly(0)
 
 
-def test_states_of_one_target_are_compared_with_that_target(house) -> None:
-    device = house.device
-    with device.render_pass(house.image), device.states(rhi.ColorWrite.OFF.at(1)):
-        device.draw(house.lit, house.walls, light=house.light, tint=house.tint)
+def test_states_of_one_target_are_compared_with_that_target(sample_frame) -> None:
+    device = sample_frame.device
+    with device.render_pass(sample_frame.image), device.states(rhi.ColorWrite.OFF.at(1)):
+        device.draw(sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint)
     draws = expect(device).draws()
     draws.with_states(rhi.ColorWrite.OFF.at(1)).exactly(1)
     draws.with_states(rhi.ColorWrite.OFF.at(0)).exactly(0)
     draws.with_states(rhi.ColorWrite.ON).exactly(0)
 
 
-def test_bindings_are_those_at_the_command(frame, house) -> None:
+def test_bindings_are_those_at_the_command(frame, sample_frame) -> None:
     draws = expect(frame).draws(program="Lit")
-    for light in (house.light, "light", house.light.buffer):
-        draws.with_bindings(light=light, tint=house.tint).exactly(1)
-    for light in (house.tint, "tint", house.tint.buffer):
+    for light in (sample_frame.light, "light", sample_frame.light.buffer):
+        draws.with_bindings(light=light, tint=sample_frame.tint).exactly(1)
+    for light in (sample_frame.tint, "tint", sample_frame.tint.buffer):
         draws.with_bindings(light=light).exactly(0)
-    expect(frame).draws().with_bindings(tint=house.tint).exactly(1)  # the others have no tint
+    expect(frame).draws().with_bindings(tint=sample_frame.tint).exactly(1)  # the others have no tint
 
 
-def test_bindings_and_resources_are_known_at_the_command(house) -> None:
-    device, stream = house.device, house.device.stream
-    house.render()
+def test_bindings_and_resources_are_known_at_the_command(sample_frame) -> None:
+    device, stream = sample_frame.device, sample_frame.device.stream
+    sample_frame.render()
     draw = stream.draws()[-1]
-    assert draw.bindings == {"light": (house.light.buffer, 0, 16), "tint": (house.tint.buffer, 0, 16)}
-    assert draw.resource(house.image.id).label == "image"
-    house.image.destroy()
+    assert draw.bindings == {"light": (sample_frame.light.buffer, 0, 16), "tint": (sample_frame.tint.buffer, 0, 16)}
+    assert draw.resource(sample_frame.image.id).label == "image"
+    sample_frame.image.destroy()
     device.finish()
     device.buffer(4)
-    assert stream[-1].resource(house.image.id) is None
-    assert draw.resource(house.image.id).label == "image"
+    assert stream[-1].resource(sample_frame.image.id) is None
+    assert draw.resource(sample_frame.image.id).label == "image"
     assert stream[0].bindings == {}
 
 
@@ -171,14 +171,14 @@ def test_a_failure_with_too_many_matches_shows_them(frame) -> None:
         (lambda e: e.draws(instances=9), "instances is 1"),
     ],
 )
-def test_a_miss_says_what_there_is_instead(frame, narrow, told: str) -> None:
-    assert told in failure(lambda: narrow(expect(frame).draws(program="Shadow")).exactly(1))
+def test_a_miss_says_what_there_is_instead(frame, narrow, message: str) -> None:
+    assert message in failure(lambda: narrow(expect(frame).draws(program="Shadow")).exactly(1))
 
 
-def test_long_lists_are_cut(house) -> None:
+def test_long_lists_are_cut(sample_frame) -> None:
     for _ in range(20):
-        house.render()
-    message = failure(lambda: expect(house.device).draws(program="Shadow").exactly(1))
+        sample_frame.render()
+    message = failure(lambda: expect(sample_frame.device).draws(program="Shadow").exactly(1))
     assert "… and 35 more" in message
     assert len(message.splitlines()) < 30
 
@@ -186,12 +186,12 @@ def test_long_lists_are_cut(house) -> None:
 # -- budgets, frames, caching ----------------------------------------------------------------------------------
 
 
-def test_frames_end_with_present(house) -> None:
-    house.device.stream.clear()
-    house.render()
-    house.render()
-    house.device.signal()
-    first, second = frames(house.device)
+def test_frames_end_with_present(sample_frame) -> None:
+    sample_frame.device.stream.clear()
+    sample_frame.render()
+    sample_frame.render()
+    sample_frame.device.signal()
+    first, second = frames(sample_frame.device)
     assert first[-1].op is second[-1].op is Op.PRESENT
     expect(first).draws().exactly(3)
     expect(second).draws().exactly(3)
@@ -201,13 +201,13 @@ def test_frames_end_with_present(house) -> None:
 @pytest.mark.parametrize(
     ("name", "spent"), [("draws", 3), ("hardware_state_changes", 6), ("upload_bytes", 16), ("creations", 0)]
 )
-def test_a_budget_holds_at_its_limit_and_not_below(house, name: str, spent: int) -> None:
-    house.render()
-    house.device.stream.clear()
-    with house.device.event("set-up"):
-        house.light.write(Light(offset=(1, 0, 0, 0)))
-    house.render()
-    (frame,) = frames(house.device)
+def test_a_budget_holds_at_its_limit_and_not_below(sample_frame, name: str, spent: int) -> None:
+    sample_frame.render()
+    sample_frame.device.stream.clear()
+    with sample_frame.device.event("set-up"):
+        sample_frame.light.write(Light(offset=(1, 0, 0, 0)))
+    sample_frame.render()
+    (frame,) = frames(sample_frame.device)
     counts = expect(frame).costs(**{f"max_{name}": spent})
     assert getattr(counts, name) == spent
     if spent:
@@ -221,25 +221,27 @@ def test_a_budget_may_be_a_labels(frame) -> None:
     failure(lambda: expect(frame).within("sun").costs(max_draws=1))
 
 
-def test_what_is_asked_for_is_told_apart_from_what_is_issued(house) -> None:
-    device = house.device
-    house.render()
-    with watch(device) as work:
-        with device.render_pass(house.image):
+def test_what_is_asked_for_is_told_apart_from_what_is_issued(sample_frame) -> None:
+    device = sample_frame.device
+    sample_frame.render()
+    with count_work(device) as work:
+        with device.render_pass(sample_frame.image):
             for _ in range(10):
                 with device.states(DepthWrite.OFF, CullMode.NONE):
-                    device.draw(house.lit, house.walls, light=house.light, tint=house.tint)
-    assert work.requested == Calls(states=20, programs=10, bindings=20)
+                    device.draw(sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint)
+    assert work.requested == CallCounts(states=20, programs=10, bindings=20)
     assert (work.issued.programs, work.issued.bindings) == (1, 2)
     assert work.issued.states == 3  # the two, and DepthFunction, which the frame before had left
     expect(work.commands).draws().exactly(10)
 
 
-def test_a_draw_that_failed_costs_nothing(house) -> None:
-    stream = house.device.stream
-    house.render()
+def test_a_draw_that_failed_costs_nothing(sample_frame) -> None:
+    stream = sample_frame.device.stream
+    sample_frame.render()
     with pytest.raises(rhi.ValidationError):
-        house.device.draw(house.lit, house.walls, light=house.light, tint=house.tint)  # outside a pass
+        sample_frame.device.draw(
+            sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint
+        )  # outside a pass
     expect(stream).costs(max_draws=3)
 
 

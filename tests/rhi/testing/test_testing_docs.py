@@ -61,8 +61,8 @@ def test_the_page_notices_a_broken_renderer(pytester: pytest.Pytester, tests: in
 def test_the_page_shows_what_a_failure_says(
     pytester: pytest.Pytester, tests: int, block: int, old: str, new: str
 ) -> None:
-    shown = re.findall(r"```text\n(.*?)```", PAGE.read_text(), re.DOTALL)[block].replace("renderer.py", "*.py")
+    message = re.findall(r"```text\n(.*?)```", PAGE.read_text(), re.DOTALL)[block].replace("renderer.py", "*.py")
     file = pytester.path / "test_shadow.py"
     file.write_text(file.read_text().replace(old, new, 1))
     run = pytester.runpytest("-p", "no:cacheprovider")
-    run.stdout.fnmatch_lines([f"*{line.replace('…', '*')}*" for line in shown.splitlines() if line != "…"])
+    run.stdout.fnmatch_lines([f"*{line.replace('…', '*')}*" for line in message.splitlines() if line != "…"])

@@ -16,7 +16,7 @@ from rhi.__main__ import main
 from rhi.trace import load
 from rhi.trace.cli import encode_png
 
-needs_gl = pytest.mark.skipif(not gl_works(), reason="no GL device here")
+requires_gl = pytest.mark.skipif(not gl_works(), reason="no GL device here")
 FAULT = """
 import rhi
 from rhi import Op
@@ -41,13 +41,13 @@ def test_show_keeps_to_a_label_and_a_limit(capsys: pytest.CaptureFixture[str]) -
     assert lines[-1].startswith("… and ")
 
 
-@needs_gl
+@requires_gl
 def test_replay_writes_the_last_presented_image(tmp_path: Path) -> None:
     output = tmp_path / "out.png"
     assert main(["trace", "replay", str(VERSION_1), "--backend", "gl", "--trust", "--output", str(output)]) == 0
     with rhi.create_device("gl") as device:
-        wanted = record_much(device).read()[:, :, :3]
-    assert np.array_equal(np.asarray(Image.open(output)), wanted)
+        expected = record_much(device).read()[:, :, :3]
+    assert np.array_equal(np.asarray(Image.open(output)), expected)
 
 
 def test_diff_says_by_its_exit_code_whether_they_differ(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -77,7 +77,7 @@ def test_reduce_writes_a_trace_and_a_test(tmp_path: Path, capsys: pytest.Capture
         ["show", "none.zip"],
         ["show", __file__],
         ["replay", str(VERSION_1), "--backend", "nul"],
-        pytest.param(["replay", str(VERSION_1), "--backend", "gl"], marks=needs_gl),
+        pytest.param(["replay", str(VERSION_1), "--backend", "gl"], marks=requires_gl),
         ["reduce", str(VERSION_1), "nothing"],
         ["reduce", str(VERSION_1), "nothing:presents"],
         ["reduce", str(VERSION_1), "math:presents"],
@@ -100,9 +100,9 @@ def test_without_a_command_the_report_is_as_before(capsys: pytest.CaptureFixture
 def test_a_png_holds_the_texels(dtype: str, channels: int) -> None:
     values = np.arange(5 * 7 * channels).reshape(5, 7, channels) % 256
     scale = {"u1": 1, "u2": 257, "f4": 1 / 255, "f2": 1 / 255}[dtype]
-    picture = np.asarray(Image.open(io.BytesIO(encode_png((values * scale).astype(dtype)))))
-    wanted = values[:, :, 0] if channels < 3 else values[:, :, :3]
-    assert np.abs(picture.astype(int) - wanted).max() <= (1 if dtype == "f2" else 0)
+    pixels = np.asarray(Image.open(io.BytesIO(encode_png((values * scale).astype(dtype)))))
+    expected = values[:, :, 0] if channels < 3 else values[:, :, :3]
+    assert np.abs(pixels.astype(int) - expected).max() <= (1 if dtype == "f2" else 0)
 
 
 def test_a_png_of_texels_out_of_range_is_clamped() -> None:

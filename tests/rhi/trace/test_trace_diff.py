@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from testing_kit import House, Light
+from testing_kit import Light, SampleFrame
 
 import rhi
 from rhi import CullMode, Format, Op
@@ -19,42 +19,44 @@ from rhi.trace.align import align
 
 
 @contextmanager
-def streams(*changes: Callable[[House], None]) -> Iterator[list[rhi.CommandStream]]:
+def streams(*changes: Callable[[SampleFrame], None]) -> Iterator[list[rhi.CommandStream]]:
     """A stream for each change: a house, the change, a frame."""
     result = []
     for change in changes:
         with rhi.create_device("null") as device:
-            house = House(device)
-            change(house)
-            house.render()
+            sample_frame = SampleFrame(device)
+            change(sample_frame)
+            sample_frame.render()
             result.append(device.stream)
     yield result
 
 
-def compare(change: Callable[[House], None], base: Callable[[House], None] = lambda house: None) -> Differences:
+def compare(
+    change: Callable[[SampleFrame], None], base: Callable[[SampleFrame], None] = lambda sample_frame: None
+) -> Differences:
     with streams(base, change) as (a, b):
         return diff(a, b)
 
 
-def draw_more(house: House) -> None:
-    with house.device.event("extra"), house.device.render_pass(house.image):
-        house.device.draw(house.lit, house.walls, light=house.light, tint=house.tint)
+def draw_more(sample_frame: SampleFrame) -> None:
+    with sample_frame.device.event("extra"), sample_frame.device.render_pass(sample_frame.image):
+        sample_frame.device.draw(sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint)
 
 
 def test_equal_streams_have_no_differences() -> None:
-    differences = compare(lambda house: None)
+    differences = compare(lambda sample_frame: None)
     assert not differences
     assert len(differences) == 0
     assert str(differences) == "no differences"
 
 
 def test_other_ids_are_no_difference() -> None:
-    differences = compare(lambda house: None, lambda house: None)
+    differences = compare(lambda sample_frame: None, lambda sample_frame: None)
     assert not differences
     with rhi.create_device("null") as device:
         more = device.buffer(4, label="more")
-        House(device).render()
-        with streams(lambda house: None) as (plain,):
+        SampleFrame(device).render()
+        with streams(lambda sample_frame: None) as (plain,):
             (only,) = diff(plain, device)
     assert only.a is None
     assert only.b is not None
@@ -77,9 +79,11 @@ def test_which_of_several_resources_is_used_is_a_difference() -> None:
 def test_an_argument_that_differs_is_named_with_both_values() -> None:
     with rhi.create_device("null") as a, rhi.create_device("null") as b:
         for device, count in ((a, 1), (b, 5)):
-            house = House(device)
-            with device.event("view"), device.render_pass(house.image):
-                device.draw(house.lit, house.walls, count, light=house.light, tint=house.tint)
+            sample_frame = SampleFrame(device)
+            with device.event("view"), device.render_pass(sample_frame.image):
+                device.draw(
+                    sample_frame.lit, sample_frame.walls, count, light=sample_frame.light, tint=sample_frame.tint
+                )
         (difference,) = diff(a, b)
     assert difference.labels == ("view",)
     assert difference.changes == ("instances: 1 → 5",)
@@ -88,8 +92,8 @@ def test_an_argument_that_differs_is_named_with_both_values() -> None:
 
 def test_memory_that_differs_is_counted() -> None:
     (difference,) = compare(
-        lambda house: house.light.write(Light(offset=(0, 0, 1, 0))),
-        lambda house: house.light.write(Light(offset=(0, 0, 0, 0))),
+        lambda sample_frame: sample_frame.light.write(Light(offset=(0, 0, 1, 0))),
+        lambda sample_frame: sample_frame.light.write(Light(offset=(0, 0, 0, 0))),
     )
     assert difference.changes == ("data: 2 of 16 bytes differ, the first at 10",)
 
@@ -111,19 +115,21 @@ def test_what_one_label_has_more_does_not_shift_the_next() -> None:
 def test_a_change_inside_a_label_is_told_under_its_path() -> None:
     with rhi.create_device("null") as a, rhi.create_device("null") as b:
         for device, mode in ((a, CullMode.NONE), (b, CullMode.FRONT)):
-            house = House(device)
+            sample_frame = SampleFrame(device)
             with device.event("outer"):
                 for label in ("one", "two"):
-                    with device.event(label), device.render_pass(house.image):
+                    with device.event(label), device.render_pass(sample_frame.image):
                         with device.states(mode if label == "two" else CullMode.NONE):
-                            device.draw(house.lit, house.walls, light=house.light, tint=house.tint)
+                            device.draw(
+                                sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint
+                            )
         differences = diff(a, b)
     assert str(differences).splitlines()[0] == "outer / two"
     assert {difference.labels for difference in differences} == {("outer", "two")}
 
 
 def test_a_failure_is_a_difference() -> None:
-    with streams(lambda house: None, lambda house: None) as (a, b):
+    with streams(lambda sample_frame: None, lambda sample_frame: None) as (a, b):
         index = b.draws()[0].index
         b.failures[index] = rhi.commands.stream.Failure("device-lost", "gone")
         (difference,) = diff(a, b)
@@ -164,8 +170,8 @@ def test_long_sequences_are_aligned_around_what_was_inserted(seed: int, count: i
     random = np.random.default_rng(seed)
     a = random.integers(0, 2000, 1200).tolist()
     b = list(a)
-    for place in sorted(random.integers(0, len(a), count).tolist(), reverse=True):
-        b.insert(place, -1)
+    for position in sorted(random.integers(0, len(a), count).tolist(), reverse=True):
+        b.insert(position, -1)
     assert len(align(a, b)) == len(a)
 
 

@@ -67,10 +67,10 @@ def test_a_file_cut_off_anywhere_is_refused(file: Path) -> None:
 
 
 @settings(max_examples=150)
-@given(place=st.floats(0, 1, exclude_max=True), value=st.integers(1, 255))
-def test_a_flipped_byte_is_refused_or_harmless(tmp_path: Path, place: float, value: int) -> None:
+@given(position=st.floats(0, 1, exclude_max=True), value=st.integers(1, 255))
+def test_a_flipped_byte_is_refused_or_harmless(tmp_path: Path, position: float, value: int) -> None:
     data = bytearray(VERSION_1.read_bytes())
-    data[int(place * len(data))] ^= value
+    data[int(position * len(data))] ^= value
     path = tmp_path / "t.zip"
     path.write_bytes(data)
     try:
@@ -128,9 +128,9 @@ def test_a_size_that_lies_is_refused(file: Path) -> None:
     data = bytearray(file.read_bytes())
     with zipfile.ZipFile(file) as archive:
         info = archive.getinfo("commands.jsonl")
-    place = data.index(b"commands.jsonl", data.index(b"PK\x01\x02")) - 46
-    assert data[place + 24 : place + 28] == struct.pack("<I", info.file_size)
-    data[place + 24 : place + 28] = struct.pack("<I", 100)
+    offset = data.index(b"commands.jsonl", data.index(b"PK\x01\x02")) - 46
+    assert data[offset + 24 : offset + 28] == struct.pack("<I", info.file_size)
+    data[offset + 24 : offset + 28] = struct.pack("<I", 100)
     file.write_bytes(data)
     refused(file, rules.TRACE_FILE)
 
@@ -203,11 +203,11 @@ def test_a_line_that_is_no_json_is_refused(file: Path) -> None:
 
 def argument(op: str, name: str, value: object) -> tuple[str, Callable[[dict[str, Any]], None]]:
     def change(line: dict[str, Any]) -> None:
-        place = line["arguments"]
+        container = line["arguments"]
         *path, last = name.split(".")
         for part in path:
-            place = place[int(part) if part.isdigit() else part]
-        place[int(last) if last.isdigit() else last] = value
+            container = container[int(part) if part.isdigit() else part]
+        container[int(last) if last.isdigit() else last] = value
 
     return op, change
 
@@ -294,8 +294,8 @@ def test_what_is_no_command_of_the_contract_is_refused(
 def test_a_command_that_no_device_would_have_issued_is_refused(
     file: Path, op: str, change: Callable[[dict[str, Any]], None]
 ) -> None:
-    given = refused(edit_line(file, op, change), rules.TRACE_REFERENCE)
-    assert given.startswith("line ")
+    refused_value = refused(edit_line(file, op, change), rules.TRACE_REFERENCE)
+    assert refused_value.startswith("line ")
 
 
 def test_resources_larger_than_any_memory_are_refused(file: Path) -> None:

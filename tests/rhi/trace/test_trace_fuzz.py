@@ -51,9 +51,9 @@ def count_results(backend: str, seed: int, count: int, folder: Path, seconds: fl
 
 def test_mutations_reach_what_is_behind_the_first_checks(folder: Path) -> None:
     """A control: enough of them still replay, and those that don't are refused for several reasons."""
-    found = trace_fuzz.run("null", 0, 150, folder)
-    assert found["replayed"] >= 10
-    assert len([result for result in found if result.startswith("refused")]) >= 4
+    results = trace_fuzz.run("null", 0, 150, folder)
+    assert results["replayed"] >= 10
+    assert len([result for result in results if result.startswith("refused")]) >= 4
 
 
 @pytest.mark.nightly_cases("cl", reason=CHEAPER_TEST)
@@ -61,8 +61,8 @@ def test_mutations_reach_what_is_behind_the_first_checks(folder: Path) -> None:
 def test_mutated_traces_are_refused_or_replayed(folder: Path, backend: str) -> None:
     if not backend_works(backend):
         pytest.skip(f"no {backend} device here")
-    found = count_results(backend, 0, 60, folder, 300.0)
-    assert found["replayed"] >= 3
+    results = count_results(backend, 0, 60, folder, 300.0)
+    assert results["replayed"] >= 3
 
 
 @pytest.mark.nightly
@@ -71,5 +71,5 @@ def test_mutated_traces_are_refused_or_replayed(folder: Path, backend: str) -> N
 def test_many_mutated_traces_are_refused_or_replayed(folder: Path, backend: str, lot: int) -> None:
     if not backend_works(backend):
         pytest.skip(f"no {backend} device here")
-    found = count_results(backend, 100_000 * (lot + 1), 2500, folder, 1800.0)
-    assert found["replayed"] >= 50
+    results = count_results(backend, 100_000 * (lot + 1), 2500, folder, 1800.0)
+    assert results["replayed"] >= 50

@@ -50,8 +50,8 @@ def test_nothing_more_can_be_left_out(trace: Trace) -> None:
     small = reduce(trace, has_scissored_draw)
     parts = _Parts(small.stream)
     for index in range(len(small)):
-        kept = parts.make_whole([other for other in range(len(small)) if other != index])
-        assert not has_scissored_draw(small.keep(kept))
+        remaining = parts.complete([other for other in range(len(small)) if other != index])
+        assert not has_scissored_draw(small.select(remaining))
 
 
 def test_what_is_left_replays_and_loads(trace: Trace, tmp_path: Path, null_device: rhi.Device) -> None:
@@ -65,10 +65,12 @@ def test_what_is_left_replays_and_loads(trace: Trace, tmp_path: Path, null_devic
 @settings(max_examples=60)
 @given(data=st.data())
 def test_any_part_is_made_whole(trace: Trace, tmp_path: Path, data: st.DataObject) -> None:
-    chosen = [i for i, kept in enumerate(data.draw(st.lists(st.booleans(), min_size=87, max_size=87))) if kept]
-    kept = _Parts(trace.stream).make_whole(chosen)
-    assert set(kept) <= set(chosen)
-    save(trace.keep(kept), tmp_path / "part.zip")
+    selected = [
+        i for i, is_selected in enumerate(data.draw(st.lists(st.booleans(), min_size=87, max_size=87))) if is_selected
+    ]
+    remaining = _Parts(trace.stream).complete(selected)
+    assert set(remaining) <= set(selected)
+    save(trace.select(remaining), tmp_path / "part.zip")
     load(tmp_path / "part.zip")  # which checks that each command can be issued
 
 
@@ -78,13 +80,13 @@ def test_a_wait_goes_with_its_signal() -> None:
         device._backend.wait(1, 1.0)  # whether or not the device found that it needn't
         parts, last = _Parts(device.stream), len(device.stream) - 1
         signal = device.stream.filter(Op.SIGNAL)[0].index
-        assert parts.make_whole([signal, last]) == [signal, last]
-        assert parts.make_whole([last]) == []
+        assert parts.complete([signal, last]) == [signal, last]
+        assert parts.complete([last]) == []
 
 
 def test_a_whole_trace_stays_whole(trace: Trace) -> None:
     everything = list(range(len(trace)))
-    assert _Parts(trace.stream).make_whole(everything) == everything
+    assert _Parts(trace.stream).complete(everything) == everything
 
 
 def test_a_predicate_that_does_not_hold_is_refused(trace: Trace) -> None:

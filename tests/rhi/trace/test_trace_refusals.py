@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from testing_kit import Corner, House, Light
+from testing_kit import Corner, Light, SampleFrame
 from trace_kit import VERSION_1, VERSION_2, edit_line, rewrite
 
 import rhi
@@ -36,7 +36,7 @@ def refuse_texture(device: Device) -> None:
 # -- whose call it was -------------------------------------------------------------------------------------
 
 
-def test_a_refused_call_is_noted_with_its_place_in_the_stream(null_device: Device) -> None:
+def test_a_refused_call_is_recorded_with_its_position_in_the_stream(null_device: Device) -> None:
     null_device.buffer(4)
     with null_device.event("sun"), null_device.event("map"):
         with pytest.raises(rhi.ValidationError) as caught:
@@ -58,39 +58,53 @@ class Unfit(Shader):
         return v.position  # type: ignore[return-value]
 
 
-def break_immediate(house: House) -> None:
-    with house.device.immediate(house.shadow, rhi.Primitive.POINTS, light=house.light) as points:
+def break_immediate(sample_frame: SampleFrame) -> None:
+    with sample_frame.device.immediate(sample_frame.shadow, rhi.Primitive.POINTS, light=sample_frame.light) as points:
         points.vertex(nothing=3)
 
 
-def break_record(house: House) -> None:
-    with house.device.record() as commands:
+def break_record(sample_frame: SampleFrame) -> None:
+    with sample_frame.device.record() as commands:
         commands.render_pass()
 
 
-CALLS: dict[str, tuple[Callable[[House], object], str]] = {
-    "device": (lambda house: house.device.render_pass(), "pass-empty"),
-    "buffer": (lambda house: house.light.owner.clear() or house.device.buffer(3).clear(), "buffer-alignment"),
-    "buffer's view": (lambda house: house.light.write(house.tint), "layout-mismatch"),
-    "texture": (lambda house: house.image.at(9), "texture-levels"),
-    "mesh": (lambda house: house.walls.view(9), "mesh-range"),
+CALLS: dict[str, tuple[Callable[[SampleFrame], object], str]] = {
+    "device": (lambda sample_frame: sample_frame.device.render_pass(), "pass-empty"),
+    "buffer": (
+        lambda sample_frame: sample_frame.light.owner.clear() or sample_frame.device.buffer(3).clear(),
+        "buffer-alignment",
+    ),
+    "buffer's view": (lambda sample_frame: sample_frame.light.write(sample_frame.tint), "layout-mismatch"),
+    "texture": (lambda sample_frame: sample_frame.image.at(9), "texture-levels"),
+    "mesh": (lambda sample_frame: sample_frame.walls.view(9), "mesh-range"),
     "draw": (
-        lambda house: house.device.draw(house.shadow, house.walls, light=house.light),
+        lambda sample_frame: sample_frame.device.draw(
+            sample_frame.shadow, sample_frame.walls, light=sample_frame.light
+        ),
         "draw-outside-pass",
     ),
-    "program's draw": (lambda house: house.shadow.draw(house.walls, light=house.light), "draw-outside-pass"),
+    "program's draw": (
+        lambda sample_frame: sample_frame.shadow.draw(sample_frame.walls, light=sample_frame.light),
+        "draw-outside-pass",
+    ),
     "scope": (
-        lambda house: house.device.states(CullMode.NONE, CullMode.FRONT).__enter__(),
+        lambda sample_frame: sample_frame.device.states(CullMode.NONE, CullMode.FRONT).__enter__(),
         "state-duplicate",
     ),
-    "query": (lambda house: house.device.occlusion_query().wait(), "query-state"),
-    "query set": (lambda house: house.device.query_set(2).wait(), "query-state"),
-    "lock": (lambda house: house.light.owner.lock(Access.WRITE).__exit__(None, None, None), "lock-closed"),
+    "query": (lambda sample_frame: sample_frame.device.occlusion_query().wait(), "query-state"),
+    "query set": (lambda sample_frame: sample_frame.device.query_set(2).wait(), "query-state"),
+    "lock": (
+        lambda sample_frame: sample_frame.light.owner.lock(Access.WRITE).__exit__(None, None, None),
+        "lock-closed",
+    ),
     "immediate": (break_immediate, "immediate-vertex"),
     "command buffer": (break_record, "pass-empty"),
-    "submission": (lambda house: house.device.submit(house.device.record()), "record-state"),
-    "transient": (lambda house: house.device.transient.mesh(house.shadow, np.zeros(3)), "immediate-vertex"),
-    "compiler": (lambda house: house.device.program(Unfit), "shading-type"),
+    "submission": (lambda sample_frame: sample_frame.device.submit(sample_frame.device.record()), "record-state"),
+    "transient": (
+        lambda sample_frame: sample_frame.device.transient.mesh(sample_frame.shadow, np.zeros(3)),
+        "immediate-vertex",
+    ),
+    "compiler": (lambda sample_frame: sample_frame.device.program(Unfit), "shading-type"),
 }
 
 
@@ -98,10 +112,10 @@ CALLS: dict[str, tuple[Callable[[House], object], str]] = {
 def test_every_kind_of_object_leads_to_its_device(name: str, null_device: Device) -> None:
     break_it, rule = CALLS[name]
     with rhi.create_device("null") as other, rhi.create_device("null", record=False):
-        House(other)
-        house = House(null_device)
+        SampleFrame(other)
+        sample_frame = SampleFrame(null_device)
         with pytest.raises(rhi.RhiError, match=rf"^\[{rule}\]"):
-            break_it(house)
+            break_it(sample_frame)
         (refusal,) = null_device.stream.refusals
         assert refusal.error == rule
         assert other.stream.refusals == ()
@@ -155,31 +169,31 @@ def test_refused_calls_stand_between_the_commands_as_text(null_device: Device) -
 # -- files -------------------------------------------------------------------------------------------------
 
 
-def record(device: Device, *places: int) -> None:
+def record(device: Device, *positions: int) -> None:
     """A frame of the house, with refusals before some of its three steps."""
-    house = House(device)
+    sample_frame = SampleFrame(device)
     for step in range(3):
-        if step in places:
+        if step in positions:
             refuse_texture(device)
         with device.event(f"step {step}"):
-            if step + 10 in places:
+            if step + 10 in positions:
                 refuse_texture(device)
-            house.light.write(Light(offset=(0, 0, 0, step)))
-    house.render()
-    if 3 in places:
+            sample_frame.light.write(Light(offset=(0, 0, 0, step)))
+    sample_frame.render()
+    if 3 in positions:
         refuse_texture(device)
 
 
 @settings(max_examples=20)
-@given(places=st.sets(st.sampled_from([0, 1, 2, 3, 10, 11, 12])))
-def test_refusals_come_back_from_a_file_as_they_were(places: set[int], tmp_path_factory: Any) -> None:
+@given(positions=st.sets(st.sampled_from([0, 1, 2, 3, 10, 11, 12])))
+def test_refusals_come_back_from_a_file_as_they_were(positions: set[int], tmp_path_factory: Any) -> None:
     file = tmp_path_factory.mktemp("traces") / "t.zip"
     with rhi.create_device("null") as device:
-        record(device, *places)
+        record(device, *positions)
         save(device, file)
         trace = load(file)
         assert trace.refusals == device.stream.refusals
-        assert len(trace.refusals) == len(places)
+        assert len(trace.refusals) == len(positions)
         assert not diff(device, trace)
         again = file.with_name("again.zip")
         save(trace, again)
@@ -245,9 +259,9 @@ def test_a_replay_reports_what_was_refused(file: Path, null_device: Device) -> N
     assert result.commands == len(trace)
 
 
-def streams(*places: set[int]) -> list[Trace]:
+def streams(*positions: set[int]) -> list[Trace]:
     result = []
-    for each in places:
+    for each in positions:
         with rhi.create_device("null") as device:
             record(device, *each)
             result.append(Trace(device.stream, "null"))

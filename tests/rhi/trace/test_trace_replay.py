@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from testing_kit import House, gl_works
+from testing_kit import SampleFrame, gl_works
 from trace_kit import VERSION_1, Doubled, record, record_much
 
 import rhi
@@ -23,7 +23,7 @@ from rhi.trace import diff, load, replay, save
 from rhi.trace.rules import TRACE_CAPABILITY, TRACE_INCOMPLETE
 from rhi.trace.validation import check_capabilities
 
-needs_gl = pytest.mark.skipif(not gl_works(), reason="no GL device here")
+requires_gl = pytest.mark.skipif(not gl_works(), reason="no GL device here")
 
 
 @pytest.fixture
@@ -54,21 +54,21 @@ def test_a_loaded_trace_can_be_asserted_on(file: Path) -> None:
     expect(stream).draws(program="Shadow").within("sun").with_bindings(light="light").exactly(2)
 
 
-@needs_gl
+@requires_gl
 def test_a_frame_recorded_on_null_replays_on_gl_to_the_same_image(file: Path) -> None:
     with rhi.create_device("gl", validation=True) as device:
         image = replay(load(file, trusted=True), on=device).image
     with rhi.create_device("gl") as device:
-        wanted = record_much(device).read()
+        expected = record_much(device).read()
     assert image is not None
-    assert len(np.unique(wanted.reshape(-1, 4), axis=0)) >= 3
-    assert np.array_equal(image, wanted)
+    assert len(np.unique(expected.reshape(-1, 4), axis=0)) >= 3
+    assert np.array_equal(image, expected)
 
 
-@needs_gl
+@requires_gl
 def test_a_frame_recorded_on_gl_replays_on_null_to_the_same_commands(tmp_path: Path) -> None:
     with rhi.create_device("gl", record=True) as device:
-        House(device).render()
+        SampleFrame(device).render()
         save(device, tmp_path / "t.zip")
     with rhi.create_device("null") as device:
         replay(load(tmp_path / "t.zip"), on=device)
@@ -99,28 +99,30 @@ def test_without_present_there_is_no_image(null_device: rhi.Device) -> None:
 
 
 def test_a_used_device_can_replay_and_go_on(file: Path, null_device: rhi.Device) -> None:
-    house = House(null_device)
+    sample_frame = SampleFrame(null_device)
     with null_device.states(CullMode.NONE):
-        with null_device.render_pass(house.image):
-            null_device.draw(house.lit, house.walls, light=house.light, tint=house.tint)
+        with null_device.render_pass(sample_frame.image):
+            null_device.draw(sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint)
     null_device.finish()
     replay(load(file), on=null_device)
-    house.render()
-    with null_device.render_pass(house.image):
-        null_device.draw(house.lit, house.walls, light=house.light, tint=house.tint)
+    sample_frame.render()
+    with null_device.render_pass(sample_frame.image):
+        null_device.draw(sample_frame.lit, sample_frame.walls, light=sample_frame.light, tint=sample_frame.tint)
     last = null_device.stream.draws()[-1]
     assert last.states[CullMode] is CullMode.BACK
     assert last.labels == ()
-    expect(null_device).draws(program=house.lit).with_bindings(tint=house.tint).at_least(3)
+    expect(null_device).draws(program=sample_frame.lit).with_bindings(tint=sample_frame.tint).at_least(3)
 
 
 def test_all_ids_of_a_command_are_translated(null_device: rhi.Device) -> None:
     with rhi.create_device("null") as source:
-        house = House(source)
+        sample_frame = SampleFrame(source)
         arguments, number = source.buffer(40), source.buffer(4, label="number")
         draws = rhi.IndirectDraws(arguments, 2, count=number)
-        with source.render_pass(house.image):
-            source.draw_indirect(house.lit, house.walls, draws, light=house.light, tint=house.tint)
+        with source.render_pass(sample_frame.image):
+            source.draw_indirect(
+                sample_frame.lit, sample_frame.walls, draws, light=sample_frame.light, tint=sample_frame.tint
+            )
         source.buffer(8, label="source").copy_to(source.buffer(8, label="target"))
         for _ in range(3):
             null_device.buffer(4)
@@ -320,7 +322,7 @@ def test_a_trace_of_version_1_still_loads_and_replays(null_device: rhi.Device) -
     expect(trace.stream).draws(program="Shadow").within("sun").exactly(2)
 
 
-@needs_gl
+@requires_gl
 def test_a_trace_of_version_1_still_draws_the_same() -> None:
     with rhi.create_device("gl") as device:
         image = replay(load(VERSION_1, trusted=True), on=device).image

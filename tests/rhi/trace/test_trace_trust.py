@@ -71,9 +71,9 @@ def test_shaders_of_a_file_run_only_if_it_is_trusted(file: Path, backend: str) -
         with pytest.raises(rhi.ShaderError):  # nor by way of its stream
             replay(load(file).stream, on=device)
         result = replay(load(file, trusted=True), on=device).image
-        wanted = record_much(device).read()
+        expected = record_much(device).read()
     assert result is not None
-    assert np.array_equal(result, wanted)
+    assert np.array_equal(result, expected)
 
 
 def test_untrusted_files_can_be_shown_compared_reduced_saved_and_replayed_without_shaders(
@@ -83,7 +83,7 @@ def test_untrusted_files_can_be_shown_compared_reduced_saved_and_replayed_withou
     assert "draw(" in str(trace.stream)
     assert not diff(trace, load(VERSION_1, trusted=True))
     assert len(reduce(trace, lambda part: len(part.stream.draws()) > 0)) < len(trace)
-    assert not trace.keep([0, 1]).trusted
+    assert not trace.select([0, 1]).trusted
     assert replay(trace, on=null_device).commands == len(trace)
     save(trace, tmp_path / "again.zip")
     assert not diff(trace, load(tmp_path / "again.zip"))
@@ -180,7 +180,7 @@ def test_a_draw_whose_bindings_are_gone_is_refused_before_the_first_command(tmp_
     assert len(binds) >= 3
     with rhi.create_device(backend, record=True) as device:
         for left_out in binds[:3]:
-            part = trace.keep([index for index in range(len(trace)) if index != left_out])
+            part = trace.select([index for index in range(len(trace)) if index != left_out])
             before = len(device.stream)
             with refuses(TRACE_REFERENCE):
                 replay(part, on=device)

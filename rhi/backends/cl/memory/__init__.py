@@ -1,1 +1,1 @@
-"""Memory of the device: buffers, textures as planes of texels, samplers, and what is kept until the fence."""
+"""Device memory: buffers, textures as planes of texels, samplers, and memory in flight."""

@@ -12,13 +12,13 @@ from typing import Any, Final
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.context import ClContext
-from rhi.backends.cl.errors import translate_errors
+from rhi.backends.cl.cl_context import ClContext
+from rhi.backends.cl.cl_errors import translate_errors
 from rhi.backends.cl.memory.planes import TexelPlane
-from rhi.backends.cl.pocl.held_programs import HeldProgram
+from rhi.backends.cl.pocl.program_residency import EvictableProgram
 from rhi.contract.formats import Format
 from rhi.contract.texels import from_srgb
-from rhi.shading.ir.texture_words import Stored, find_stored
+from rhi.shading.ir.texture_words import ChannelEncoding, channel_encoding
 
 _SOURCE: Final = """
 enum { STORED_VALUES };  // the storage types of a channel; from UNORM10 on they are packed
@@ -36,7 +36,7 @@ uchar to_srgb(float value) {
 
 // A packed texel is one element of memory: channel c begins at bit 10 c or 11 c.
 uint channel_bits(int stored, int channel) {
-    return stored == UNORM10 && channel == 3 ? 2 : stored == POSITIVE11 && channel < 2 ? 11 : 10;
+    return stored == UNORM10 && channel == 3 ? 2 : stored == UFLOAT11 && channel < 2 ? 11 : 10;
 }
 int channel_start(int stored, int channel) { return channel * (stored == UNORM10 ? 10 : 11); }
 
@@ -58,7 +58,7 @@ uint make_packed(float value, int stored, int channel) {
 float load(__global const void *texels, size_t place, int stored, int channel) {
     switch (stored) {
     case UNORM10:
-    case POSITIVE11: return load_packed(((__global const uint *)texels)[place], stored, channel);
+    case UFLOAT11: return load_packed(((__global const uint *)texels)[place], stored, channel);
     case UNORM8: return ((__global const uchar *)texels)[place] * (1.0f / 255.0f);
     case UNORM16: return ((__global const ushort *)texels)[place] * (1.0f / 65535.0f);
     case SNORM8: return max(((__global const char *)texels)[place] * (1.0f / 127.0f), -1.0f);
@@ -72,7 +72,7 @@ float load(__global const void *texels, size_t place, int stored, int channel) {
 void store(__global void *texels, size_t place, int stored, int channel, float value) {
     switch (stored) {
     case UNORM10:
-    case POSITIVE11: {  // channels are stored in order
+    case UFLOAT11: {  // channels are stored in order
         __global uint *texel = (__global uint *)texels + place;
         *texel = (channel ? *texel : 0u) | make_packed(value, stored, channel) << channel_start(stored, channel);
         break;
@@ -154,7 +154,7 @@ __kernel void resolve(__global const void *samples, __global void *texels, int s
 }
 """
 
-_ROW: Final = (1, 1)
+_ROW_GROUP: Final = (1, 1)
 """The work-group of `halve`. PoCL generates machine code for each size of work-groups, a quarter of a second for this
 kernel, and would choose another size for each level."""
 
@@ -164,20 +164,26 @@ class Filters:
 
     def __init__(self, context: ClContext) -> None:
         self._context = context
-        self._program: HeldProgram | None = None
+        self._program: EvictableProgram | None = None
 
     def halve(self, format: Format, above: TexelPlane, below: TexelPlane) -> None:
         """Compute the mip level `below` from the next larger one, in the same buffer."""
         planes = (above, below)
-        places = [
+        layouts = [
             np.array([plane.start, plane.pitch, plane.layer_bytes, 0], np.uint64) // np.uint64(format.dtype.itemsize)
             for plane in planes
         ]
         sizes = [np.array([plane.width, plane.height, plane.layers, 0], np.int32) for plane in planes]
         self._run(
-            "halve", (below.height, below.layers), _ROW, above.memory, *places, np.int32(find_stored(format)),
-            np.int32(format.channels), *sizes,
-        )  # fmt: skip
+            "halve",
+            (below.height, below.layers),
+            _ROW_GROUP,
+            above.memory,
+            *layouts,
+            np.int32(channel_encoding(format)),
+            np.int32(format.channels),
+            *sizes,
+        )
 
     def resolve(self, format: Format, samples: TexelPlane, texels: TexelPlane) -> None:
         """Resolve each texel to the mean of its samples, or for integer formats its first sample. Samples are layers.
@@ -187,9 +193,15 @@ class Filters:
             cl.enqueue_copy(self._context.queue, texels.memory, samples.memory, byte_count=size)
             return
         self._run(
-            "resolve", (texels.layer_bytes // format.dtype.itemsize,), None, samples.memory, texels.memory,
-            np.int32(find_stored(format)), np.int32(format.channels), np.int32(samples.layers),
-        )  # fmt: skip
+            "resolve",
+            (texels.layer_bytes // format.dtype.itemsize,),
+            None,
+            samples.memory,
+            texels.memory,
+            np.int32(channel_encoding(format)),
+            np.int32(format.channels),
+            np.int32(samples.layers),
+        )
 
     def _run(self, name: str, size: tuple[int, ...], group: tuple[int, ...] | None, *arguments: Any) -> None:
         with translate_errors("the kernels of mip levels and resolves"):
@@ -202,7 +214,7 @@ class Filters:
 
 def _write_source() -> str:
     numbers = {"LINEAR_VALUES": np.arange(256.0), "EDGE_VALUES": np.arange(255) + 0.5}
-    types = ", ".join(f"{stored.name} = {stored}" for stored in Stored)
+    types = ", ".join(f"{stored.name} = {stored}" for stored in ChannelEncoding)
     source = _SOURCE.replace("STORED_VALUES", types)
     for name, stored in numbers.items():
         values = from_srgb(np.asarray(stored / 255.0, np.float64)).astype(np.float32).tolist()

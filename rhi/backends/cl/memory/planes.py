@@ -8,8 +8,8 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from rhi.backends.cl.context import NOTHING, allocate_pages
-from rhi.backends.cl.errors import translate_errors
+from rhi.backends.cl.cl_context import EMPTY, allocate_pages
+from rhi.backends.cl.cl_errors import translate_errors
 from rhi.contract.descriptors import Region
 
 GRAIN: Final = 128
@@ -17,7 +17,7 @@ GRAIN: Final = 128
 BLOCK: Final = 4
 """Edge length of a block in texels. Rows and columns of a plane are padded to whole blocks."""
 
-_copy_box: Final[Any] = cl.enqueue_copy  # its stubs misname the arguments of a copy between boxes
+_copy_box: Final[Any] = cl.enqueue_copy  # pyopencl's stubs misname the arguments of a copy between boxes
 
 _MAX_PATTERN: Final = 128
 
@@ -27,23 +27,23 @@ class TexelPlane:
 
     Attributes:
         address: that of the buffer's first byte, where kernels read host memory in place.
-        texel: size of a texel in bytes.
+        texel_bytes: size of a texel.
         width, height, layers: extent in texels, without padding.
         pitch: bytes from one row to the next.
         layer_bytes: bytes from one layer to the next.
     """
 
-    __slots__ = ("address", "height", "layer_bytes", "layers", "memory", "pitch", "start", "texel", "width")
+    __slots__ = ("address", "height", "layer_bytes", "layers", "memory", "pitch", "start", "texel_bytes", "width")
 
-    def __init__(self, memory: cl.Buffer, start: int, texel: int, width: int, height: int, layers: int) -> None:
+    def __init__(self, memory: cl.Buffer, start: int, texel_bytes: int, width: int, height: int, layers: int) -> None:
         self.memory = memory
-        self.address = find_address(memory)
+        self.address = buffer_address(memory)
         self.start = start
-        self.texel = texel
+        self.texel_bytes = texel_bytes
         self.width = width
         self.height = height
         self.layers = layers
-        self.pitch, self.layer_bytes = pitches_of(texel, width, height)
+        self.pitch, self.layer_bytes = pitches_of(texel_bytes, width, height)
 
     @property
     def _pitches(self) -> tuple[int, int]:
@@ -61,39 +61,52 @@ class TexelPlane:
     ) -> None:
         """Copy texels to rows of a buffer that begin `row_bytes` apart."""
         _copy_box(
-            queue, target, self.memory, src_origin=self._origin(region.x, region.y, region.layer),
-            dst_origin=(offset, 0, 0), region=(region.width * self.texel, region.height, region.layers),
-            src_pitches=self._pitches, dst_pitches=(row_bytes, row_bytes * region.height),
-        )  # fmt: skip
+            queue,
+            target,
+            self.memory,
+            src_origin=self._origin(region.x, region.y, region.layer),
+            dst_origin=(offset, 0, 0),
+            region=(region.width * self.texel_bytes, region.height, region.layers),
+            src_pitches=self._pitches,
+            dst_pitches=(row_bytes, row_bytes * region.height),
+        )
 
     def copy_from_buffer(
         self, queue: cl.CommandQueue, source: cl.Buffer, offset: int, row_bytes: int, region: Region
     ) -> None:
         """Copy texels from rows of a buffer that begin `row_bytes` apart."""
         _copy_box(
-            queue, self.memory, source, src_origin=(offset, 0, 0),
+            queue,
+            self.memory,
+            source,
+            src_origin=(offset, 0, 0),
             dst_origin=self._origin(region.x, region.y, region.layer),
-            region=(region.width * self.texel, region.height, region.layers),
-            src_pitches=(row_bytes, row_bytes * region.height), dst_pitches=self._pitches,
-        )  # fmt: skip
+            region=(region.width * self.texel_bytes, region.height, region.layers),
+            src_pitches=(row_bytes, row_bytes * region.height),
+            dst_pitches=self._pitches,
+        )
 
     def copy(self, queue: cl.CommandQueue, region: Region, target: TexelPlane, x: int, y: int, layer: int) -> None:
         # OpenCL can't copy between two pitches of one buffer.
         if self.memory is target.memory and self._pitches != target._pitches:
             box = region.width, region.height, region.layers
-            size = pitches_of(self.texel, *box[:2])[1] * region.layers
+            size = pitches_of(self.texel_bytes, *box[:2])[1] * region.layers
             with translate_errors("Texture.copy_to", f"{size} bytes between two levels"):
                 memory = cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, size)
-            between = TexelPlane(memory, 0, self.texel, *box)
+            between = TexelPlane(memory, 0, self.texel_bytes, *box)
             self.copy(queue, region, between, 0, 0, 0)
             between.copy(queue, Region(0, 0, *box[:2], 0, box[2]), target, x, y, layer)
             return
         _copy_box(
-            queue, target.memory, self.memory, src_origin=self._origin(region.x, region.y, region.layer),
+            queue,
+            target.memory,
+            self.memory,
+            src_origin=self._origin(region.x, region.y, region.layer),
             dst_origin=target._origin(x, y, layer),
-            region=(region.width * self.texel, region.height, region.layers),
-            src_pitches=self._pitches, dst_pitches=target._pitches,
-        )  # fmt: skip
+            region=(region.width * self.texel_bytes, region.height, region.layers),
+            src_pitches=self._pitches,
+            dst_pitches=target._pitches,
+        )
 
     def fill(self, queue: cl.CommandQueue, texel: bytes, layer: int, layers: int) -> None:
         """Set all texels of some layers, and their padding."""
@@ -103,11 +116,11 @@ class TexelPlane:
     def _origin(self, x: int, y: int, layer: int) -> tuple[int, int, int]:
         """Return a box's origin as OpenCL takes it. The plane's start is added to its first component, which is in
         bytes, since PoCL 3.1 crashes on boxes in sub-buffers."""
-        return self.start + x * self.texel, y, layer
+        return self.start + x * self.texel_bytes, y, layer
 
     def _host_box(self, region: Region) -> dict[str, tuple[int, ...]]:
         """Return the arguments of a copy between a region of this plane and tightly packed host memory."""
-        row = region.width * self.texel
+        row = region.width * self.texel_bytes
         return {
             "buffer_origin": self._origin(region.x, region.y, region.layer),
             "host_origin": (0, 0, 0),
@@ -117,9 +130,9 @@ class TexelPlane:
         }
 
 
-def pitches_of(texel: int, width: int, height: int) -> tuple[int, int]:
+def pitches_of(texel_bytes: int, width: int, height: int) -> tuple[int, int]:
     """Return the distances in bytes from row to row and from layer to layer."""
-    pitch = _whole_blocks(width) * texel
+    pitch = _whole_blocks(width) * texel_bytes
     return pitch, _whole_blocks(height) * pitch
 
 
@@ -128,18 +141,18 @@ def alignment(device: cl.Device) -> int:
     return max(16, int(device.mem_base_addr_align) // 8)
 
 
-def allocate(context: cl.Context, size: int, contents: NDArray[Any] = NOTHING) -> cl.Buffer:
-    """Return a new buffer in host memory that lives as long as the buffer's Python object: `contents`, then zeros, with
+def allocate(context: cl.Context, size: int, data: NDArray[Any] = EMPTY) -> cl.Buffer:
+    """Return a new buffer in host memory that lives as long as the buffer's Python object: `data`, then zeros, with
     padding behind them.
 
     Raises:
         pyopencl.Error, MemoryError: out of memory.
     """
-    host = allocate_pages(round_to_grain(size) + GRAIN, contents)
+    host = allocate_pages(round_to_grain(size) + GRAIN, data)
     return cl.Buffer(context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=host)
 
 
-def find_address(memory: cl.Buffer) -> int:
+def buffer_address(memory: cl.Buffer) -> int:
     """Return the address of a buffer that `allocate` made; 0 for others."""
     host: Any = memory.hostbuf
     return 0 if host is None else int(host.ctypes.data)

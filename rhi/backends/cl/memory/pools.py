@@ -1,7 +1,7 @@
-"""Memory that draws need besides buffers and textures. It comes from pools; no draw allocates any of its own.
+"""Pools of memory that draws need besides buffers and textures, so that no draw allocates any.
 
-- Kernels access memory by its address (kernels/common.cl), and read host memory in place. So this memory is known to
-  them by its address only, not to OpenCL.
+- Kernels access memory by its address (kernels/common.cl), and read host memory in place. So this memory needs
+  no OpenCL buffer.
 - `Pool`: scratch memory. All batches share it, since they execute one after the other in one queue. It grows by
   doubling; the memory that it replaces is released after the next fence value.
 - `Uploads`: tables that the host writes and kernels read. Pages are reused once the device has executed the kernels
@@ -16,8 +16,8 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from rhi.backends.cl.context import allocate_pages
-from rhi.backends.cl.errors import translate_errors
+from rhi.backends.cl.cl_context import allocate_pages
+from rhi.backends.cl.cl_errors import translate_errors
 from rhi.backends.cl.memory.in_flight import InFlight
 
 _PAGE_BYTES: Final = 1 << 20
@@ -53,7 +53,7 @@ class IndexList:
     __slots__ = ("_in_flight", "_memory", "address")
 
     def __init__(self, in_flight: InFlight, indices: NDArray[np.uint32]) -> None:
-        self._memory: NDArray[np.uint8] | None = None  # until there is some
+        self._memory: NDArray[np.uint8] | None = None  # None while the list is empty
         self._in_flight = in_flight
         with translate_errors("device.draw", f"{len(indices)} indices"):
             memory = allocate_pages(indices.nbytes + _SLACK, indices)
@@ -88,7 +88,7 @@ class Uploads:
         """Upload a table and return its address. It is valid until the event passed to the next `release` completes."""
         size = -(-(len(table) + _SLACK) // _ALIGN) * _ALIGN
         if self._page.used + size > len(self._page.bytes):
-            page = self._find_page(size)
+            page = self._next_page(size)
             self._page.event = None  # the next event covers all of the page
             self._waiting.append(self._page)
             self._page = page
@@ -104,7 +104,7 @@ class Uploads:
         for page in self._waiting:
             page.event = page.event or event
 
-    def _find_page(self, size: int) -> _UploadPage:
+    def _next_page(self, size: int) -> _UploadPage:
         complete = cl.command_execution_status.COMPLETE
         for index, page in enumerate(self._waiting):
             event = page.event

@@ -1,1 +1,1 @@
-"""Knowledge of PoCL: its cache of kernels, its header, its threads, and the memory that its programs take."""
+"""What is specific to PoCL: its cache of kernels, its header, its threads, and the memory of its programs."""

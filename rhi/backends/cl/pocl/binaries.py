@@ -1,7 +1,7 @@
 """Binaries of PoCL 3.1's format (version 9) that name kernels and contain no code.
 
-- PoCL makes a program of such a binary without LLVM: it reads which kernels there are and what they take, and finds
-  their machine code in the folder that the binary names. It ends the process if machine code isn't there, so this is
+- PoCL creates a program from such a binary without LLVM: it reads the kernels' names and arguments, and finds their
+  machine code in the folder that the binary names. It ends the process if machine code isn't there, so this is
   for kernels whose machine code was just checked, launched as it was compiled for (`SMALL_GRID`).
 - All binaries begin with the same mark, the same number of the device and the same version, which are taken from one
   that the driver has written.
@@ -21,16 +21,16 @@ _HEADER: Final = 20  # bytes: "poclbin" and a zero, the device's number, the ver
 _VERSION: Final = 9
 _EXECUTABLE: Final = 4 << 32
 _ARGUMENT: Final = struct.pack("<IIQII", 0x11A3, 0x119E, 0, 0, 8)
-"""No image, private memory, no qualifier, a scalar of 8 bytes."""
-_ALL_KNOWN: Final = 0x1F  # of an argument: qualifiers, type, name
+"""An argument: no image, private memory, no qualifier, a scalar of 8 bytes."""
+_ALL_ARGUMENT_INFO: Final = 0x1F  # of an argument: qualifiers, type, name
 
 
-def find_header(binary: bytes) -> bytes:
-    """Return what all binaries of a device begin with, given one of them."""
+def read_header(binary: bytes) -> bytes:
+    """Return the bytes that all binaries of a device begin with; `binary` is one of them."""
     return binary[:_HEADER]
 
 
-def name_folder(key: str) -> str:
+def folder_name(key: str) -> str:
     """Return the folder of a binary's machine code. PoCL's own names have letters up to P."""
     return f"RH/{key.upper():_<37}"
 
@@ -45,7 +45,7 @@ def write(header: bytes, folder: str, kernels: Sequence[str]) -> bytes | None:
     for kernel in kernels:
         argument = _ARGUMENT + _write_text("address") + _write_text("ulong")
         rest = _write_text(kernel) + struct.pack("<IIQQQ", 1, 0, 1, 1, 1) + _write_text("")
-        rest += struct.pack("<Q", _ALL_KNOWN) + argument
+        rest += struct.pack("<Q", _ALL_ARGUMENT_INFO) + argument
         parts += struct.pack("<QQI", 20 + len(rest), 0, len(argument)), rest
     return b"".join(parts)
 

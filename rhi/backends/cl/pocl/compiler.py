@@ -21,10 +21,10 @@ import threading
 from contextlib import suppress
 from typing import IO, Any, Final, NamedTuple
 
-_NICE: Final = 5  # frames go first; yet they take a quarter of the time when the kernels are there
+_NICE: Final = 5  # frames have priority, but optimised kernels shorten them to a quarter
 _PATIENCE: Final = 0.02  # seconds that closing a device waits at most
 _LOCKED: Final = 20  # seconds that a lock is waited for
-_LONGEST: Final = 60.0  # seconds of the processor that a program may take: zeros may make a loop endless
+_LONGEST: Final = 60.0  # processor seconds of a program; a loop may not end if its data are zeros
 _ZEROS: Final = 1 << 16  # bytes of zeros
 
 
@@ -58,19 +58,22 @@ class Compiler:
             OSError: it can't be started.
         """
         devices = device.platform.get_devices()
-        place = device.platform.name, device.platform.version, str(devices.index(device))
+        device_name = device.platform.name, device.platform.version, str(devices.index(device))
         environment = os.environ | {
             "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
             "POCL_MAX_PTHREAD_COUNT": "1",
         }
         self._process = subprocess.Popen(
-            [sys.executable, "-W", "ignore", __file__, *place],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment,
-        )  # fmt: skip
+            [sys.executable, "-W", "ignore", __file__, *device_name],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+        )
         self._closed = False
 
     def compile(self, job: Job) -> None:
-        """Compile kernels, and wait for it.
+        """Compile kernels, and wait for the result.
 
         Raises:
             OSError, EOFError: the process has ended, or `close` was called.
@@ -88,7 +91,7 @@ class Compiler:
             raise ValueError("the driver refused kernels")
 
     def stop(self) -> None:
-        """Let `compile` end at once; from any thread."""
+        """Make `compile` return at once; may be called from any thread."""
         self._closed = True
 
     def close(self) -> None:
@@ -190,7 +193,7 @@ def _give_up(*_: object) -> None:
 def _main() -> None:
     import signal
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal sends it to all processes; the other one decides
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal sends it to all processes; the parent handles it
     with suppress(OSError):
         os.nice(_NICE)
     answers = os.fdopen(os.dup(1), "wb")

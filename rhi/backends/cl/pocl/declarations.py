@@ -1,4 +1,4 @@
-"""Declarations of OpenCL C's types and functions, for a driver that otherwise reads all of them for each program.
+"""Declarations of OpenCL C's types and functions, which replace PoCL's header in each program.
 
 - PoCL puts Clang's `opencl-c.h` in front of each program: 900 KB of text, which it preprocesses before it looks into
   its cache, and parses when it compiles. That is most of the time in which a cached program is loaded. The header is
@@ -75,7 +75,7 @@ _ATOMICS: Final = {
     "atomic_add atomic_and atomic_max atomic_min atomic_or atomic_sub atomic_xchg atomic_xor": 1,
     "atomic_cmpxchg": 2,
 }
-"""Names of functions that change a word, and how many words they are given."""
+"""Atomic functions, each with its number of operands besides the address."""
 _SINGLE: Final = {
     "get_work_dim": f"uint {_PURE} get_work_dim(void)",
     **{
@@ -124,13 +124,15 @@ _ELSEWHERE: Final = re.compile(
     r"|(?:cross|ctz|distance|fract|frexp|ilogb|ldexp|lgamma_r|modf|nan|pown|prefetch|printf|remquo|rootn|shuffle2?|sincos|upsample"
     r"|vec_step|wait_group_events|\w+_event(?:_\w+)?|\w*_pipe\w*|queue_t|(?:u?intptr|ptrdiff)_t)$"
 )
-"""Names that aren't declared here."""
+"""Names that only the driver's header declares."""
 _SEPARATORS: Final = {code: " " for code in range(128) if not (chr(code).isalnum() or chr(code) == "_")}
 _CONVERSION: Final = re.compile(rf"convert_({'|'.join(_NUMBERS)})(|2|3|4|8|16)(?:_sat)?(?:_rt[enpz])?")
 _CAST: Final = re.compile(rf"as_((?:{'|'.join(_NUMBERS)})(?:|2|3|4|8|16))")
 _LOAD: Final = re.compile(r"vload(?:(2|3|4|8|16)|_half)")
 _STORE: Final = re.compile(r"vstore(?:(2|3|4|8|16)|_half(?:_rte)?)")
-_PLACES: Final = {name: (elements, forms) for names, (elements, forms) in _FORMS.items() for name in names.split()}
+_FUNCTION_FORMS: Final = {
+    name: (elements, forms) for names, (elements, forms) in _FORMS.items() for name in names.split()
+}
 _COUNTS: Final = {name: count for names, count in _ATOMICS.items() for name in names.split()}
 
 
@@ -138,10 +140,10 @@ def declare(source: str) -> str | None:
     """Return the declarations of what occurs in a program without comments, or None if it needs the header."""
     words = set(source.translate(_SEPARATORS).split())
     lines: list[str] = []
-    for found in map(_find_lines, sorted(words)):
-        if found is None:
+    for declaration in map(_declare_name, sorted(words)):
+        if declaration is None:
             return None
-        lines += found
+        lines += declaration
     # Values of these types exist only where they are named, and each adds a tenth of the declarations.
     for kind in ("char", "short"):
         if not any(kind in word for word in words):
@@ -150,7 +152,7 @@ def declare(source: str) -> str | None:
 
 
 @lru_cache(maxsize=8192)
-def _find_lines(name: str) -> tuple[str, ...] | None:
+def _declare_name(name: str) -> tuple[str, ...] | None:
     """Return the declarations of a name, or None if only the header has them."""
     if _ELSEWHERE.match(name):
         return None
@@ -165,17 +167,21 @@ def declare_function(name: str) -> Iterator[str]:
     """Return the declarations of a function; none for other names."""
     if name in _SINGLE:
         yield _SINGLE[name]
-    elif name in _PLACES:
-        elements, forms = _PLACES[name]
+    elif name in _FUNCTION_FORMS:
+        elements, forms = _FUNCTION_FORMS[name]
         for element, form in product(elements, forms):
             for width in _WIDTHS:
                 if not width and "E" in form[1:]:
                     continue
                 signed = _SIGNED[element]
                 types = {
-                    "T": element + width, "E": element, "S": signed + width, "U": f"u{signed}{width}",
-                    "B": signed + width if width else "int", "int": "int",
-                }  # fmt: skip
+                    "T": element + width,
+                    "E": element,
+                    "S": signed + width,
+                    "U": f"u{signed}{width}",
+                    "B": signed + width if width else "int",
+                    "int": "int",
+                }
                 result, *parameters = (types[letter] for letter in form.split())
                 yield f"{result} {_PURE} {name}({', '.join(parameters)})"
     elif name in _COUNTS:

@@ -1,7 +1,7 @@
 """Primitive assembly on the host: each draw becomes a list of points, lines or triangles.
 
 - Lists are used as they are: kernels read consecutive vertices, or the index buffer itself. Strips, fans and quads, and
-  lists with restarts, become lists of 32-bit indices. NumPy computes them once and they are kept. Without indices one
+  lists with restarts, become lists of 32-bit indices. NumPy computes them once and caches them. Without indices one
   list serves all draws of a topology, with the draw's first vertex as its base.
 - The range of vertices that a draw references is computed beforehand, so that each vertex is transformed once. For
   that the host keeps a copy of every index buffer (read back once, then updated with what the CPU writes) and scans a
@@ -37,7 +37,7 @@ CORNERS: Final = {
 LISTS: Final = (Primitive.POINTS, Primitive.LINES, Primitive.TRIANGLES)
 _NO_RESTART: Final = -1
 _MAX_SCANNED: Final = 1 << 16  # indices of many draws that are scanned at once
-_MAX_KEPT: Final = 4096
+_MAX_ASSEMBLIES: Final = 4096
 _MAX_LISTED: Final = 1 << 22  # indices, in the lists kept for one buffer
 _MIN_PATTERN: Final = 1024
 
@@ -67,18 +67,18 @@ class Assembly(Generic[T]):
     highest: int | None = None
 
 
-class _Contents(Generic[T]):
+class _IndexBufferState(Generic[T]):
     """The known contents of one index buffer, and the results computed from them."""
 
     def __init__(self, size: int) -> None:
         self.size = size
         self.bytes: NDArray[np.uint8] | None = None
         self.device_wrote = False
-        self.kept: dict[_ListKey, Assembly[T]] = {}
-        self.listed = 0  # indices in the lists that were made for `kept`
+        self.assemblies: dict[_ListKey, Assembly[T]] = {}
+        self.listed = 0  # indices in the lists that were made for `assemblies`
 
     def write(self, offset: int, source: NDArray[np.uint8]) -> None:
-        """Follow a write of the CPU."""
+        """Apply a write of the CPU to the copy."""
         self.forget_lists()
         if self.bytes is not None:
             self.bytes[offset : offset + len(source)] = source
@@ -89,7 +89,7 @@ class _Contents(Generic[T]):
         self.bytes, self.device_wrote = None, True
 
     def forget_lists(self) -> None:
-        self.kept.clear()
+        self.assemblies.clear()
         self.listed = 0
 
 
@@ -100,12 +100,12 @@ class Assembler(Generic[T]):
         """`read` returns bytes of a buffer, given an offset and a size; `upload` copies an index list to the device."""
         self._read = read
         self._upload = upload
-        self._buffers: dict[Id, _Contents[T]] = {}
+        self._buffers: dict[Id, _IndexBufferState[T]] = {}
         self._patterns: dict[Primitive, tuple[int, T]] = {}
 
     def watch(self, buffer: Id, size: int) -> None:
-        """Watch a buffer that holds indices. From here on the assembler has to be told of all its changes."""
-        self._buffers.setdefault(buffer, _Contents(size))
+        """Watch a buffer that holds indices. The assembler must be notified of all its changes from now on."""
+        self._buffers.setdefault(buffer, _IndexBufferState(size))
 
     def write(self, buffer: Id, offset: int, data: BytesLike) -> None:
         """Note that the CPU writes a buffer, watched or not."""
@@ -125,7 +125,7 @@ class Assembler(Generic[T]):
 
     def assemble(
         self, primitive: Primitive, first: int, count: int, buffer: Id = 0, format: IndexFormat = IndexFormat.UINT32
-    ) -> Assembly[T]:  # fmt: skip
+    ) -> Assembly[T]:
         """Return the primitives of `count` vertices from `first` on, or of indices with `buffer`, which is watched.
 
         Indices beyond the buffer's end are left out.
@@ -143,19 +143,20 @@ class Assembler(Generic[T]):
                 return Assembly(corners, whole, first, indexed=True)
             contents.bytes = np.frombuffer(bytearray(self._read(buffer, 0, contents.size)), np.uint8)
         key = primitive, format, first, count
-        made = contents.kept.get(key)
-        if made is None:
-            if len(contents.kept) >= _MAX_KEPT or contents.listed >= _MAX_LISTED:
+        assembly = contents.assemblies.get(key)
+        if assembly is None:
+            if len(contents.assemblies) >= _MAX_ASSEMBLIES or contents.listed >= _MAX_LISTED:
                 contents.forget_lists()
-            made = contents.kept[key] = self._assemble_indices(contents, *key)
-            contents.listed += 0 if made.memory is None else made.count
-        return made
+            assembly = contents.assemblies[key] = self._assemble_indices(contents, *key)
+            contents.listed += 0 if assembly.memory is None else assembly.count
+        return assembly
 
-    def find_ranges(
+    def compute_index_ranges(
         self, firsts: NDArray[np.int64], counts: NDArray[np.int64], buffer: Id, format: IndexFormat
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-        """Return the lowest and the highest of each of some ranges of indices of a buffer, which is watched. None if
-        they lie too far apart for one scan, or aren't lists that can be used as they are: one is empty, ends beyond
+        """Return the lowest and the highest index of each range of a watched index buffer.
+
+        None if the ranges lie too far apart for one scan, or can't be used as they are: one is empty, ends beyond
         the buffer or has a restart, or the device may have written the buffer."""
         contents = self._buffers[buffer]
         begin, end = int(firsts.min()), int((firsts + counts).max())
@@ -176,7 +177,7 @@ class Assembler(Generic[T]):
         if primitive in LISTS:
             whole = count - count % corners
             return Assembly(corners, whole, first, 0, False, None, first, first + whole - 1)
-        listed = _listed(primitive, count)
+        listed = _list_size(primitive, count)
         capacity, memory = self._patterns.get(primitive, (0, None))
         if memory is None or capacity < count:
             capacity = max(_MIN_PATTERN, 1 << (count - 1).bit_length())
@@ -185,7 +186,7 @@ class Assembler(Generic[T]):
         return Assembly(corners, listed, 0, first, True, memory, 0, count - 1)
 
     def _assemble_indices(
-        self, contents: _Contents[T], primitive: Primitive, format: IndexFormat, first: int, count: int
+        self, contents: _IndexBufferState[T], primitive: Primitive, format: IndexFormat, first: int, count: int
     ) -> Assembly[T]:
         assert contents.bytes is not None
         corners = CORNERS[primitive]
@@ -203,31 +204,31 @@ class Assembler(Generic[T]):
 
 def list_primitives(primitive: Primitive, indices: NDArray[np.integer], restart: int) -> NDArray[np.uint32]:
     """Return the corners of all primitives, one after the other. An index equal to `restart` ends a primitive."""
-    places = np.arange(len(indices))
+    positions = np.arange(len(indices))
     restarts = indices == restart
-    begins = np.maximum.accumulate(np.where(restarts, places + 1, 0))  # the first place of each index's run
+    begins = np.maximum.accumulate(np.where(restarts, positions + 1, 0))  # the first position of each index's run
     size = 4 if primitive is Primitive.QUADS else CORNERS[primitive]
     ends = np.flatnonzero(restarts)
-    stops = np.append(ends, len(indices))[np.searchsorted(ends, places)]  # one past the last place of its run
+    stops = np.append(ends, len(indices))[np.searchsorted(ends, positions)]  # one past the last position of its run
     if primitive is Primitive.TRIANGLE_FAN:
-        a = places[(places > begins) & (places + 1 < stops)]
+        a = positions[(positions > begins) & (positions + 1 < stops)]
         corners = np.stack([a, a + 1, begins[a]], axis=1)
     elif primitive in (Primitive.TRIANGLE_STRIP, Primitive.LINE_STRIP):
-        a = places[(places >= begins) & (places + size <= stops)]
+        a = positions[(positions >= begins) & (positions + size <= stops)]
         if primitive is Primitive.LINE_STRIP:
             corners = np.stack([a, a + 1], axis=1)
         else:
             odd = (a - begins[a]) & 1
             corners = np.stack([a, a + 1 + odd, a + 2 - odd], axis=1)
     else:
-        a = places[((places - begins) % size == 0) & (places >= begins) & (places + size <= stops)]
+        a = positions[((positions - begins) % size == 0) & (positions >= begins) & (positions + size <= stops)]
         order = (0, 1, 2, 0, 2, 3) if primitive is Primitive.QUADS else range(size)
         corners = a[:, None] + np.array(order)
     listed: NDArray[np.uint32] = indices[corners.reshape(-1)].astype(np.uint32)
     return listed
 
 
-def _listed(primitive: Primitive, count: int) -> int:
+def _list_size(primitive: Primitive, count: int) -> int:
     """Return the length of the list that `count` vertices of a strip, fan or quads become."""
     if primitive is Primitive.QUADS:
         return count // 4 * 6

@@ -1,7 +1,7 @@
 """The batch that draws are gathered in until they are flushed.
 
-- A draw is a row of 64-bit words in one flat array (`rhi.backends.cl.raster.rows`). Consecutive draws of one pass and
-  pipeline form a batch, whatever they bind; what they have in common is a `BatchState`.
+- A draw is a row of 64-bit words in one flat array (`rhi.backends.cl.raster.draw_columns`). Consecutive draws of one
+  pass and pipeline form a batch, whatever they bind; what they have in common is a `BatchState`.
 - An array of draws that is alone in its batch is kept as it is: its tables are made once (`draw_tables.DrawList`).
 - `Batch.take` turns the rows into tables (`draw_tables`); `launcher.Launcher` runs the kernels on them.
 """
@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from rhi.backends.cl.builds import Kernel
 from rhi.backends.cl.raster.boxes import AttributeBoxes
+from rhi.backends.cl.raster.cl_pipelines import Pipeline, VertexKernels
+from rhi.backends.cl.raster.draw_columns import CONDITION, FIXED_COLUMNS, INSTANCES, PREPARED, SAMPLES, VIEW
 from rhi.backends.cl.raster.draw_tables import (
     BoundWords,
     DrawList,
@@ -24,13 +26,11 @@ from rhi.backends.cl.raster.draw_tables import (
     PreparedDraws,
     bind_words,
     tabulate,
-    tabulate_one,
+    tabulate_draw,
 )
+from rhi.backends.cl.raster.kernel_structs import EMPTY_BATCH, MAX_PLANES, TILE, point_size_word, varying_words
 from rhi.backends.cl.raster.merger import MergerKey
-from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
-from rhi.backends.cl.raster.rows import CONDITION, FIXED_COLUMNS, INSTANCES, PREPARED, SAMPLES, VIEW
-from rhi.backends.cl.raster.tables import EMPTY_BATCH, MAX_PLANES, TILE, point_size_word, varying_words
-from rhi.backends.cl.raster.targets import PassSurfaces
+from rhi.backends.cl.raster.pass_surfaces import PassSurfaces
 from rhi.contract.descriptors import Interpolation
 
 _EDGES: Final = 3  # of a triangle
@@ -44,43 +44,60 @@ class BatchState:
         bound: the words that its draws bind.
         width: number of columns of the draws' rows.
         table: fields of the batch table, without what the launcher fills in.
-        surfaces: the surfaces that the raster kernel draws into; `addresses`: those of their memory.
-        places: bytes that tell kernels the merger's key, where the surfaces begin in their memory and what they are
-            cleared to.
+        surfaces: the surfaces that the raster kernel draws into; `addresses`: the addresses of their memory.
+        merger_data: bytes that tell kernels the merger's key, where the surfaces begin in their memory and what they
+            are cleared to.
         bounds_depth: whether the key permits bounds of depth.
     """
 
     __slots__ = (
-        "addresses", "bound", "bounds_depth", "pipeline", "places", "raster", "surfaces", "table", "target", "vertex",
+        "addresses",
+        "bound",
+        "bounds_depth",
+        "merger_data",
+        "pipeline",
+        "raster",
+        "surfaces",
+        "table",
+        "target",
+        "vertex",
         "width",
-    )  # fmt: skip
+    )
 
     def __init__(
-        self, pipeline: Pipeline, target: PassSurfaces, vertex: VertexKernels, streams: int, raster: Kernel,
-        key: MergerKey, table: dict[str, float],
-    ) -> None:  # fmt: skip
+        self,
+        pipeline: Pipeline,
+        target: PassSurfaces,
+        vertex: VertexKernels,
+        streams: int,
+        raster: Kernel,
+        key: MergerKey,
+        table: dict[str, float],
+    ) -> None:
         """`table` is a result of `describe_batch`."""
-        self.pipeline, self.target, self.vertex = pipeline, target, vertex
+        self.pipeline = pipeline
+        self.target = target
+        self.vertex = vertex
         self.bound = BoundWords(pipeline.elements, streams)
         self.raster = raster
         self.width = FIXED_COLUMNS + pipeline.starts[-1]
         surfaces = self.surfaces = target.surfaces_of(key)
         self.addresses = [surface.address for surface in surfaces] + [0] * (MAX_PLANES - len(surfaces))
-        places = array("Q", [word for surface in surfaces for word in surface.place])
-        self.places = key.words + places.tobytes() + b"".join([surface.pattern for surface in surfaces])
+        layouts = array("Q", [word for surface in surfaces for word in surface.layout])
+        self.merger_data = key.words + layouts.tobytes() + b"".join([surface.pattern for surface in surfaces])
         self.bounds_depth = key.bounds_depth
         self.table = table.copy()
-        self.table["row_words"] = pipeline.starts[-1] + streams
+        self.table["binding_words"] = pipeline.starts[-1] + streams
 
     @property
     def leaves_bounds(self) -> bool:
-        """Whether the kernel that was launched last left bounds of depth in memory; general ones don't."""
+        """Whether the raster kernel that ran last left bounds of depth in memory; general kernels don't."""
         return self.bounds_depth and not self.raster.is_quick
 
     def identify_bounds(self) -> tuple[object, ...]:
         """Return what the bounds of depth in memory depend on: surface, comparison, and changes other than draws."""
         texture, depth = self.target.texture, self.target.depth
-        surface = depth and (depth.address, depth.place)
+        surface = depth and (depth.address, depth.layout)
         return surface, bool(self.table["near_is_less"]), texture, texture and texture.changes
 
 
@@ -98,7 +115,7 @@ def describe_batch(pipeline: Pipeline, size: tuple[int, int], key: MergerKey, wi
         "samples": key.samples,
         "shades": key.shades,
         "linear": Interpolation.NO_PERSPECTIVE in interpolations,
-        "near_is_less": key.depth_passes < _FIRST_GREATER,
+        "near_is_less": key.depth_comparison < _FIRST_GREATER,
         "depth_step": key.depth_step,
         "varying_words": varying_words(pipeline.descriptor),
         "point_size": point_size_word(pipeline.descriptor),
@@ -142,7 +159,7 @@ class Batch:
         return bool(self.rows) or self._alone is not None
 
     def gather(self, draws: DrawList, row: Sequence[int], counters: int = 0) -> None:
-        """Add the draws of an array. They have `row` in common; `counters`: the address that their counter offsets are
+        """Add the draws of an array, which share `row`. `counters`: the address that counter offsets are
         relative to."""
         if self or row[VIEW] or row[CONDITION] or (row[SAMPLES] and draws.samples is None):
             self.spread()
@@ -151,7 +168,7 @@ class Batch:
             self._alone = draws, row, counters
 
     def spread(self) -> None:
-        """Turn a draw list that is alone into rows, since other draws follow."""
+        """Convert a draw list that is alone in the batch to rows, since other draws follow."""
         if self._alone is not None:
             draws, row, counters = self._alone
             self._alone = None
@@ -163,13 +180,15 @@ class Batch:
         del self.rows[len(self.rows) - len(self.rows) % self.state.width :]
 
     def take(self) -> GatheredDraws:
-        """Remove and return the gathered draws, of which there are some.
+        """Remove and return the gathered draws; there is at least one.
 
         Raises:
             pyopencl.Error: out of memory for boxes; the draws are lost.
         """
         try:
-            state, alone, words = self.state, self._alone, self.rows[:]
+            state = self.state
+            alone = self._alone
+            words = self.rows[:]
             views = b"".join(self.views)
         finally:  # also if an interrupt comes: rows of prepared draws are used again from here on
             self._alone = None
@@ -179,14 +198,16 @@ class Batch:
         if alone is None:
             return GatheredDraws(state, self._tabulate(state, words), views, 0)
         draws, row, counters = alone
-        if draws.boxed != self._prepared.version and not self._choose_boxes(state, draws.places, draws.instances):
+        if draws.boxed != self._prepared.version and not self._choose_boxes(
+            state, draws.prepared_indices, draws.instances
+        ):
             draws.boxed = self._prepared.version
         bound = bind_words(state.bound, row[FIXED_COLUMNS:], draws.list_streams(state.bound.streams))
         return GatheredDraws(state, [(table, bound) for table in draws.tables], views, counters)
 
     def _tabulate(self, state: BatchState, words: array[int]) -> Iterable[Piece]:
         if len(words) == state.width:
-            piece = tabulate_one(self._prepared, state.bound, words)
+            piece = tabulate_draw(self._prepared, state.bound, words)
             if piece is not None:
                 return (piece,)
         rows = np.frombuffer(words.tobytes(), np.uint64).reshape(-1, state.width)
@@ -196,5 +217,5 @@ class Batch:
         return tabulate(self._prepared, state.bound, rows, numbers, instances)
 
     def _choose_boxes(self, state: BatchState, numbers: NDArray[np.int64], instances: NDArray[np.int64]) -> bool:
-        """Have boxes measured for draws that were drawn before; return whether some draws still lack theirs."""
-        return state.vertex.measure is not None and self._boxes.choose(numbers, instances)
+        """Select the draws whose boxes the batch measures; return whether some draws still lack a box."""
+        return state.vertex.measure is not None and self._boxes.assign_boxes(numbers, instances)

@@ -34,8 +34,8 @@ class AttributeBoxes:
         self._memory = memory
         self._address = 0
         self._readers: dict[Id, set[Id]] = {}  # the vertex arrays that read each buffer
-        self._chosen = _NONE
-        self._held: set[Id] = set()  # vertex arrays with draws that were seen
+        self._unmeasured = _NONE
+        self._watched_arrays: set[Id] = set()  # vertex arrays with draws that were seen
 
     def watch(self, vertex_array: Id, buffers: Iterable[Id]) -> None:
         """Note that a vertex array reads these buffers."""
@@ -44,7 +44,7 @@ class AttributeBoxes:
 
     def unwatch(self, vertex_array: Id) -> None:
         """Note that a vertex array is being destroyed."""
-        self._held.discard(vertex_array)
+        self._watched_arrays.discard(vertex_array)
         for readers in self._readers.values():
             readers.discard(vertex_array)
 
@@ -56,22 +56,22 @@ class AttributeBoxes:
     def change(self, buffer: Id) -> None:
         """Drop the boxes that depend on a buffer, since its contents change."""
         readers = self._readers.get(buffer)
-        if not readers or self._held.isdisjoint(readers):
+        if not readers or self._watched_arrays.isdisjoint(readers):
             return
         prepared = self._prepared
-        for vertex_array in readers & self._held:
-            places = np.flatnonzero(prepared.arrays == vertex_array)
-            prepared.seen[places] = False
-            if prepared.draws["box"][places].any():
-                prepared.draws["box"][places] = 0
+        for vertex_array in readers & self._watched_arrays:
+            indices = np.flatnonzero(prepared.arrays == vertex_array)
+            prepared.was_drawn[indices] = False
+            if prepared.draws["box"][indices].any():
+                prepared.draws["box"][indices] = 0
                 prepared.version += 1
-        self._held -= readers
+        self._watched_arrays -= readers
 
-    def choose(self, places: NDArray[np.int64], instances: NDArray[np.int64]) -> bool:
-        """Note that prepared draws are drawn. Those that were drawn before get boxes, to be measured by the batch.
+    def assign_boxes(self, prepared_indices: NDArray[np.int64], instances: NDArray[np.int64]) -> bool:
+        """Note that prepared draws are drawn. Draws that were drawn before get boxes, which the batch measures.
 
         Args:
-            places: (n,) numbers of the prepared draws.
+            indices: (n,) indices of the prepared draws.
             instances: (n,) their numbers of instances.
 
         Returns:
@@ -82,39 +82,41 @@ class AttributeBoxes:
         """
         prepared = self._prepared
         draws = prepared.draws
-        without = (draws["box"][places] == 0) & (instances > 0) & (draws["primitive_groups"][places] > 0)
-        missing = places[without & (draws["vertex_groups"][places] >= _MIN_GROUPS)]
+        without = (
+            (draws["box"][prepared_indices] == 0) & (instances > 0) & (draws["primitive_groups"][prepared_indices] > 0)
+        )
+        missing = prepared_indices[without & (draws["vertex_groups"][prepared_indices] >= _MIN_GROUPS)]
         if not len(missing):
             return False
-        self._held.update(np.unique(prepared.arrays[missing]).tolist())
-        chosen = missing[prepared.seen[missing]]
-        prepared.seen[missing] = True
-        if len(chosen):
+        self._watched_arrays.update(np.unique(prepared.arrays[missing]).tolist())
+        unmeasured = missing[prepared.was_drawn[missing]]
+        prepared.was_drawn[missing] = True
+        if len(unmeasured):
             address = self._memory.reserve(_BOX_BYTES * len(draws))
             if address != self._address:  # the boxes at the old address are lost
                 draws["box"], self._address = 0, address
-            draws["box"][chosen] = address + _BOX_BYTES * chosen + _TO_MEASURE
-            self._chosen = chosen
+            draws["box"][unmeasured] = address + _BOX_BYTES * unmeasured + _TO_MEASURE
+            self._unmeasured = unmeasured
             prepared.version += 1
         return True
 
     @property
-    def chosen(self) -> bool:
+    def has_unmeasured(self) -> bool:
         """Whether the batch has to measure boxes."""
-        return len(self._chosen) > 0
+        return len(self._unmeasured) > 0
 
-    def keep(self) -> None:
-        """Note that the batch has measured the chosen boxes."""
-        if self.chosen:
-            self._prepared.draws["box"][self._chosen] &= ~np.uint64(_TO_MEASURE)
-            self._forget_chosen()
+    def mark_measured(self) -> None:
+        """Note that the batch has measured the boxes."""
+        if self.has_unmeasured:
+            self._prepared.draws["box"][self._unmeasured] &= ~np.uint64(_TO_MEASURE)
+            self._clear_unmeasured()
 
     def drop(self) -> None:
-        """Drop the chosen boxes that weren't kept, since the batch has failed."""
-        if self.chosen:
-            self._prepared.draws["box"][self._chosen] = 0
-            self._forget_chosen()
+        """Drop the boxes that the batch was to measure, since it has failed."""
+        if self.has_unmeasured:
+            self._prepared.draws["box"][self._unmeasured] = 0
+            self._clear_unmeasured()
 
-    def _forget_chosen(self) -> None:
-        self._chosen = _NONE
+    def _clear_unmeasured(self) -> None:
+        self._unmeasured = _NONE
         self._prepared.version += 1

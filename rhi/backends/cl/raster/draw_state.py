@@ -1,4 +1,4 @@
-"""The state that the next draw is drawn with: render target, program, render states, and the kernels that follow.
+"""The state of the next draw: render target, program, render states, and the kernels that these determine.
 
 - Kernels and views are looked up in a memo, whose key is all of this state. Looking it up for every draw would cost
   more than the draw, so `ready_for` says whether it has changed since the last draw.
@@ -18,14 +18,14 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from rhi.backends.cl.builds import Kernel
-from rhi.backends.cl.errors import translate_errors
+from rhi.backends.cl.cl_errors import translate_errors
+from rhi.backends.cl.memory.cl_textures import Textures
 from rhi.backends.cl.memory.planes import TexelPlane
-from rhi.backends.cl.memory.textures import Textures
 from rhi.backends.cl.raster.batches import describe_batch
+from rhi.backends.cl.raster.cl_pipelines import Pipeline, VertexKernels
+from rhi.backends.cl.raster.kernel_structs import VIEW_STRUCT
 from rhi.backends.cl.raster.merger import MergerKey, make_key, make_state
-from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
-from rhi.backends.cl.raster.tables import VIEW_STRUCT
-from rhi.backends.cl.raster.targets import (
+from rhi.backends.cl.raster.pass_surfaces import (
     PassSurfaces,
     RenderSurface,
     color_clear,
@@ -98,8 +98,11 @@ class DrawState:
         self.has_clears = any(surface is not None and surface.clear is not None for surface in surfaces)
 
     def _make_surface(
-        self, attachment: Attachment | DepthAttachment, planes: Sequence[TexelPlane], clear: bytes | None,
-    ) -> RenderSurface:  # fmt: skip
+        self,
+        attachment: Attachment | DepthAttachment,
+        planes: Sequence[TexelPlane],
+        clear: bytes | None,
+    ) -> RenderSurface:
         """Return the surface of an attachment; `planes`: those of the texture's levels."""
         plane = planes[attachment.level]
         if clear is not None:
@@ -124,7 +127,7 @@ class DrawState:
         self.ready_for = None
 
     def forget(self, pipeline: Pipeline) -> None:
-        """Drop what is known of a program that is being destroyed."""
+        """Drop the state of a program that is being destroyed."""
         if self.pipeline is pipeline:
             self.pipeline = None
         for memo in (self._memo, self._tables):
@@ -135,21 +138,21 @@ class DrawState:
         """Return the merger's key, the raster kernel, the `VIEW_STRUCT` and the batch table for the current state."""
         colors, depth = self._formats
         key = pipeline, target.size, target.samples, colors, depth, *self.values.values()
-        known = self._memo.get(key)
-        if known is None:
+        entry = self._memo.get(key)
+        if entry is None:
             if len(self._memo) >= _MAX_MEMO:
                 self._memo.clear()
                 self._tables.clear()
             merger = make_key(pipeline.descriptor, self.values, colors, depth, target.samples)
             view = make_view(self.values, target.size, colors, depth).tobytes()
-            raster = pipeline.find_raster(merger)
+            raster = pipeline.get_raster_kernel(merger)
             wireframe = self.values[PolygonMode] is PolygonMode.LINE
             shared = pipeline, target.size, raster, wireframe
             table = self._tables.get(shared)
             if table is None:
                 table = self._tables[shared] = describe_batch(pipeline, target.size, merger, wireframe)
-            known = self._memo[key] = merger, raster, view, table
-        return known
+            entry = self._memo[key] = merger, raster, view, table
+        return entry
 
 
 def make_view(
@@ -164,10 +167,10 @@ def make_view(
     """
     view = np.zeros((), VIEW_STRUCT)
     viewport, scissor = values[Viewport], values[Scissor]
-    x, y, width, height = _place(viewport, size)
+    x, y, width, height = _viewport_rectangle(viewport, size)
     view["scale"] = width / 2, -height / 2, viewport.far - viewport.near, 0
     view["shift"] = x + width / 2, y + height / 2, viewport.near, 0
-    left, top, right, bottom = _find_box(viewport, size)
+    left, top, right, bottom = _viewport_box(viewport, size)
     view["box"] = (
         max(scissor.x, left),
         max(scissor.y, top),
@@ -188,27 +191,27 @@ def make_view(
     return view
 
 
-def cut_views(view: bytes, viewport: Viewport, size: tuple[int, int], clips: NDArray[np.int64]) -> list[bytes]:
+def scissor_views(view: bytes, viewport: Viewport, size: tuple[int, int], clips: NDArray[np.int64]) -> list[bytes]:
     """Return a `VIEW_STRUCT` for each of some scissors (n, 4): x, y, width and height; `view` is that of another."""
     views = np.frombuffer(view * len(clips), np.uint8).reshape(len(clips), -1).copy()
     at, width = VIEW_STRUCT.fields["box"][1], 16  # type: ignore[index]
     boxes = views[:, at : at + width].view(np.int32)
-    box = np.array(_find_box(viewport, size))
+    box = np.array(_viewport_box(viewport, size))
     boxes[:, :2] = np.maximum(clips[:, :2], box[:2])
     boxes[:, 2:] = np.minimum(clips[:, :2] + clips[:, 2:] - 1, box[2:])
     cut, step = views.tobytes(), views.shape[1]
     return [cut[begin : begin + step] for begin in range(0, len(cut), step)]
 
 
-def _place(viewport: Viewport, size: tuple[int, int]) -> tuple[float, float, float, float]:
+def _viewport_rectangle(viewport: Viewport, size: tuple[int, int]) -> tuple[float, float, float, float]:
     if viewport is Viewport.TARGET:
         return viewport.x, viewport.y, *size
     return viewport.x, viewport.y, viewport.width, viewport.height
 
 
-def _find_box(viewport: Viewport, size: tuple[int, int]) -> tuple[int, int, int, int]:
+def _viewport_box(viewport: Viewport, size: tuple[int, int]) -> tuple[int, int, int, int]:
     """Return the first and the last column and row of texels in a viewport: a texel is in it if its centre is."""
-    x, y, width, height = _place(viewport, size)
+    x, y, width, height = _viewport_rectangle(viewport, size)
     return (
         max(0, _first_centre(x)),
         max(0, _first_centre(y)),

@@ -1,6 +1,7 @@
 """Tables of draws as kernels read them: rows that stay from frame to frame, and pieces that bound the memory in flight.
 
-- What stays the same of a draw from frame to frame is a row of `PreparedDraws`; whoever holds its `DrawSlot` keeps it.
+- The part of a draw that stays the same from frame to frame is a row of `PreparedDraws`. It exists as long as its
+  `DrawSlot` is referenced.
 - A piece is a part of a batch: a table of draws, and the words that these draws bind. Its vertices are transformed all
   at once. The first piece of a batch is small and the following ones double, so that later pieces know the bounds of
   depth that earlier ones left.
@@ -18,7 +19,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.backends.cl.raster.rows import (
+from rhi.backends.cl.raster.draw_columns import (
     CONDITION,
     FIXED_COLUMNS,
     INSTANCES,
@@ -27,7 +28,7 @@ from rhi.backends.cl.raster.rows import (
     SAMPLES,
     VIEW,
 )
-from rhi.backends.cl.raster.tables import DRAW_STRUCT, GROUP, MAX_STREAMS
+from rhi.backends.cl.raster.kernel_structs import DRAW_STRUCT, GROUP, MAX_STREAMS
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_MEMORY
 
@@ -35,13 +36,13 @@ _PIECE_GROUPS: Final = 1 << 15  # of vertices: 512 k, 16 MiB of positions; large
 _FIRST_PIECE_GROUPS: Final = 1 << 14  # the following pieces double
 
 # Consecutive fields of `DRAW_STRUCT`, and their offsets.
-_AT: Final = {name: place[1] for name, place in (DRAW_STRUCT.fields or {}).items()}
+_AT: Final = {name: field[1] for name, field in (DRAW_STRUCT.fields or {}).items()}
 _COUNTERS: Final = Struct("=2Q")  # samples, condition
 _GROUPS: Final = Struct("=2i")  # vertex_group, primitive_group, or the numbers of both
-_STATES: Final = Struct("=4i")  # number, row, view, inverted
+_STATES: Final = Struct("=4i")  # number, binding_index, view, inverted
 
 _MAX_PARTS: Final = 1 << 20
-"""Limit of the pieces of one draw: half a trillion vertices, which no device ends."""
+"""Limit of the pieces of one draw: half a trillion vertices, more than any device finishes."""
 
 Table: TypeAlias = tuple[int, int, int, bytes]
 """Number of draws, their groups of vertices and of primitives, and the draws as `DRAW_STRUCT`s."""
@@ -56,7 +57,7 @@ class PreparedDraws:
         draws: (n,) of `DRAW_STRUCT`, without the fields that are numbered batch by batch.
         streams: (n, MAX_STREAMS) addresses of the vertex streams.
         arrays: (n,) ids of the vertex arrays.
-        seen: (n,) whether the draw was drawn since it was prepared or its vertices changed.
+        was_drawn: (n,) whether the draw was drawn since it was prepared or its vertices changed.
         version: changes whenever boxes do (rhi.backends.cl.raster.boxes). As long as it stays, rows that are in use
             don't change.
     """
@@ -66,7 +67,7 @@ class PreparedDraws:
         self.draws = np.zeros(size, DRAW_STRUCT)
         self.streams = np.zeros((size, MAX_STREAMS), np.uint64)
         self.arrays = np.zeros(size, np.int64)
-        self.seen = np.zeros(size, bool)
+        self.was_drawn = np.zeros(size, bool)
         self.version = 0
         self._free: list[int] = list(range(size))
         self._released: list[int] = []  # still referenced by gathered draws
@@ -78,7 +79,7 @@ class PreparedDraws:
             self.draws = np.concatenate([self.draws, np.zeros_like(self.draws)])
             self.streams = np.concatenate([self.streams, np.zeros_like(self.streams)])
             self.arrays = np.concatenate([self.arrays, np.zeros_like(self.arrays)])
-            self.seen = np.concatenate([self.seen, np.zeros_like(self.seen)])
+            self.was_drawn = np.concatenate([self.was_drawn, np.zeros_like(self.was_drawn)])
             self._free = list(range(size, 2 * size))
         return self._free.pop()
 
@@ -119,7 +120,7 @@ class BoundWords(NamedTuple):
     """The words that a draw binds.
 
     Attributes:
-        elements: for each size among the words of its row its place, and the bytes of an element.
+        elements: the index of each size in the row's words, and the bytes of an element.
         streams: number of vertex streams, whose addresses follow.
     """
 
@@ -131,7 +132,7 @@ class DrawList:
     """The draws of an array, which all have the same bindings.
 
     Attributes:
-        places: (n,) numbers of their prepared draws.
+        prepared_indices: (n,) indices of their prepared draws.
         instances: (n,) their numbers of instances.
         numbers: (n,) the numbers by which shaders tell them apart.
         samples: (n,) offsets of their counters in bytes from the batch's `counters`; None if all draws of the array
@@ -142,21 +143,35 @@ class DrawList:
     """
 
     __slots__ = (
-        "_holders", "_prepared", "_tables", "_version", "boxed", "conditions", "instances", "numbers", "places",
+        "_holders",
+        "_prepared",
+        "_tables",
+        "_version",
+        "boxed",
+        "conditions",
+        "instances",
+        "numbers",
+        "prepared_indices",
         "samples",
-    )  # fmt: skip
+    )
 
     def __init__(
-        self, prepared: PreparedDraws, places: NDArray[np.int64], holders: object, instances: NDArray[np.int64],
-        numbers: NDArray[np.int64], *, samples: NDArray[np.int64] | None = None,
+        self,
+        prepared: PreparedDraws,
+        prepared_indices: NDArray[np.int64],
+        holders: object,
+        instances: NDArray[np.int64],
+        numbers: NDArray[np.int64],
+        *,
+        samples: NDArray[np.int64] | None = None,
         conditions: NDArray[np.int64] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`holders` keeps the prepared draws alive."""
         self._prepared = prepared
         self._holders = holders
         self._tables: list[Table] = []
         self._version = self.boxed = -1
-        self.places = places
+        self.prepared_indices = prepared_indices
         self.instances = instances
         self.numbers = numbers
         self.samples = samples
@@ -169,7 +184,7 @@ class DrawList:
         if self._version != self._prepared.version:
             self._tables.clear()
             self._version = self._prepared.version
-            for part, table in number_groups(self._prepared.take(self.places), self.instances):
+            for part, table in number_groups(self._prepared.take(self.prepared_indices), self.instances):
                 table["number"][:-1] = self.numbers[part]
                 if self.samples is not None:
                     table["samples"][:-1] = self.samples[part]
@@ -180,14 +195,14 @@ class DrawList:
 
     def list_streams(self, count: int) -> list[int]:
         """Return the addresses of the first `count` vertex streams, which all draws of a vertex array share."""
-        streams: list[int] = self._prepared.streams[self.places[0], :count].tolist()
+        streams: list[int] = self._prepared.streams[self.prepared_indices[0], :count].tolist()
         return streams
 
     def spread(self, row: Sequence[int], counters: int) -> NDArray[np.uint64]:
         """Return a row for each draw, (n, len(row)). `row`: what they have in common; `counters`: an address."""
-        rows = np.empty((len(self.places), len(row)), np.uint64)
+        rows = np.empty((len(self.prepared_indices), len(row)), np.uint64)
         rows[:] = row
-        rows[:, PREPARED] = self.places
+        rows[:, PREPARED] = self.prepared_indices
         words = rows.view(np.uint32)
         words[:, 2 * INSTANCES], words[:, 2 * INSTANCES + 1] = self.instances, self.numbers
         if self.samples is not None:
@@ -197,11 +212,11 @@ class DrawList:
         return rows
 
 
-def number_in_runs(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def number_in_runs(indices: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return each element's number in its run of equal rows."""
-    places = np.arange(len(rows))
-    begins = np.where(np.diff(rows, prepend=-1) != 0, places, 0)
-    return places - np.maximum.accumulate(begins)
+    positions = np.arange(len(indices))
+    begins = np.where(np.diff(indices, prepend=-1) != 0, positions, 0)
+    return positions - np.maximum.accumulate(begins)
 
 
 def tabulate(
@@ -220,17 +235,17 @@ def tabulate(
         mine, own = rows[part], table[:-1]
         own["view"], own["samples"] = mine[:, VIEW], mine[:, SAMPLES]
         own["condition"], own["inverted"] = mine[:, CONDITION], mine[:, INVERTED]
-        own["row"], own["number"] = np.arange(len(mine)), instances[part, 1]
+        own["binding_index"], own["number"] = np.arange(len(mine)), instances[part, 1]
         bound = np.concatenate([mine[:, FIXED_COLUMNS:], streams[part]], axis=1)
         for at, size in layout.elements:
             bound[:, at] //= np.uint64(size)
         yield pack_table(table), bound.tobytes()
 
 
-def tabulate_one(prepared: PreparedDraws, layout: BoundWords, words: array[int]) -> Piece | None:
+def tabulate_draw(prepared: PreparedDraws, layout: BoundWords, words: array[int]) -> Piece | None:
     """Return the piece of a single draw, or None if its instances need several pieces."""
-    place, numbered, view, samples, condition, inverted, *bound = words
-    draw = prepared.draws[place].tobytes()
+    field, numbered, view, samples, condition, inverted, *bound = words
+    draw = prepared.draws[field].tobytes()
     instances = numbered & 0xFFFFFFFF
     vertex_groups, groups = (instances * count for count in _GROUPS.unpack_from(draw, _AT["vertex_groups"]))
     if instances > 1 and vertex_groups > _FIRST_PIECE_GROUPS:
@@ -240,7 +255,7 @@ def tabulate_one(prepared: PreparedDraws, layout: BoundWords, words: array[int])
     _COUNTERS.pack_into(table, _AT["samples"], samples, condition)
     _STATES.pack_into(table, _AT["number"], numbered >> 32, 0, view, inverted)
     _GROUPS.pack_into(table, DRAW_STRUCT.itemsize + _AT["vertex_group"], vertex_groups, groups)
-    streams = prepared.streams[place, : layout.streams].tolist()
+    streams = prepared.streams[field, : layout.streams].tolist()
     return (1, vertex_groups, groups, bytes(table)), bind_words(layout, bound, streams)
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rhi.backends.cl.pocl.cache import strip_comments
+from rhi.backends.cl.pocl.kernel_cache import strip_comments
 
 _TYPES: Final = {"u8": "ulong", "i4": "int", "u4": "uint", "f4": "float"}
 

@@ -14,14 +14,14 @@ from typing import Final
 import pyopencl as cl
 
 from rhi.backends.cl.builds import Builds
-from rhi.backends.cl.context import ClContext
+from rhi.backends.cl.cl_context import ClContext
 from rhi.backends.cl.memory.in_flight import InFlight
 from rhi.backends.cl.memory.pools import Pool, Uploads
 from rhi.backends.cl.raster.batches import BatchState, GatheredDraws
 from rhi.backends.cl.raster.boxes import AttributeBoxes
+from rhi.backends.cl.raster.cl_pipelines import GeometryKernels
 from rhi.backends.cl.raster.draw_tables import Piece
-from rhi.backends.cl.raster.pipelines import GeometryKernels
-from rhi.backends.cl.raster.tables import (
+from rhi.backends.cl.raster.kernel_structs import (
     EXTENT_BYTES,
     GROUP,
     PART,
@@ -68,8 +68,8 @@ class Scratch:
         Raises:
             pyopencl.Error: out of memory.
         """
-        wanted = vertices, records, tiles, words, shades
-        if wanted != self._reserved_for:
+        requested = vertices, records, tiles, words, shades
+        if requested != self._reserved_for:
             listed = max(_LIST_WORDS, records * _LISTED_PER_RECORD)
             sizes = {
                 "positions": 16 * vertices,
@@ -89,7 +89,7 @@ class Scratch:
             self._reserved_for = None
             self._fields = {name: self.pools[name].reserve(size) for name, size in sizes.items()}
             self._fields["list_size"] = listed
-            self._reserved_for = wanted
+            self._reserved_for = requested
         return self._fields
 
 
@@ -131,7 +131,7 @@ class Launcher:
         try:
             for piece in draws.pieces:
                 event = self._launch_piece(state, piece, draws.views) or event
-            self._boxes.keep()
+            self._boxes.mark_measured()
         finally:
             self._boxes.drop()
         if event is not None:
@@ -145,21 +145,24 @@ class Launcher:
         (count, vertex_groups, groups, draws), bound = piece
         if not groups:
             return None
-        tables = draws, bound, state.places, views
+        tables = draws, bound, state.merger_data, views
         address = self._uploads.write(b"".join(tables))
         table = state.table
         table["draw_count"], table["vertex_groups"], table["vertex_chunk"] = count, vertex_groups, _VERTEX_CHUNK
-        for name, part in zip(("draws", "rows", "places", "views"), tables, strict=True):
+        for name, part in zip(("draws", "bindings", "merger", "views"), tables, strict=True):
             table[name] = address
             address += len(part)
         room = int(table["edges"]) or 1  # records of a primitive
         slice_groups = max(_SLICE_GROUPS // room, 1)
         table.update(
             self._scratch.reserve(
-                vertex_groups * GROUP, min(groups, slice_groups) * GROUP * room, int(table["tiles"]),
-                varying_words(state.pipeline.descriptor), table["shades"],
+                vertex_groups * GROUP,
+                min(groups, slice_groups) * GROUP * room,
+                int(table["tiles"]),
+                varying_words(state.pipeline.descriptor),
+                table["shades"],
             )
-        )  # fmt: skip
+        )
         return self._launch_slices(state, vertex_groups, groups, slice_groups, GROUP * room)
 
     def _launch_slices(
@@ -167,7 +170,10 @@ class Launcher:
     ) -> cl.Event | None:
         """Launch all kernels of a piece; return the event of the last one. `group_records`: the most of a group."""
         table, vertex = state.table, state.vertex
-        geometry, queue, tiles, event = self.geometry, self._queue, int(table["tiles"]), None
+        geometry = self.geometry
+        queue = self._queue
+        tiles = int(table["tiles"])
+        event = None
         for first in range(0, groups, slice_groups):
             end = min(first + slice_groups, groups)
             chunk = max(_MIN_CHUNK, -(-(end - first) // _CHUNKS))
@@ -178,7 +184,7 @@ class Launcher:
             table["listed"] = listed = tiles > 1 and end - first > _FEW_GROUPS
             batch = self._uploads.write(pack_batch(state.addresses, table))
             if first == 0:
-                if vertex.measure is not None and self._boxes.chosen:
+                if vertex.measure is not None and self._boxes.has_unmeasured:
                     vertex.measure.launch(queue, batch, int(table["draw_count"]))
                 vertex.transform.launch(queue, batch, -(-vertex_groups // _VERTEX_CHUNK))
             geometry.set_up.launch(queue, batch, chunks)

@@ -4,7 +4,7 @@
   targets that aren't written, tests that always pass and the like leave no trace, so few pipelines are built.
 - `make_state` packs the other states into `STATE_WORDS` words: factors, references and masks may change from draw to
   draw.
-- `MergerKey.defines` is the text in front of `kernels/targets.cl` for one key, whose comments document the use of its
+- `MergerKey.defines` is the text in front of `kernels/merger.cl` for one key, whose comments document the use of its
   functions. `general_defines` is that for kernels which read the key as data, `MergerKey.words`.
 """
 
@@ -26,12 +26,12 @@ from rhi.contract.backend import SAMPLE_COUNTS
 from rhi.contract.descriptors import ProgramDescriptor
 from rhi.contract.formats import ChannelKind, Format
 
-_PASSES: Final = {
+_COMPARISONS: Final = {
     "never": 0, "less": 1, "equal": 2, "less_equal": 3, "greater": 4, "not_equal": 5, "greater_equal": 6, "always": 7,
 }  # fmt: skip
 """Comparisons as bits: 1 passes less, 2 equal, 4 greater."""
-_ALWAYS: Final = _PASSES["always"]
-_ORDERED: Final = [_PASSES[name] for name in ("less", "less_equal", "greater", "greater_equal")]
+_ALWAYS: Final = _COMPARISONS["always"]
+_ORDERED: Final = [_COMPARISONS[name] for name in ("less", "less_equal", "greater", "greater_equal")]
 _FLOAT_BITS: Final = 32
 _KINDS: Final = {kind: number for number, kind in enumerate(ChannelKind)}
 _STENCIL_OPERATIONS: Final = {operation: number for number, operation in enumerate(states.StencilOperation)}
@@ -54,8 +54,8 @@ _COLOR_WORDS: Final = 5
 STATE_WORDS: Final = _COLOR_STATE + _COLOR_WORDS * states.MAX_TARGETS
 MAX_SAMPLES: Final = max(SAMPLE_COUNTS)
 _MERGER_FIELDS: Final = (
-    "samples", "color_count", "has_depth", "depth_bits", "depth_passes", "depth_writes", "has_stencil", "alpha_test",
-    "alpha_to_coverage", "test_order", "shades", "unused",
+    "samples", "color_count", "has_depth", "depth_bits", "depth_comparison", "depth_writes", "has_stencil",
+    "alpha_test", "alpha_to_coverage", "test_order", "shades", "unused",
 )  # fmt: skip
 MERGER_STRUCT: Final = np.dtype([(name, "i4") for name in _MERGER_FIELDS] + [("colors", "i4", (states.MAX_TARGETS, 6))])
 """The states of a batch that kernels are compiled for, as data. A color: location, components, channels, bits, kind,
@@ -65,9 +65,9 @@ blends."""
 class TestOrder(enum.Enum):
     """The moment at which depth and stencil are tested and written.
 
-    EARLY: before shading. SPLIT: tested before shading, so that hidden fragments aren't shaded, and written after it
-    for the fragments that it kept. LATE: tested and written after shading, since shading computes the depth or has
-    effects for fragments that fail.
+    EARLY: before shading. SPLIT: tested before shading, so that hidden fragments aren't shaded, and written
+    after it for the fragments that it didn't discard. LATE: tested and written after shading, since shading
+    computes the depth or has effects for fragments that fail.
     """
 
     EARLY = 0
@@ -103,7 +103,7 @@ class MergerKey:
     Attributes:
         colors: the color targets that are written.
         depth_bits: 16 or 24, 32 for floats; 0 if depth is neither tested nor written.
-        depth_passes: the depth comparison, as a number of `_PASSES`.
+        depth_comparison: the depth comparison, as a number of `_COMPARISONS`.
         depth_writes: whether the depth of fragments that pass is written.
         has_stencil: whether the kernel takes the stencil plane.
         order: when the tests are executed.
@@ -113,7 +113,7 @@ class MergerKey:
 
     colors: tuple[ColorKey, ...]
     depth_bits: int
-    depth_passes: int
+    depth_comparison: int
     depth_writes: bool
     has_stencil: bool
     alpha_test: bool
@@ -129,16 +129,17 @@ class MergerKey:
         return self.depth_bits > 0
 
     @property
-    def stages_depth(self) -> bool:
+    def caches_depth(self) -> bool:
         """Whether the raster kernel stages a tile's depth: with one sample and no stencil."""
         return self.has_depth and not self.has_stencil and self.samples == 1
 
     @property
     def bounds_depth(self) -> bool:
-        """Whether it also keeps bounds of depth, behind which the test fails. The test has to come before any
-        shading."""
+        """Whether the raster kernel also has bounds of depth, behind which the test fails.
+
+        The test has to come before any shading."""
         comes_first = self.order is not TestOrder.LATE or not self.shades
-        return self.stages_depth and self.depth_passes in _ORDERED and comes_first
+        return self.caches_depth and self.depth_comparison in _ORDERED and comes_first
 
     @property
     def depth_step(self) -> float:
@@ -152,10 +153,15 @@ class MergerKey:
         for name in _MERGER_FIELDS:
             fields[name] = getattr(self, name, 0)
         fields["color_count"], fields["test_order"] = len(self.colors), self.order.value
-        for place, color in enumerate(self.colors):
-            fields["colors"][place] = (
-                color.location, color.components, color.channels, color.bits, _KINDS[color.kind], color.blends,
-            )  # fmt: skip
+        for index, color in enumerate(self.colors):
+            fields["colors"][index] = (
+                color.location,
+                color.components,
+                color.channels,
+                color.bits,
+                _KINDS[color.kind],
+                color.blends,
+            )
         return fields
 
     @property
@@ -164,17 +170,17 @@ class MergerKey:
         return self.fields.tobytes()
 
     def defines(self) -> str:
-        """Return the macros that `kernels/targets.cl` is compiled with."""
+        """Return the macros that `kernels/merger.cl` is compiled with."""
         rows = " ".join(
-            f"X({place}, {', '.join(map(str, color))})"
-            for place, color in enumerate(self.fields["colors"][: len(self.colors)].tolist())
+            f"X({index}, {', '.join(map(str, color))})"
+            for index, color in enumerate(self.fields["colors"][: len(self.colors)].tolist())
         )
         fields = {name.upper(): self.fields[name] for name in _MERGER_FIELDS}
         return _define(fields, self.samples, len(self.colors), self.output_words, rows)
 
 
 def general_defines(output_words: int) -> str:
-    """Return the macros that `kernels/targets.cl` is compiled with for all keys of a program.
+    """Return the macros that `kernels/merger.cl` is compiled with for all keys of a program.
 
     `output_words`: as in a key.
     """
@@ -209,17 +215,23 @@ def make_key(
     alpha_to_coverage = has_alpha and samples > 1 and values[states.AlphaToCoverage] is states.AlphaToCoverage.ON
     keys = tuple(
         ColorKey(
-            location, outputs[location].components, format.channels, format.channel_bits[0], format.kind,
+            location,
+            outputs[location].components,
+            format.channels,
+            format.channel_bits[0],
+            format.kind,
             not format.is_integer and not values[states.BlendFunction][location].is_off,
         )
         for location, format in enumerate(colors)
         if location in outputs and any(_written_channels(values[states.ColorWrite][location])[: format.channels])
-    )  # fmt: skip
+    )
     tests = values[states.DepthTest] is states.DepthTest.ON
-    passes = _PASSES[values[states.DepthFunction].value] if tests else _ALWAYS
+    passes = _COMPARISONS[values[states.DepthFunction].value] if tests else _ALWAYS
     writes = depth is not None and values[states.DepthWrite] is states.DepthWrite.ON
     if depth is None or (passes == _ALWAYS and not writes):
-        depth_bits, passes, writes = 0, _ALWAYS, False
+        depth_bits = 0
+        passes = _ALWAYS
+        writes = False
     else:
         depth_bits = depth.depth_steps.bit_length() or _FLOAT_BITS
     stencil = depth is not None and depth.has_stencil and values[states.StencilTest] is states.StencilTest.ON
@@ -234,7 +246,7 @@ def make_key(
     return MergerKey(
         colors=keys,
         depth_bits=depth_bits,
-        depth_passes=passes,
+        depth_comparison=passes,
         depth_writes=writes,
         has_stencil=stencil,
         alpha_test=alpha_test,
@@ -250,28 +262,28 @@ def make_state(values: Mapping[type, Any], colors: Sequence[Format]) -> NDArray[
     """Return a draw's state block, (STATE_WORDS,). Arguments as for `make_key`."""
     state = np.zeros(STATE_WORDS, np.uint32)
     numbers = state.view(np.float32)
-    state[_ALPHA_STATE] = _PASSES[values[states.AlphaFunction].value]
+    state[_ALPHA_STATE] = _COMPARISONS[values[states.AlphaFunction].value]
     numbers[_ALPHA_STATE + 1] = values[states.AlphaReference].value
     constant = values[states.BlendColor]
     numbers[_BLEND_STATE : _BLEND_STATE + 4] = constant.red, constant.green, constant.blue, constant.alpha
-    for place, side in enumerate((values[states.StencilFront], values[states.StencilBack])):
+    for index, side in enumerate((values[states.StencilFront], values[states.StencilBack])):
         codes = [_STENCIL_OPERATIONS[operation] for operation in (side.stencil_fail, side.depth_fail, side.both_pass)]
-        state[_STENCIL_STATE + 2 * place] = (
-            _PASSES[side.function.value] | codes[0] << 4 | codes[1] << 8 | codes[2] << 12
+        state[_STENCIL_STATE + 2 * index] = (
+            _COMPARISONS[side.function.value] | codes[0] << 4 | codes[1] << 8 | codes[2] << 12
         )
         masks = values[states.StencilReference], values[states.StencilReadMask], values[states.StencilWriteMask]
-        reference, read, write = ((mask.front, mask.back)[place] for mask in masks)
-        state[_STENCIL_STATE + 2 * place + 1] = reference | read << 8 | write << 16
+        reference, read, write = ((mask.front, mask.back)[index] for mask in masks)
+        state[_STENCIL_STATE + 2 * index + 1] = reference | read << 8 | write << 16
     for location, format in enumerate(colors):
-        place = _COLOR_STATE + _COLOR_WORDS * location
-        state[place] = _pack_function(values[states.BlendFunction][location])
+        index = _COLOR_STATE + _COLOR_WORDS * location
+        state[index] = _pack_function(values[states.BlendFunction][location])
         mask, start = 0, 0
         for bits, written in zip(
             format.channel_bits, _written_channels(values[states.ColorWrite][location]), strict=False
         ):
             mask |= ((1 << bits) - 1) << start if written else 0
             start += bits
-        state[place + 1 : place + 5] = np.frombuffer(mask.to_bytes(16, "little"), np.uint32)
+        state[index + 1 : index + 5] = np.frombuffer(mask.to_bytes(16, "little"), np.uint32)
     return state
 
 
@@ -289,7 +301,7 @@ def _pack_function(function: states.BlendFunction) -> int:
         _FACTORS[function.destination_alpha or function.destination],
         _BLEND_OPERATIONS[function.operation_alpha or function.operation],
     )
-    return sum(part << 4 * place for place, part in enumerate(parts))
+    return sum(part << 4 * index for index, part in enumerate(parts))
 
 
 @cache

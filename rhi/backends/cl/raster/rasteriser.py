@@ -15,25 +15,25 @@ from typing import Any
 import pyopencl as cl
 
 from rhi.backends.cl.builds import Builds, Kernel
-from rhi.backends.cl.context import ClContext
-from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.memory.buffers import Buffers
+from rhi.backends.cl.cl_context import ClContext
+from rhi.backends.cl.cl_errors import translate_errors
+from rhi.backends.cl.memory.cl_buffers import Buffers
+from rhi.backends.cl.memory.cl_samplers import Samplers
+from rhi.backends.cl.memory.cl_textures import Textures
 from rhi.backends.cl.memory.in_flight import InFlight
 from rhi.backends.cl.memory.pools import IndexList, Pool
-from rhi.backends.cl.memory.samplers import Samplers
-from rhi.backends.cl.memory.textures import Textures
 from rhi.backends.cl.raster.assembly import Assembler
 from rhi.backends.cl.raster.batches import Batch
-from rhi.backends.cl.raster.bindings import Bindings
 from rhi.backends.cl.raster.boxes import AttributeBoxes
+from rhi.backends.cl.raster.cl_bindings import Bindings
+from rhi.backends.cl.raster.cl_draws import Draws
+from rhi.backends.cl.raster.cl_pipelines import Pipeline
+from rhi.backends.cl.raster.cl_queries import SampleQueries
+from rhi.backends.cl.raster.draw_columns import CONDITION, INVERTED, SAMPLES
 from rhi.backends.cl.raster.draw_state import DrawState
 from rhi.backends.cl.raster.draw_tables import PreparedDraws
-from rhi.backends.cl.raster.draws import Draws
 from rhi.backends.cl.raster.launcher import Launcher
 from rhi.backends.cl.raster.merger import make_key
-from rhi.backends.cl.raster.pipelines import Pipeline
-from rhi.backends.cl.raster.queries import SampleQueries
-from rhi.backends.cl.raster.rows import CONDITION, INVERTED, SAMPLES
 from rhi.backends.cl.raster.vertex_arrays import VertexArrays
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, VertexArrayDescriptor
 from rhi.contract.formats import Format
@@ -47,15 +47,20 @@ class Rasteriser:
             executes them, but stops where they load vectors at any address.
         bindings: the bound resources.
         state: the pass, program and render states of the next draw.
-        vertex_arrays: vertex arrays, and what changes of buffers do to prepared draws.
+        vertex_arrays: vertex arrays, and the prepared draws that changes of buffers invalidate.
         queries: occlusion queries and the running counter.
         draws: the draw commands.
     """
 
     def __init__(
-        self, context: ClContext, builds: Builds, buffers: Buffers, textures: Textures, samplers: Samplers,
+        self,
+        context: ClContext,
+        builds: Builds,
+        buffers: Buffers,
+        textures: Textures,
+        samplers: Samplers,
         in_flight: InFlight,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._context = context
         self.works = context.shares_memory and bool(context.device.type & cl.device_type.CPU)
         self._builds = builds
@@ -71,9 +76,16 @@ class Rasteriser:
         self.vertex_arrays = VertexArrays(assembler, prepared, boxes, buffers, self.bindings)
         self.queries = SampleQueries(self._count_into, self.flush, self._is_gathering)
         self.draws = Draws(
-            self._batch, prepared, self.state, self.vertex_arrays, self.bindings.columns, buffers, self.flush,
-            self._flush_batch, self.change_stored,
-        )  # fmt: skip
+            self._batch,
+            prepared,
+            self.state,
+            self.vertex_arrays,
+            self.bindings.columns,
+            buffers,
+            self.flush,
+            self._flush_batch,
+            self.change_stored,
+        )
 
     def close(self) -> None:
         """Release kernels and memory, which reference cycles would keep until Python's next collection."""
@@ -88,15 +100,20 @@ class Rasteriser:
         _ = self._launcher.geometry
 
     def prepare_kernels(
-        self, program: Id, vertex_array: Id, values: Mapping[type, Any], colors: Sequence[Format], depth: Format | None,
+        self,
+        program: Id,
+        vertex_array: Id,
+        values: Mapping[type, Any],
+        colors: Sequence[Format],
+        depth: Format | None,
         samples: int,
-    ) -> list[Future[None]]:  # fmt: skip
-        """Begin to optimise all kernels that draws of a program with these states and targets use; return the ends.
+    ) -> list[Future[None]]:
+        """Begin to optimise all kernels of a program for these states and targets; return futures of the ends.
 
         Args:
-            vertex_array: 0: none is known.
+            vertex_array: 0 if there is none yet.
             values: the value of each state type.
-            colors, depth: the formats of the targets; without any, none are known.
+            colors, depth: the formats of the targets; none if they aren't decided yet.
         """
         pipeline, geometry = self._programs[program], self._launcher.geometry
         kernels: list[Kernel | None] = [geometry.set_up, geometry.prefix, geometry.scatter]
@@ -121,7 +138,7 @@ class Rasteriser:
     # -- buffers and textures --------------------------------------------------------------------------------
 
     def change_stored(self, bindings: Sequence[Binding]) -> None:
-        """Note that shaders wrote what is bound to these bindings."""
+        """Note that shaders wrote the resources of these bindings."""
         for binding in bindings:
             if binding.kind is BindingKind.STORAGE:
                 self.vertex_arrays.change(self.bindings.slots[binding.kind, binding.slot][0])
@@ -158,7 +175,7 @@ class Rasteriser:
 
     def begin_conditional(self, query: Id, inverted: bool) -> None:
         columns = self.bindings.columns
-        columns[CONDITION], columns[INVERTED] = self.queries.find_condition(query), inverted
+        columns[CONDITION], columns[INVERTED] = self.queries.condition_address(query), inverted
 
     def end_conditional(self) -> None:
         self.bindings.columns[CONDITION] = self.bindings.columns[INVERTED] = 0

@@ -2,10 +2,10 @@
 
 - A prepared draw names vertices and indices by address. It holds until the index buffer changes: each index buffer has
   a version, which callers of `prepare` compare with the one that they prepared for.
-- A draw reads within its buffers, whatever its indices and bases say: an index beyond the vertices reads the last one,
-  and what lies beyond without indices, or beyond the instances of an indirect draw, isn't drawn. The range of vertices
-  that a draw's indices name is only used if it lies in the buffers; otherwise the kernel looks each index up, and
-  clamps it.
+- A draw reads only within its buffers, whatever its indices and base vertex: an index beyond the vertices
+  reads the last one, and what lies beyond without indices, or beyond the instances of an indirect draw, isn't
+  drawn. The range of vertices that a draw's indices name is only used if it lies in the buffers; otherwise
+  the kernel looks each index up, and clamps it.
 - All changes of buffers come through here: the assembler keeps copies of indices, and boxes depend on vertices.
 """
 
@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backends.cl.memory.buffers import Buffers
+from rhi.backends.cl.memory.cl_buffers import Buffers
 from rhi.backends.cl.memory.pools import IndexList
 from rhi.backends.cl.raster.assembly import CORNERS, LISTS, Assembler
-from rhi.backends.cl.raster.bindings import Bindings
 from rhi.backends.cl.raster.boxes import AttributeBoxes
+from rhi.backends.cl.raster.cl_bindings import Bindings
+from rhi.backends.cl.raster.cl_pipelines import Pipeline, VertexKernels
 from rhi.backends.cl.raster.draw_tables import DrawSlot, PreparedDraws
-from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
-from rhi.backends.cl.raster.tables import DRAW_STRUCT, GROUP, MAX_STREAMS
+from rhi.backends.cl.raster.kernel_structs import DRAW_STRUCT, GROUP, MAX_STREAMS
 from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 from rhi.contract.limits import MAX_ELEMENTS, ElementCounts, count_elements
 
@@ -35,9 +35,14 @@ class VertexArray:
     __slots__ = ("descriptor", "elements", "id", "kernel", "pipeline", "version")
 
     def __init__(
-        self, id: Id, descriptor: VertexArrayDescriptor, pipeline: Pipeline, kernel: VertexKernels, version: list[int],
+        self,
+        id: Id,
+        descriptor: VertexArrayDescriptor,
+        pipeline: Pipeline,
+        kernel: VertexKernels,
+        version: list[int],
         elements: ElementCounts,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.id = id
         self.elements = elements
         self.descriptor = descriptor
@@ -54,9 +59,13 @@ class VertexArrays:
     """
 
     def __init__(
-        self, assembler: Assembler[IndexList], prepared: PreparedDraws, boxes: AttributeBoxes, buffers: Buffers,
+        self,
+        assembler: Assembler[IndexList],
+        prepared: PreparedDraws,
+        boxes: AttributeBoxes,
+        buffers: Buffers,
         bindings: Bindings,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.by_id: dict[Id, VertexArray] = {}
         self._versions: dict[Id, list[int]] = {}  # by index buffer
         self._assembler = assembler
@@ -71,11 +80,15 @@ class VertexArrays:
         version = self._versions.setdefault(descriptor.index_buffer, [0])
         if descriptor.index_buffer:
             self._assembler.watch(descriptor.index_buffer, self._buffers[descriptor.index_buffer].size)
-        kernel = pipeline.find_vertex(descriptor.streams)
+        kernel = pipeline.get_vertex_kernels(descriptor.streams)
         self.by_id[vertex_array] = VertexArray(
-            vertex_array, descriptor, pipeline, kernel, version,
+            vertex_array,
+            descriptor,
+            pipeline,
+            kernel,
+            version,
             count_elements(descriptor, lambda buffer: self._buffers[buffer].size),
-        )  # fmt: skip
+        )
         self._boxes.watch(vertex_array, {stream.buffer for stream in descriptor.streams})
 
     def destroy(self, vertex_array: Id) -> None:
@@ -96,7 +109,7 @@ class VertexArrays:
         self._change_version(buffer)
 
     def forget(self, resource: Id) -> None:
-        """Drop what is known of a buffer or texture that is being destroyed."""
+        """Drop the state of a buffer or texture that is being destroyed."""
         self._assembler.forget(resource)
         self._change_version(resource)
         self._versions.pop(resource, None)
@@ -111,15 +124,21 @@ class VertexArrays:
     # -- prepared draws --------------------------------------------------------------------------------------
 
     def prepare(
-        self, slot: DrawSlot, array: VertexArray, primitive: Primitive, first: int, count: int, base_vertex: int,
+        self,
+        slot: DrawSlot,
+        array: VertexArray,
+        primitive: Primitive,
+        first: int,
+        count: int,
+        base_vertex: int,
         base_instance: int,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Fill in a prepared draw."""
-        made, elements = array.descriptor, array.elements
-        if not made.index_buffer:
+        descriptor, elements = array.descriptor, array.elements
+        if not descriptor.index_buffer:
             count = max(0, min(count, elements.vertices - first))
             first = first if count else 0
-        assembly = self._assembler.assemble(primitive, first, count, made.index_buffer, made.index_format)
+        assembly = self._assembler.assemble(primitive, first, count, descriptor.index_buffer, descriptor.index_format)
         slot.memory = assembly.memory
         row = np.zeros((), DRAW_STRUCT)
         row["primitives"], row["primitive"] = assembly.count // assembly.corners, assembly.corners
@@ -127,9 +146,11 @@ class VertexArrays:
         if assembly.memory is not None:
             indices, index_bytes = assembly.memory.address + 4 * assembly.start, 4
         elif assembly.indexed:
-            indices = self._bindings.find_buffer(made.index_buffer) + made.index_format.size * assembly.start
-            index_bytes = made.index_format.size
-        base = assembly.base + (base_vertex if made.index_buffer else 0)
+            indices = (
+                self._bindings.buffer_address(descriptor.index_buffer) + descriptor.index_format.size * assembly.start
+            )
+            index_bytes = descriptor.index_format.size
+        base = assembly.base + (base_vertex if descriptor.index_buffer else 0)
         low, high = assembly.lowest, assembly.highest
         if low is not None and high is not None and not 0 <= low + base <= high + base < elements.vertices:
             low = None if assembly.indexed else low
@@ -148,21 +169,23 @@ class VertexArrays:
         self, numbers: NDArray[np.int64], array: VertexArray, primitive: Primitive, draws: NDArray[Any]
     ) -> bool:
         """Fill in prepared draws, by their numbers, for an array of draws; return False if they have to be prepared one
-        by one, because of strips, restarts, or indices that aren't known."""
-        made = array.descriptor
+        by one, because of strips, restarts, or indices that the host doesn't know."""
+        descriptor = array.descriptor
         if primitive not in LISTS:
             return False
         first, count = (draws[name].astype(np.int64) for name in ("first", "count"))
         corners = CORNERS[primitive]
         whole = count - count % corners
         rows = np.zeros(len(draws), DRAW_STRUCT)
-        if made.index_buffer:
-            ranges = self._assembler.find_ranges(first, count, made.index_buffer, made.index_format)
+        if descriptor.index_buffer:
+            ranges = self._assembler.compute_index_ranges(
+                first, count, descriptor.index_buffer, descriptor.index_format
+            )
             if ranges is None:
                 return False
             low, high = ranges
-            size = made.index_format.size
-            rows["indices"] = self._bindings.find_buffer(made.index_buffer) + size * first
+            size = descriptor.index_format.size
+            rows["indices"] = self._bindings.buffer_address(descriptor.index_buffer) + size * first
             rows["index_bytes"] = size
             base = draws["base_vertex"]
             if (low + base < 0).any() or (high + base >= array.elements.vertices).any():
@@ -186,7 +209,7 @@ class VertexArrays:
         rows["vertex_groups"] = -(-rows["vertices"] // GROUP)
         rows["last_vertex"], rows["last_instance"] = array.elements.vertices - 1, array.elements.instances - 1
         prepared.draws[numbers] = rows
-        prepared.arrays[numbers], prepared.seen[numbers] = array.id, False
+        prepared.arrays[numbers], prepared.was_drawn[numbers] = array.id, False
         prepared.streams[numbers, : len(streams)] = [
-            self._bindings.find_buffer(stream.buffer) + stream.offset for stream in streams
+            self._bindings.buffer_address(stream.buffer) + stream.offset for stream in streams
         ]

@@ -130,24 +130,28 @@ class ActivityTimeline:
             times = [
                 _format_time(self.total(lane, activity, frame.start, frame.presented))
                 for lane, activity in (
-                    (Lane.CPU, Activity.BUSY), (Lane.CPU, Activity.STALLED),
-                    (Lane.GPU, Activity.BUSY), (Lane.GPU, Activity.STARVED),
+                    (Lane.CPU, Activity.BUSY),
+                    (Lane.CPU, Activity.STALLED),
+                    (Lane.GPU, Activity.BUSY),
+                    (Lane.GPU, Activity.STARVED),
                 )
-            ]  # fmt: skip
+            ]
             latency = "not done" if frame.latency is None else _format_time(frame.latency)
-            lines.append(f"{number:>5} {times[0]:>10} {times[1]:>12} {times[2]:>12} {times[3]:>12} {latency:>12} "
-                         f"{frame.in_flight:>10}")  # fmt: skip
+            lines.append(
+                f"{number:>5} {times[0]:>10} {times[1]:>12} {times[2]:>12} {times[3]:>12} {latency:>12} "
+                f"{frame.in_flight:>10}"
+            )
         return "\n".join(lines)
 
     def __str__(self) -> str:
         return self.format()
 
     def plot(self, path: str | Path | None = None) -> Figure:
-        """Plot the timeline, and save the picture to `path` if given. Needs matplotlib."""
+        """Plot the timeline, and save the plot to `path` if given. Needs matplotlib."""
         from matplotlib.figure import Figure
         from matplotlib.patches import Patch
 
-        scale, unit = _find_unit(self.end)
+        scale, unit = _time_unit(self.end)
         figure = Figure(figsize=(10, 2.6), layout="constrained")
         axes = figure.add_subplot()
         rows = {Lane.CPU: 1.0, Lane.GPU: 0.0}
@@ -222,15 +226,15 @@ class ActivityLog:
         self._labels: list[Span | None] = []  # in the order in which they begin; None while open
         self._open: list[tuple[int, int, str]] = []
 
-    def add_stall(self, start: int, end: int, why: str) -> None:
+    def add_stall(self, start: int, end: int, reason: str) -> None:
         """Log that the CPU waits."""
         if end > start:
-            self.stalls.append(Span(Lane.CPU, Activity.STALLED, start, end, why))
+            self.stalls.append(Span(Lane.CPU, Activity.STALLED, start, end, reason))
 
-    def add_idle(self, activity: Activity, start: int, end: int, why: str = "") -> None:
+    def add_idle(self, activity: Activity, start: int, end: int, reason: str = "") -> None:
         """Log that the GPU is starved or halted."""
         if end > start:
-            self.idle.append(Span(Lane.GPU, activity, start, end, why))
+            self.idle.append(Span(Lane.GPU, activity, start, end, reason))
 
     def begin_label(self, time: int, name: str) -> None:
         self._open.append((len(self._labels), time, name))
@@ -238,8 +242,8 @@ class ActivityLog:
 
     def end_label(self, time: int) -> None:
         if self._open:
-            place, start, name = self._open.pop()
-            self._labels[place] = Span(Lane.GPU, Activity.BUSY, start, time, name)
+            index, start, name = self._open.pop()
+            self._labels[index] = Span(Lane.GPU, Activity.BUSY, start, time, name)
 
     def present(self, time: int) -> None:
         self.presented.append((time, len(self.presented) + 1 - len(self.done)))
@@ -261,16 +265,16 @@ class ActivityLog:
 
 def _fill(lane: Lane, others: Sequence[Span], end: int) -> Iterable[Span]:
     """Yield `others` up to `end`, with busy spans between them."""
-    place = 0
+    time = 0
     for span in others:
         if span.start >= end:
             break
-        if span.start > place:
-            yield Span(lane, Activity.BUSY, place, span.start)
+        if span.start > time:
+            yield Span(lane, Activity.BUSY, time, span.start)
         yield replace(span, end=min(span.end, end))
-        place = span.end
-    if end > place:
-        yield Span(lane, Activity.BUSY, place, end)
+        time = span.end
+    if end > time:
+        yield Span(lane, Activity.BUSY, time, end)
 
 
 def _bar(spans: Sequence[Span], end: int, width: int) -> str:
@@ -300,10 +304,10 @@ def _slice(span: Span, thread: int, name: str) -> dict[str, Any]:
     return {"ph": "X", "name": name, "cat": span.lane.value, "pid": 1, "tid": thread, **times}
 
 
-def _find_unit(nanoseconds: int) -> tuple[float, str]:
+def _time_unit(nanoseconds: int) -> tuple[float, str]:
     return (1e6, "ms") if nanoseconds >= 1e6 else (1e3, "µs")
 
 
 def _format_time(nanoseconds: int) -> str:
-    scale, unit = _find_unit(nanoseconds)
+    scale, unit = _time_unit(nanoseconds)
     return f"{nanoseconds / scale:.3f} {unit}"

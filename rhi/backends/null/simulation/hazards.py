@@ -1,11 +1,11 @@
 """Hazards: accesses of the CPU that aren't synchronised with the GPU, and passes that read what they write.
 
-- The GPU executes in order. So all that the CPU can know is one number: up to which command everything is done. It
-  learns it from a fence that it polls or waits for, from a query's answer, and from a read that waits.
+- The GPU executes in order. So the CPU's knowledge is one number: the last command up to which everything is
+  done. It comes from a polled or awaited fence, a query's result, or a read that waits.
 - Accessing memory or a resource that a command beyond that number uses is a hazard: it fails on some GPU that is slow
   enough. `happened` says whether it failed in this run, by the simulated clock.
-- The hazards found therefore depend on what the CPU was told, not on costs or luck. A program that never asks has the
-  same hazards at every latency. A program without hazards is correct on any GPU that executes in order.
+- The hazards therefore depend on what the CPU has polled, not on costs or luck. A program that never polls has
+  the same hazards at every latency. A program without hazards is correct on any GPU that executes in order.
 - Ranges are exact, in bytes. The vertices that an indexed or indirect draw reads are known only when it is executed.
   Until then, writes to its buffers are kept as suspects.
 - Where the CPU reads the sample counter in interrupts and the GPU runs on, the counter may have moved on when it is
@@ -21,13 +21,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from rhi.backends.null.buffers import Buffers
-from rhi.backends.null.draws import ExecutedIndirectDraws
+from rhi.backends.null.null_buffers import Buffers
+from rhi.backends.null.null_draws import ExecutedIndirectDraws
+from rhi.backends.null.null_textures import Textures
 from rhi.backends.null.simulation.streams import CommandUse, StreamMemory, vertex_ranges
-from rhi.backends.null.textures import Textures
 from rhi.commands.context import StreamContext
 from rhi.commands.ops import CREATIONS, ID_ARGUMENTS, Op
-from rhi.commands.stream import find_site
+from rhi.commands.stream import call_site_at
 from rhi.contract.descriptors import (
     DRAW,
     Attachment,
@@ -42,7 +42,7 @@ from rhi.contract.descriptors import (
     VertexArrayDescriptor,
 )
 from rhi.contract.states import ColorWrite, DepthTest, DepthWrite, StencilTest
-from rhi.errors import CallSite
+from rhi.errors.call_sites import CallSite
 
 
 class HazardKind(enum.Enum):
@@ -67,8 +67,8 @@ class Hazard:
         first, second: the sites of the calls, in the order of the calls. None outside user code, or where there was
             no first call (a query that never began).
         calls: the names of the two calls.
-        happened: whether the GPU was still using the resource in this run. If not, it just was fast enough. Of a
-            counter: whether it was read with the samples of later draws, known from when it was read.
+        happened: whether the GPU was still using the resource in this run. If not, the GPU was fast enough by
+            luck. For a counter: whether its value included the samples of later draws, known once it was read.
         bytes: the first byte and one past the last byte that both access; (0, 0) if bytes don't matter.
     """
 
@@ -103,7 +103,10 @@ class _DeferredDraw:
 
 
 _DRAW_BYTES = DRAW.itemsize
-_UNIFORM, _STORAGE, _IMAGE = BindingKind.UNIFORM, BindingKind.STORAGE, BindingKind.IMAGE  # found faster than members
+# A global is found faster than a member of an enum.
+_UNIFORM = BindingKind.UNIFORM
+_STORAGE = BindingKind.STORAGE
+_IMAGE = BindingKind.IMAGE
 _BINDING = frozenset({Op.SET_STATES, Op.BIND_PROGRAM, Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE})
 """Commands that only bind. What is bound is used when something is drawn or dispatched."""
 
@@ -114,7 +117,7 @@ class HazardTracker:
     Attributes:
         hazards: the hazards found, in order.
         latest_uses: by query, the number of the command that last began, ended or wrote it.
-        known: the number of the command up to which the CPU knows that everything is done.
+        completed: the number of the command up to which the CPU knows that everything is done.
     """
 
     def __init__(
@@ -134,7 +137,7 @@ class HazardTracker:
         self._is_done = is_done
         self.hazards: list[Hazard] = []
         self.latest_uses: dict[Id, int] = {}
-        self.known = 0
+        self.completed = 0
         self._fences: deque[tuple[int, int]] = deque()  # (value, command) of signals not known to be reached
         self._uses: dict[Id, CommandUse] = {}  # the latest use of each resource
         self._destroyed: dict[Id, CommandUse] = {}
@@ -150,13 +153,13 @@ class HazardTracker:
         self._counters_race = counters_race
         self._counters: set[Id] = set()
         self._unread: list[tuple[CommandUse, Id]] = []  # events whose counter isn't known to be read, no draw after
-        self._raced: dict[int, int] = {}  # by an event's command: the place of its hazard
+        self._raced: dict[int, int] = {}  # by an event's command: the index of its hazard
 
     def followers(self) -> tuple[tuple[Callable[..., None] | None, bool], ...]:
         """Return for each op the method that follows a call, and whether it takes the call's `CommandUse` first."""
-        return tuple(self._find_follower(op) for op in Op)
+        return tuple(self._get_follower(op) for op in Op)
 
-    def _find_follower(self, op: Op) -> tuple[Callable[..., None] | None, bool]:
+    def _get_follower(self, op: Op) -> tuple[Callable[..., None] | None, bool]:
         if op in _BINDING:
             return getattr(self._context, op.method), False
         if op in CREATIONS:
@@ -169,26 +172,27 @@ class HazardTracker:
     def signal(self, use: CommandUse, value: int) -> None:
         self._fences.append((value, use[0]))
 
-    def learn_fence(self, value: int) -> None:
+    def note_fence(self, value: int) -> None:
         """Note that the CPU has seen the fence at `value`."""
         while self._fences and self._fences[0][0] <= value:
-            self.learn(self._fences.popleft()[1])
+            self.note_completed(self._fences.popleft()[1])
 
-    def learn(self, serial: int) -> None:
+    def note_completed(self, serial: int) -> None:
         """Note that the CPU knows that everything up to this command is done."""
-        self.known = max(self.known, serial)
+        self.completed = max(self.completed, serial)
 
-    def learn_answer(self, query: Id) -> None:
-        """Note that the CPU has the answer of a query. A counter was read, and so were those of all events before."""
+    def note_answer(self, query: Id) -> None:
+        """Note that the CPU has the result of a query. So its counter was read, and the counters of all earlier
+        events."""
         serial = self.latest_uses.get(query, 0)
-        self.learn(serial)
+        self.note_completed(serial)
         if query in self._counters:
             self._unread = [event for event in self._unread if event[0][0] > serial]
 
     def confirm_race(self, event: int) -> None:
         """Note that the counter was read too late for an event, the command of this number."""
-        place = self._raced[event]
-        self.hazards[place] = replace(self.hazards[place], happened=True)
+        hazard_index = self._raced[event]
+        self.hazards[hazard_index] = replace(self.hazards[hazard_index], happened=True)
 
     # -- creation ------------------------------------------------------------------------------------------
 
@@ -225,7 +229,7 @@ class HazardTracker:
         in_place = begin < memory.written[1] and memory.written[0] < end
         kind = HazardKind.WRITE_IN_USE if in_place else HazardKind.RING_OVERTAKEN
         memory.written = (begin, end)
-        used = memory.find(begin, end, self.known)
+        used = memory.find_use(begin, end, self.completed)
         if used is not None:
             self._report(kind, buffer, used[2], make_use(), (max(begin, used[0]), min(end, used[1])))
         for deferred in self._deferred:
@@ -234,22 +238,28 @@ class HazardTracker:
 
     def read_stream(self, make_use: Callable[[], CommandUse], buffer: Id, begin: int, end: int) -> None:
         """Check an immediate read by the CPU, of a buffer that the GPU only writes."""
-        used = self._streams[buffer].find(begin, end, self.known)
+        used = self._streams[buffer].find_use(begin, end, self.completed)
         if used is not None:
             both = (max(begin, used[0]), min(end, used[1]))
             self._report(HazardKind.READ_IN_USE, buffer, used[2], make_use(), both)
 
     def read_query(self, make_use: Callable[[], CommandUse], query: Id) -> None:
-        """Check a read of a query's answer."""
+        """Check a read of a query's result."""
         if query in self._unfinished:
             begun = self._unfinished[query]
-            hazard = Hazard(HazardKind.QUERY_UNFINISHED, query, _site(begun), _site(make_use()),
-                            ("begin_query" if begun else "", "read_query"), True)  # fmt: skip
+            hazard = Hazard(
+                HazardKind.QUERY_UNFINISHED,
+                query,
+                _site(begun),
+                _site(make_use()),
+                ("begin_query" if begun else "", "read_query"),
+                True,
+            )
             self.hazards.append(hazard)
 
     def destroy(self, use: CommandUse, resource: Id) -> None:
         last = self._uses.pop(resource, None)
-        if last is not None and last[0] > self.known:
+        if last is not None and last[0] > self.completed:
             self._report(HazardKind.DESTROYED_IN_USE, resource, last, use)
         self._destroyed[resource] = use
         self._streams.pop(resource, None)
@@ -285,9 +295,16 @@ class HazardTracker:
     # -- work ----------------------------------------------------------------------------------------------
 
     def draw(
-        self, use: CommandUse, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
-        base_vertex: int, base_instance: int,
-    ) -> None:  # fmt: skip
+        self,
+        use: CommandUse,
+        vertex_array: Id,
+        primitive: Primitive,
+        first: int,
+        count: int,
+        instances: int,
+        base_vertex: int,
+        base_instance: int,
+    ) -> None:
         self._use_program(use)
         array = self._use_vertex_array(use, vertex_array)
         if self._unread and count and instances:
@@ -298,7 +315,7 @@ class HazardTracker:
         index = array.index_buffer
         if index in streams:
             begin, end = first * array.index_format.size, (first + count) * array.index_format.size
-            streams[index].use(begin, end, use, self.known)
+            streams[index].use(begin, end, use, self.completed)
         if not any(stream.buffer in streams for stream in array.streams):
             return
         arguments = (primitive, [(count, instances, first, base_vertex, base_instance)])
@@ -306,12 +323,20 @@ class HazardTracker:
             self._deferred.append(_DeferredDraw(use, array, arguments))
         else:
             for buffer, begin, end in vertex_ranges(array, *arguments, streams, self._buffers.memory):
-                streams[buffer].use(begin, end, use, self.known)
+                streams[buffer].use(begin, end, use, self.completed)
 
     def draw_indirect(
-        self, use: CommandUse, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
-        count_buffer: Id, count_offset: int,
-    ) -> None:  # fmt: skip
+        self,
+        use: CommandUse,
+        vertex_array: Id,
+        primitive: Primitive,
+        buffer: Id,
+        offset: int,
+        draws: int,
+        stride: int,
+        count_buffer: Id,
+        count_offset: int,
+    ) -> None:
         self._use_program(use)
         array = self._use_vertex_array(use, vertex_array)
         if self._unread:
@@ -386,15 +411,18 @@ class HazardTracker:
         ranges = vertex_ranges(array, primitive, draws, self._streams, self._buffers.memory)
         if not deferred.arguments and array.index_buffer in self._streams:
             size = array.index_format.size
-            ranges += [(array.index_buffer, first * size, (first + count) * size)
-                       for count, instances, first, _, _ in draws if count and instances]  # fmt: skip
+            ranges += [
+                (array.index_buffer, first * size, (first + count) * size)
+                for count, instances, first, _, _ in draws
+                if count and instances
+            ]
         for buffer, begin, end in ranges:
             for written, write_begin, write_end, use, kind in deferred.suspects:
                 if written == buffer and begin < write_end and write_begin < end:
                     both = (max(begin, write_begin), min(end, write_end))
                     self._report(kind, buffer, deferred.use, use, both, happened=True)
             if buffer in self._streams:
-                self._streams[buffer].use(begin, end, deferred.use, self.known)
+                self._streams[buffer].use(begin, end, deferred.use, self.completed)
 
     # -- helpers -------------------------------------------------------------------------------------------
 
@@ -404,11 +432,11 @@ class HazardTracker:
             self._report(HazardKind.USED_DESTROYED, resource, self._destroyed[resource], use, happened=True)
         self._uses[resource] = use
 
-    def _use_all(self, places: tuple[int, ...], use: CommandUse, *values: Any) -> None:
+    def _use_all(self, argument_indices: tuple[int, ...], use: CommandUse, *values: Any) -> None:
         """Record the uses of a command that uses the whole of each of its resources."""
-        for place in places:
-            if values[place]:
-                self._use(use, values[place])
+        for argument_index in argument_indices:
+            if values[argument_index]:
+                self._use(use, values[argument_index])
 
     def _report_races(self, draw: CommandUse) -> None:
         """Report the events before `draw` whose counter the CPU doesn't know to be read."""
@@ -423,15 +451,15 @@ class HazardTracker:
         self._uses[buffer] = use
         memory = self._streams.get(buffer)
         if memory is not None:
-            memory.use(begin, end, use, self.known)
+            memory.use(begin, end, use, self.completed)
 
     def _use_vertex_array(self, use: CommandUse, vertex_array: Id) -> VertexArrayDescriptor | None:
         """Record the use of a vertex array and its buffers. Return its descriptor if any of them is a STREAM
         buffer."""
-        known = self._arrays.get(vertex_array)
-        if known is None:
+        entry = self._arrays.get(vertex_array)
+        if entry is None:
             return None
-        array, resources, streamed = known
+        array, resources, streamed = entry
         uses, destroyed = self._uses, self._destroyed
         for resource in resources:
             if resource in destroyed:
@@ -485,17 +513,22 @@ class HazardTracker:
                 return
 
     def _has_stencil(self, texture: Id) -> bool:
-        made = self._textures.textures.get(texture)
-        return made is not None and made.descriptor.format.has_stencil
+        state = self._textures.textures.get(texture)
+        return state is not None and state.descriptor.format.has_stencil
 
     def _report(
-        self, kind: HazardKind, resource: Id, first: CommandUse, second: CommandUse, bytes: tuple[int, int] = (0, 0),
+        self,
+        kind: HazardKind,
+        resource: Id,
+        first: CommandUse,
+        second: CommandUse,
+        bytes: tuple[int, int] = (0, 0),
         happened: bool | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         happened = not self._is_done(first[0]) if happened is None else happened
         calls = (Op(first[3]).method, Op(second[3]).method)
         self.hazards.append(Hazard(kind, resource, _site(first), _site(second), calls, happened, bytes))
 
 
 def _site(use: CommandUse | None) -> CallSite | None:
-    return find_site(use[1], use[2]) if use is not None else None
+    return call_site_at(use[1], use[2]) if use is not None else None

@@ -1,5 +1,5 @@
-"""STREAM buffers, which the CPU writes without order: the uses of their bytes, and the vertices that draws read
-there."""
+"""STREAM buffers, which the CPU writes without synchronisation: uses of their bytes, and the vertices that
+draws read."""
 
 from __future__ import annotations
 
@@ -32,35 +32,38 @@ class StreamMemory:
         self._shift = max(8, size.bit_length() - 10)
         self.written = (0, 0)
 
-    def use(self, begin: int, end: int, use: CommandUse, known: int) -> None:
-        """Add a use of these bytes. Earlier uses by commands up to number `known` are done and may be dropped."""
+    def use(self, begin: int, end: int, use: CommandUse, completed: int) -> None:
+        """Add a use of these bytes. Earlier uses by commands up to number `completed` are done and may be dropped."""
         for page in range(begin >> self._shift, (max(end, begin + 1) - 1 >> self._shift) + 1):
             uses = self._pages.setdefault(page, [])
             if uses and uses[-1][0] == begin and uses[-1][1] == end:
                 uses[-1] = (begin, end, use)
                 continue
             if len(uses) >= 64:
-                uses[:] = [each for each in uses if each[2][0] > known]
+                uses[:] = [each for each in uses if each[2][0] > completed]
             uses.append((begin, end, use))
 
-    def find(self, begin: int, end: int, known: int) -> tuple[int, int, CommandUse] | None:
-        """Return the latest use of any of these bytes by a command after number `known`, None if there is none."""
-        found: tuple[int, int, CommandUse] | None = None
+    def find_use(self, begin: int, end: int, completed: int) -> tuple[int, int, CommandUse] | None:
+        """Return the latest use of any of these bytes by a command after number `completed`, None if there is none."""
+        latest: tuple[int, int, CommandUse] | None = None
         for page in range(begin >> self._shift, (end - 1 >> self._shift) + 1):
             for each in self._pages.get(page, ()):
-                meets = each[0] < end and begin < each[1] and each[2][0] > known
-                if meets and (found is None or each[2][0] > found[2][0]):
-                    found = each
-        return found
+                meets = each[0] < end and begin < each[1] and each[2][0] > completed
+                if meets and (latest is None or each[2][0] > latest[2][0]):
+                    latest = each
+        return latest
 
 
 _STRIPS: Final = frozenset({Primitive.LINE_STRIP, Primitive.TRIANGLE_STRIP, Primitive.TRIANGLE_FAN})
 
 
 def vertex_ranges(
-    array: VertexArrayDescriptor, primitive: Primitive, draws: Sequence[tuple[int, ...]], streamed: Collection[Id],
+    array: VertexArrayDescriptor,
+    primitive: Primitive,
+    draws: Sequence[tuple[int, ...]],
+    streamed: Collection[Id],
     memory: Mapping[Id, NDArray[np.uint8]],
-) -> list[tuple[Id, int, int]]:  # fmt: skip
+) -> list[tuple[Id, int, int]]:
     """Return the ranges of vertex memory that draws read.
 
     Args:
@@ -78,24 +81,28 @@ def vertex_ranges(
             continue
         vertices: tuple[int, int] | None = (first, first + count)
         if array.index_buffer and any(not stream.per_instance for stream in streams):
-            vertices = _find_indexed(array, primitive, first, count, base_vertex, memory)
+            vertices = _indexed_range(array, primitive, first, count, base_vertex, memory)
         for stream in streams:
             span = (base_instance, base_instance + instances) if stream.per_instance else vertices
             if span is not None:
-                begin, end = (stream.offset + place * stream.stride for place in span)
+                begin, end = (stream.offset + index * stream.stride for index in span)
                 ranges.append((stream.buffer, begin, end))
     return ranges
 
 
-def _find_indexed(
-    array: VertexArrayDescriptor, primitive: Primitive, first: int, count: int, base: int,
+def _indexed_range(
+    array: VertexArrayDescriptor,
+    primitive: Primitive,
+    first: int,
+    count: int,
+    base: int,
     memory: Mapping[Id, NDArray[np.uint8]],
-) -> tuple[int, int] | None:  # fmt: skip
+) -> tuple[int, int] | None:
     """Return the first and one past the last vertex that indices refer to, None if they only restart strips."""
-    form, held = array.index_format, memory.get(array.index_buffer)
-    if held is None:  # destroyed, which is reported as another hazard
+    form, data = array.index_format, memory.get(array.index_buffer)
+    if data is None:  # destroyed, which is reported as another hazard
         return None
-    indices = held[first * form.size : (first + count) * form.size].view(form.dtype).astype(np.int64)
+    indices = data[first * form.size : (first + count) * form.size].view(form.dtype).astype(np.int64)
     if primitive in _STRIPS:
         indices = indices[indices != 256**form.size - 1]
     if not len(indices):

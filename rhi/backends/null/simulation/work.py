@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from rhi.backends.null.draws import ExecutedIndirectDraws
 from rhi.backends.null.execution import DrawOutcome, ExecutionState
+from rhi.backends.null.null_draws import ExecutedIndirectDraws
+from rhi.backends.null.null_textures import Textures
 from rhi.backends.null.simulation.cost import CommandWork, CostModel, count_primitives
-from rhi.backends.null.textures import Textures
 from rhi.commands.ops import Op
 from rhi.contract import descriptors
 from rhi.contract.descriptors import Id
@@ -35,7 +35,7 @@ class WorkMeter:
         self._textures = textures
         self._state = state
         self._begun: descriptors.PassDescriptor | None = None
-        self._known_area: tuple[tuple[object, object, object], int] = ((None, None, None), 0)
+        self._cached_area: tuple[tuple[object, object, object], int] = ((None, None, None), 0)
         self.samples: int | None = None
         self.indirect_draws: Sequence[ExecutedIndirectDraws] = ()
         self.indirect_dispatches: Sequence[tuple[int, int, int]] = ()
@@ -66,9 +66,15 @@ class WorkMeter:
         return CommandWork(Op.END_PASS, bytes=bytes)
 
     def draw(
-        self, vertex_array: Id, primitive: descriptors.Primitive, first: int, count: int, instances: int,
-        base_vertex: int, base_instance: int,
-    ) -> CommandWork:  # fmt: skip
+        self,
+        vertex_array: Id,
+        primitive: descriptors.Primitive,
+        first: int,
+        count: int,
+        instances: int,
+        base_vertex: int,
+        base_instance: int,
+    ) -> CommandWork:
         if self._state.outcome is DrawOutcome.DROPPED:
             return CommandWork(Op.DRAW)
         pixels = self._pixels(count_primitives(primitive, count) * instances)
@@ -103,13 +109,13 @@ class WorkMeter:
             Op.GENERATE_MIPMAPS: self._filtered_bytes,
         }
 
-        def find_meter(op: Op) -> Callable[..., CommandWork] | None:
+        def get_meter(op: Op) -> Callable[..., CommandWork] | None:
             count = transfers.get(op)
             if count is None:
                 return getattr(self, op.method, None)
             return lambda *arguments: CommandWork(op, bytes=count(*arguments))
 
-        return tuple(map(find_meter, Op))
+        return tuple(map(get_meter, Op))
 
     # -- helpers -----------------------------------------------------------------------------------------
 
@@ -143,10 +149,10 @@ class WorkMeter:
         """Return the number of pixels that a draw can reach: the intersection of target, viewport and scissor."""
         state = self._state
         parts = (state.render_pass, state.states[Viewport], state.states[Scissor])
-        known, area = self._known_area
-        if parts[0] is not known[0] or parts[1] is not known[1] or parts[2] is not known[2]:
+        cached, area = self._cached_area
+        if parts[0] is not cached[0] or parts[1] is not cached[1] or parts[2] is not cached[2]:
             area = _measure_area(*parts)
-            self._known_area = parts, area
+            self._cached_area = parts, area
         return area
 
 
@@ -154,7 +160,10 @@ def _measure_area(render_pass: descriptors.PassDescriptor | None, viewport: Any,
     if render_pass is None:
         return 0
     width, height = render_pass.size
-    left, top, right, bottom = 0.0, 0.0, float(width), float(height)
+    left = 0.0
+    top = 0.0
+    right = float(width)
+    bottom = float(height)
     for box, unset in ((viewport, Viewport.TARGET), (scissor, Scissor.OFF)):
         if box != unset:
             left, top = max(left, box.x), max(top, box.y)

@@ -1,4 +1,4 @@
-"""What is chosen lies near the best of all combinations, each of which is drawn, judged and timed."""
+"""What is chosen lies near the best of all combinations, each of which is drawn, compared and timed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from renderer.content import load_scene
-from renderer.lab.accuracy import Situation, find_front, sweep_knob
+from renderer.lab.accuracy import SweepSetup, compute_pareto_front, sweep_setting
 from renderer.lab.accuracy.choice import CombinationBench, combine, make_plain
 from renderer.lab.accuracy.sweep import list_views
 from renderer.settings import RenderSettings
@@ -23,14 +23,14 @@ SUN = {
     "shadow_cascades": ("2", "3", "4"),
     "texture_filter": ("bilinear, no mip levels", "trilinear"),
 }
-LAMPS = {
-    **{knob: SUN[knob] for knob in ("scale", "fxaa", "texture_filter")},
-    "lamp_shadow_size": ("64", "128", "256", "512"),
+LOCAL_LIGHTS = {
+    **{setting: SUN[setting] for setting in ("scale", "fxaa", "texture_filter")},
+    "local_shadow_size": ("64", "128", "256", "512"),
     "shadow_filter": ("hard", "hardware", "smooth"),
 }
 SCENES = {
     "city:blocks=2,shadows=1": SUN,
-    "hall:columns=4,rows=2,shadows=1,lights=8": LAMPS,
+    "hall:columns=4,rows=2,shadows=1,lights=8": LOCAL_LIGHTS,
     "night:blocks=2,shadows=1,lights=8": SUN,
 }
 """Scenes, and the values of 192 combinations for each: the hall has no sun."""
@@ -45,22 +45,22 @@ _MORE = 1.1
 def test_a_choice_is_as_accurate_as_any_combination_that_is_as_fast(name: str, backend: str) -> None:
     """Times are of the processor, in the median of all combinations' in the same round. A combination is as fast as a
     budget if its slowest round is, and one that the search has kept if its median is, or noise would be compared."""
-    situation = Situation(name, backend=backend, size=(96, 54), views=2, rounds=5, settings=RenderSettings())
+    setup = SweepSetup(name, backend=backend, size=(96, 54), views=2, rounds=5, settings=RenderSettings())
     values = SCENES[name]
     with open_device(backend):
         pass
-    sweeps = {knob: sweep_knob(situation, knob) for knob in values}
+    sweeps = {setting: sweep_setting(setup, setting) for setting in values}
     reports = [
-        replace(sweep, rows=tuple(row for row in sweep.rows if row.value in values[knob]))
-        for knob, sweep in sweeps.items()
+        replace(sweep, rows=tuple(row for row in sweep.rows if row.value in values[setting]))
+        for setting, sweep in sweeps.items()
     ]
-    front = find_front(situation, reports)
-    base, scene = make_plain(situation.settings), load_scene(situation.scene)
+    front = compute_pareto_front(setup, reports)
+    base, scene = make_plain(setup.settings), load_scene(setup.scene)
     everything = {each: combine(base, dict(zip(values, each, strict=True))) for each in product(*values.values())}
-    chosen = [tuple(point.values[knob] for knob in values) for point in front]
+    front_keys = [tuple(point.values[setting] for setting in values) for point in front]
     errors, times = {}, dict[tuple[str, ...], list[float]]()
-    frames = list_views(scene, situation)
-    with open_device(backend) as device, CombinationBench(device, scene, situation, list(values)) as bench:
+    frames = list_views(scene, setup)
+    with open_device(backend) as device, CombinationBench(device, scene, setup, list(values)) as bench:
         for turn in range(_ROUNDS):
             for each, settings in everything.items():
                 if not turn:
@@ -74,10 +74,12 @@ def test_a_choice_is_as_accurate_as_any_combination_that_is_as_fast(name: str, b
     by_round = np.array(list(times.values()))
     taken = dict(zip(times, by_round / np.median(by_round, axis=0), strict=True))
     assert len(everything) == 192
-    for budget in np.quantile([np.median(some) for some in taken.values()], (0.25, 0.5, 0.75, 1.0)):
-        sure = [errors[each] for each, some in taken.items() if some.max() <= budget]
-        found = [errors[each] for each in chosen if np.median(taken[each]) <= budget]
+    for budget in np.quantile([np.median(samples) for samples in taken.values()], (0.25, 0.5, 0.75, 1.0)):
+        sure = [errors[each] for each, samples in taken.items() if samples.max() <= budget]
+        errors_within = [errors[each] for each in front_keys if np.median(taken[each]) <= budget]
         if sure:
             best = min(sure)
-            assert found, f"{budget:.2f}: nothing, where {best:.2f} levels are to be had"
-            assert min(found) <= _MORE * best, f"{budget:.2f}: {min(found):.2f} levels, where {best:.2f} are to be had"
+            assert errors_within, f"{budget:.2f}: nothing, where {best:.2f} levels are to be had"
+            assert min(errors_within) <= _MORE * best, (
+                f"{budget:.2f}: {min(errors_within):.2f} levels, where {best:.2f} are to be had"
+            )

@@ -1,4 +1,4 @@
-"""Settings that are chosen: steps along the knobs, the front, the check, and the files that keep them."""
+"""Settings that are chosen: steps along the quality settings, the front, the check, and the files that keep them."""
 
 from __future__ import annotations
 
@@ -20,43 +20,52 @@ from nightly_reasons import CHEAPER_TEST
 
 import rhi
 from renderer.cli import main
-from renderer.cli.accuracy import list_left_out
+from renderer.cli.accuracy import describe_left_out
 from renderer.cli.executors import SerialExecutor, make_executor
 from renderer.content import load_scene
-from renderer.lab.accuracy import FrontPoint, KnobReport, Situation, SweepJob, ValueRow, choice, choose, run_jobs
-from renderer.lab.accuracy.choice import CombinationBench, expect_error, find_choices, list_held_out, mark_best, search
+from renderer.lab.accuracy import ParetoPoint, SettingReport, SweepJob, SweepSetup, ValueRow, choice, choose, run_jobs
+from renderer.lab.accuracy.choice import (
+    CombinationBench,
+    expect_error,
+    list_held_out,
+    mark_best,
+    search,
+    select_effective_reports,
+)
 from renderer.lab.accuracy.jobs import list_jobs, load_sample, order_jobs, save_sample
-from renderer.lab.accuracy.sweep import KnobSample, SweepShare, ValueSample, list_views
-from renderer.scene import Shot
+from renderer.lab.accuracy.sweep import SettingSample, SweepShard, ValueSample, list_views
+from renderer.scene import PathFrame
 from renderer.scene.arrays import Floats
 from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter
 from tests.renderer.conftest import open_device
 
-SITUATION = Situation("city:blocks=2,shadows=1", backend="gl", size=(48, 28), views=2, rounds=2)
+SETUP = SweepSetup("city:blocks=2,shadows=1", backend="gl", size=(48, 28), views=2, rounds=2)
 
 
-def report_of(knob: str, *rows: tuple[str, float, float]) -> KnobReport:
+def make_report(setting: str, *rows: tuple[str, float, float]) -> SettingReport:
     """Make a report of values with a mean error and a time."""
-    made = [
-        ValueRow(knob, value, False, "levels", 2.0 * error, error, None, 1.0, time, time, time, 1.0, time, time, time)
+    value_rows = [
+        ValueRow(
+            setting, value, False, "levels", 2.0 * error, error, None, 1.0, time, time, time, 1.0, time, time, time
+        )
         for value, error, time in rows
     ]
-    return KnobReport(knob, "gl", "a device", tuple(made))
+    return SettingReport(setting, "gl", "a device", tuple(value_rows))
 
 
-def point_of(error: float, milliseconds: float) -> FrontPoint:
-    return FrontPoint({}, RenderSettings(), error, error, milliseconds, 1.0, 1.0, 1.0)
+def make_point(error: float, milliseconds: float) -> ParetoPoint:
+    return ParetoPoint({}, RenderSettings(), error, error, milliseconds, 1.0, 1.0, 1.0)
 
 
 def test_each_step_saves_the_most_time_for_its_error() -> None:
     reports = {
-        "shadow_size": report_of("shadow_size", ("512", 4.0, 0.4), ("1024", 1.0, 0.5), ("2048", 0.0, 1.0)),
-        "fxaa": report_of("fxaa", ("off", 3.0, 0.9), ("on", 2.0, 1.0)),
-        "precision": report_of("precision", ("fast", 0.5, 1.1), ("exact", 0.0, 1.0)),  # not faster: never taken
+        "shadow_size": make_report("shadow_size", ("512", 4.0, 0.4), ("1024", 1.0, 0.5), ("2048", 0.0, 1.0)),
+        "fxaa": make_report("fxaa", ("off", 3.0, 0.9), ("on", 2.0, 1.0)),
+        "precision": make_report("precision", ("fast", 0.5, 1.1), ("exact", 0.0, 1.0)),  # not faster: never taken
     }
-    chosen = [(one["shadow_size"], one["fxaa"], one["precision"]) for one in choice.list_steps(reports)]
-    assert chosen == [
+    steps = [(step["shadow_size"], step["fxaa"], step["precision"]) for step in choice.list_steps(reports)]
+    assert steps == [
         ("2048", "on", "exact"),
         ("1024", "on", "exact"),
         ("1024", "off", "exact"),
@@ -65,15 +74,15 @@ def test_each_step_saves_the_most_time_for_its_error() -> None:
 
 
 def measure_together(values: dict[str, str]) -> tuple[float, float]:
-    """Return the error and the time of knobs that change what others lose and cost: sizes multiply, and smoothing helps
-    only what is small."""
+    """The error and the time of quality settings that change the cost of others: sizes multiply, and smoothing
+    helps only small images."""
     size, filters, smooth = float(values["size"]), float(values["filter"]), values["smooth"] == "on"
     error = 8.0 / size + 2.0 / filters + (1.0 if smooth and size > 1 else 0.0) - (3.0 if smooth and size <= 1 else 0.0)
     return error, size * size * (1.0 + 0.5 * filters) + (0.2 if smooth else 0.0)
 
 
 def test_the_search_finds_what_a_brute_force_finds() -> None:
-    ladders = {"size": ("0.5", "1", "2", "4"), "filter": ("1", "2", "4"), "smooth": ("off", "on")}
+    values_by_setting = {"size": ("0.5", "1", "2", "4"), "filter": ("1", "2", "4"), "smooth": ("off", "on")}
     tried = list[tuple[str, ...]]()
 
     def measure(values: dict[str, str]) -> tuple[float, float, float]:
@@ -82,61 +91,68 @@ def test_the_search_finds_what_a_brute_force_finds() -> None:
         return error, milliseconds, milliseconds
 
     start = {"size": "4", "filter": "4", "smooth": "off"}
-    found = [measure_together(one) for one in search(ladders, [start], measure)]
-    every = sorted(measure_together(dict(zip(ladders, one, strict=True))) for one in product(*ladders.values()))
-    assert found == [one for one in every if not any(other[0] <= one[0] and other[1] < one[1] for other in every)]
-    assert len(found) > 6
+    points = [measure_together(point) for point in search(values_by_setting, [start], measure)]
+    every = sorted(
+        measure_together(dict(zip(values_by_setting, point, strict=True)))
+        for point in product(*values_by_setting.values())
+    )
+    assert points == [
+        point for point in every if not any(other[0] <= point[0] and other[1] < point[1] for other in every)
+    ]
+    assert len(points) > 6
     assert len(tried) == len(set(tried)) <= len(every)
     tried.clear()
-    search(ladders, [start, start | {"size": "2"}], measure, most=7)
+    search(values_by_setting, [start, start | {"size": "2"}], measure, max_tried=7)
     assert len(tried) == 7
 
 
 @pytest.mark.parametrize(("low", "is_kept"), [(3.9, True), (4.0, False)])
 def test_the_search_keeps_what_may_be_faster_than_all_that_is_more_accurate(low: float, is_kept: bool) -> None:
     times = {"2": (3.0, 4.0), "1": (low, 5.0)}
-    found = search({"size": ("1", "2")}, [{"size": "2"}], lambda one: (-float(one["size"]), *times[one["size"]]))
-    assert [one["size"] for one in found] == ["2", "1"][: 1 + is_kept]
+    combinations = search(
+        {"size": ("1", "2")}, [{"size": "2"}], lambda values: (-float(values["size"]), *times[values["size"]])
+    )
+    assert [values["size"] for values in combinations] == ["2", "1"][: 1 + is_kept]
 
 
-def test_the_front_is_what_nothing_beats() -> None:
-    found = ((0.0, 9.0), (1.0, 9.5), (1.0, 5.0), (2.0, 5.0), (3.0, 1.0))
-    points = mark_best([point_of(error, milliseconds) for error, milliseconds in found])
+def test_the_pareto_front_has_the_points_that_no_point_dominates() -> None:
+    measured = ((0.0, 9.0), (1.0, 9.5), (1.0, 5.0), (2.0, 5.0), (3.0, 1.0))
+    points = mark_best([make_point(error, milliseconds) for error, milliseconds in measured])
     assert [point.is_best for point in points] == [True, False, True, False, True]
 
 
-def test_only_knobs_that_change_a_picture_of_the_scene_are_combined() -> None:
+def test_only_settings_that_change_an_image_of_the_scene_are_combined() -> None:
     names = ("precision", "shadow_size", "inferred_scale", "second_eye", "query_batch", "normal_bits")
-    reports = [report_of(name, ("a", 1.0, 1.0)) for name in names]
+    reports = [make_report(name, ("a", 1.0, 1.0)) for name in names]
     lit, dark = load_scene("city:blocks=2,shadows=1"), load_scene("city:blocks=2")
-    assert set(find_choices(lit, RenderSettings(), reports)) == {"precision", "shadow_size"}
-    assert set(find_choices(dark, RenderSettings(), reports)) == {"precision"}
+    assert set(select_effective_reports(lit, RenderSettings(), reports)) == {"precision", "shadow_size"}
+    assert set(select_effective_reports(dark, RenderSettings(), reports)) == {"precision"}
     inferred = RenderSettings().change("technique.name", "inferred")
-    assert set(find_choices(dark, inferred, reports)) == {"inferred_scale"}
+    assert set(select_effective_reports(dark, inferred, reports)) == {"inferred_scale"}
 
 
-def test_the_common_truth_has_what_each_truth_asks_for() -> None:
-    truth, scale = choice.find_truth(RenderSettings(), ["precision", "samples", "shadow_filter"])
-    assert (truth.shadows.cascade_size, truth.shadows.filter) == (2048, ShadowFilter.SMOOTH)
-    assert (truth.precision.value, truth.technique.samples, scale) == ("exact", 1, 4)
+def test_the_common_reference_has_what_each_reference_requires() -> None:
+    reference, scale = choice.combine_references(RenderSettings(), ["precision", "samples", "shadow_filter"])
+    assert (reference.shadows.cascade_size, reference.shadows.filter) == (2048, ShadowFilter.SMOOTH)
+    assert (reference.precision.value, reference.technique.samples, scale) == ("exact", 1, 4)
 
 
-def test_combinations_are_judged_by_rays_and_not_by_what_the_device_draws(null: rhi.Device) -> None:
-    scene = load_scene(SITUATION.scene)
-    with CombinationBench(null, scene, SITUATION, ["fxaa"]) as bench:
-        (error,) = bench.compare(RenderSettings(algorithm="none"), list_views(scene, SITUATION)[:1])
-    assert error > 50.0  # its picture is black
+def test_combinations_are_compared_with_rays_and_not_with_what_the_device_draws(null: rhi.Device) -> None:
+    scene = load_scene(SETUP.scene)
+    with CombinationBench(null, scene, SETUP, ["fxaa"]) as bench:
+        (error,) = bench.compare(RenderSettings(algorithm="none"), list_views(scene, SETUP)[:1])
+    assert error > 50.0  # its image is black
 
 
 def test_held_out_views_are_others() -> None:
     scene = load_scene("city:blocks=2")
-    known = list_views(scene, SITUATION)
-    checks = list_held_out(scene, SITUATION, 10, known)
-    others = list_held_out(scene, SITUATION, 20, [*known, *checks])
-    numbers = [{frame.number for frame in some} for some in (known, checks, others)]
-    assert [len(some) for some in numbers] == [2, 10, 20]
+    front_views = list_views(scene, SETUP)
+    checks = list_held_out(scene, SETUP, 10, front_views)
+    others = list_held_out(scene, SETUP, 20, [*front_views, *checks])
+    numbers = [{frame.number for frame in frames} for frames in (front_views, checks, others)]
+    assert [len(frames) for frames in numbers] == [2, 10, 20]
     assert len(set().union(*numbers)) == 32
-    still = replace(SITUATION, camera="street")
+    still = replace(SETUP, camera="street")
     assert [frame.number for frame in list_held_out(scene, still, 20, list_views(scene, still))] == [0]
 
 
@@ -154,64 +170,64 @@ def make_bench(**methods: Callable[..., Any]) -> type[Any]:
 
 
 def test_a_choice_keeps_its_bound_with_a_margin(monkeypatch: pytest.MonkeyPatch) -> None:
-    cheap, dear = mark_best([point_of(1.0, 1.0), point_of(0.5, 2.0)])
+    cheap, dear = mark_best([make_point(1.0, 1.0), make_point(0.5, 2.0)])
     drawn: list[int] = []
 
-    def compare(_: object, settings: RenderSettings, frames: Sequence[Shot]) -> list[float]:
+    def compare(_: object, settings: RenderSettings, frames: Sequence[PathFrame]) -> list[float]:
         drawn.extend(frame.number for frame in frames)
         spread = 1.0 if settings is cheap.settings else 0.1
         return [1.0 + spread * (number % 2) for number in range(len(frames))]
 
     monkeypatch.setattr(choice, "CombinationBench", make_bench(compare=compare))
-    found = choose(replace(SITUATION, backend="null"), [cheap, dear], error_at_most=3.0)
-    assert (found.point, found.refused, found.error, found.held_out_error) == (dear, 1, 1.1, 1.1)
-    assert (found.views, found.held_out_views) == (10, 20)
+    checked = choose(replace(SETUP, backend="null"), [cheap, dear], max_error=3.0)
+    assert (checked.point, checked.rejected, checked.error, checked.held_out_error) == (dear, 1, 1.1, 1.1)
+    assert (checked.views, checked.held_out_views) == (10, 20)
     assert len(drawn) == 10 + 10 + 20
     assert len(set(drawn)) == 30
-    found = choose(replace(SITUATION, backend="null"), [cheap, dear], error_at_most=4.0)
-    assert (found.point, found.refused) == (cheap, 0)
-    assert found.expected == pytest.approx(1.5 + 4.0 * np.std([1.0, 2.0] * 5, ddof=1))
+    checked = choose(replace(SETUP, backend="null"), [cheap, dear], max_error=4.0)
+    assert (checked.point, checked.rejected) == (cheap, 0)
+    assert checked.expected == pytest.approx(1.5 + 4.0 * np.std([1.0, 2.0] * 5, ddof=1))
 
 
-@pytest.mark.parametrize(("slower", "chosen"), [(0.0, 1), (0.1, 0)])
+@pytest.mark.parametrize(("slower", "expected"), [(0.0, 1), (0.1, 0)])
 def test_a_time_is_kept_by_the_median_frame_of_a_walk(
-    slower: float, chosen: int, monkeypatch: pytest.MonkeyPatch
+    slower: float, expected: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    points = [replace(point_of(error, ms), low=0.5) for error, ms in ((2.0, 8.0), (1.0, 18.0))]
+    points = [replace(make_point(error, ms), low=0.5) for error, ms in ((2.0, 8.0), (1.0, 18.0))]
 
-    def walk(_: object, settings: RenderSettings, frames: Sequence[Shot]) -> Floats:
+    def walk(_: object, settings: RenderSettings, frames: Sequence[PathFrame]) -> Floats:
         times = np.where(np.arange(len(frames)) < 3, 20.0, 5.0)
         return np.array([times if settings is points[0].settings else 2.0 * times + slower])
 
-    made = make_bench(walk=walk, compare=lambda _, settings, frames: [1.0] * len(frames))
-    monkeypatch.setattr(choice, "CombinationBench", made)
-    found = choose(replace(SITUATION, backend="null"), points, budget_ms=10.0)  # 18 ms may be 9, by their interval
-    assert (found.point, found.refused, found.over) == (points[chosen], 1 - chosen, 0.3)
+    bench_type = make_bench(walk=walk, compare=lambda _, settings, frames: [1.0] * len(frames))
+    monkeypatch.setattr(choice, "CombinationBench", bench_type)
+    checked = choose(replace(SETUP, backend="null"), points, budget_ms=10.0)  # 18 ms may be 9, by their interval
+    assert (checked.point, checked.rejected, checked.over_budget) == (points[expected], 1 - expected, 0.3)
     with pytest.raises(rhi.ValidationError, match="5 ms, the median of 10 frames of a walk"):
-        choose(replace(SITUATION, backend="null"), points, budget_ms=4.5)
+        choose(replace(SETUP, backend="null"), points, budget_ms=4.5)
 
 
 def test_what_was_left_to_trials_is_left_to_them_again() -> None:
-    given = RenderSettings()
-    plain = choice.make_plain(given).change("technique.samples", 4)
-    left = choice.leave_to_trials(plain, given)
+    original = RenderSettings()
+    plain = choice.make_plain(original).change("technique.samples", 4)
+    left = choice.leave_to_trials(plain, original)
     assert (left.technique.name, left.algorithm, left.technique.samples) == ("auto", "auto", 4)
     assert choice.leave_to_trials(plain, plain) == plain
 
 
 def test_a_bound_that_no_settings_keep_is_refused() -> None:
-    points = mark_best([point_of(1.0, 9.0), point_of(2.0, 5.0)])
+    points = mark_best([make_point(1.0, 9.0), make_point(2.0, 5.0)])
     with pytest.raises(rhi.ValidationError, match=r"5 ms.*1 levels"):
-        choose(SITUATION, points, budget_ms=4.0)
+        choose(SETUP, points, budget_ms=4.0)
     with pytest.raises(rhi.ValidationError, match="accuracy-out-of-reach"):
-        choose(SITUATION, points, error_at_most=0.5)
+        choose(SETUP, points, max_error=0.5)
 
 
-def sample_of(job: SweepJob) -> KnobSample:
+def make_sample(job: SweepJob) -> SettingSample:
     """Make what a share may have found for one value."""
-    view = (2.0 * (1 + job.share.number), 2)
-    value = ValueSample((view,), view[0], (job.share.number, 1, 2), "", (0.5, 0.25), (0.125, 0.5))
-    return KnobSample(job.knob, "gl", "a device", {"b": "no b"}, {"a": value}, (3.0, 1.5))
+    view = (2.0 * (1 + job.shard.number), 2)
+    value = ValueSample((view,), view[0], (job.shard.number, 1, 2), "", (0.5, 0.25), (0.125, 0.5))
+    return SettingSample(job.setting, "gl", "a device", {"b": "no b"}, {"a": value}, (3.0, 1.5))
 
 
 class CrashingExecutor(SerialExecutor):
@@ -224,18 +240,18 @@ class CrashingExecutor(SerialExecutor):
         if len(self.ran) == self.count:
             raise KeyboardInterrupt
         self.ran.append(args[0])
-        return super().submit(sample_of, *args)
+        return super().submit(make_sample, *args)
 
 
 def test_a_sweep_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
-    jobs = list_jobs(SITUATION, ("fxaa", "samples", "precision"))
+    jobs = list_jobs(SETUP, ("fxaa", "samples", "precision"))
     first, second, third = list[SweepJob](), list[SweepJob](), list[SweepJob]()
     with pytest.raises(KeyboardInterrupt):
         run_jobs(jobs, CrashingExecutor(2, first), tmp_path)
     reports = run_jobs(jobs, CrashingExecutor(9, second), tmp_path)
     assert (len(jobs), len(first), len(second)) == (6, 2, 4)
     assert {*first, *second} == {*jobs}
-    assert [report.knob for report in reports] == ["fxaa", "samples", "precision"]
+    assert [report.setting for report in reports] == ["fxaa", "samples", "precision"]
     assert [(row.mean_error, row.max_error, row.worst) for row in reports[0].rows] == [(1.5, 4.0, (1, 1, 2))]
     damaged = tmp_path / f"{jobs[1].key}.json"
     damaged.write_text(damaged.read_text()[:-9])
@@ -246,34 +262,34 @@ def test_a_sweep_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
 
 def test_the_longest_jobs_are_handed_out_first(tmp_path: Path) -> None:
     ran = list[SweepJob]()
-    jobs = list_jobs(replace(SITUATION, views=1), ("tangent_packing", "precision", "query_persistence", "shadow_size"))
+    jobs = list_jobs(replace(SETUP, views=1), ("tangent_packing", "precision", "query_persistence", "shadow_size"))
     run_jobs(jobs, CrashingExecutor(9, ran), tmp_path)
-    assert [job.knob for job in ran] == ["shadow_size", "query_persistence", "precision", "tangent_packing"]
+    assert [job.setting for job in ran] == ["shadow_size", "query_persistence", "precision", "tangent_packing"]
     assert ran == order_jobs(jobs)
 
 
 def test_a_job_is_named_by_what_its_result_depends_on() -> None:
-    job = SweepJob(SITUATION, "fxaa")
-    assert job.key == SweepJob(replace(SITUATION), "fxaa").key
+    job = SweepJob(SETUP, "fxaa")
+    assert job.key == SweepJob(replace(SETUP), "fxaa").key
     others = [
-        SweepJob(SITUATION, "samples"),
-        SweepJob(SITUATION, "fxaa", SweepShare(0, 2)),
-        SweepJob(SITUATION, "fxaa", SweepShare(1, 2)),
-        SweepJob(replace(SITUATION, rounds=3), "fxaa"),
-        SweepJob(replace(SITUATION, settings=RenderSettings().change("shadows.cascades", 2)), "fxaa"),
+        SweepJob(SETUP, "samples"),
+        SweepJob(SETUP, "fxaa", SweepShard(0, 2)),
+        SweepJob(SETUP, "fxaa", SweepShard(1, 2)),
+        SweepJob(replace(SETUP, rounds=3), "fxaa"),
+        SweepJob(replace(SETUP, settings=RenderSettings().change("shadows.cascades", 2)), "fxaa"),
     ]
-    assert len({job.key, *(one.key for one in others)}) == 6
+    assert len({job.key, *(changed_job.key for changed_job in others)}) == 6
 
 
 def test_a_job_that_fails_leaves_the_results_of_others(tmp_path: Path) -> None:
-    jobs = [SweepJob(replace(SITUATION, scene="nothing"), "fxaa"), SweepJob(SITUATION, "blending")]
+    jobs = [SweepJob(replace(SETUP, scene="nothing"), "fxaa"), SweepJob(SETUP, "blending")]
     with open_device("gl"), make_executor("threads:1") as executor, pytest.raises(rhi.ValidationError, match="scene"):
         run_jobs(jobs, executor, tmp_path)
     assert [path.stem for path in tmp_path.iterdir()] == [jobs[1].key]
 
 
-def test_what_a_job_has_found_is_read_as_it_was_written(tmp_path: Path) -> None:
-    sample = sample_of(SweepJob(SITUATION, "fxaa"))
+def test_results_of_a_job_are_read_as_they_were_written(tmp_path: Path) -> None:
+    sample = make_sample(SweepJob(SETUP, "fxaa"))
     save_sample(tmp_path / "r.json", sample)
     assert load_sample(tmp_path / "r.json") == sample
     assert load_sample(tmp_path / "other.json") is None
@@ -286,23 +302,34 @@ def test_the_command_writes_a_page_and_settings_that_render_reads(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     scene = ["city:blocks=2", "--backend", "gl", "--size", "48x28"]
-    sweep = ["accuracy", *scene, "--views", "2", "--rounds", "2", "--knob", "precision", "--knob", "fxaa"]
+    sweep = [
+        "accuracy",
+        *scene,
+        "--views",
+        "2",
+        "--rounds",
+        "2",
+        "--quality-setting",
+        "precision",
+        "--quality-setting",
+        "fxaa",
+    ]
     sweep += ["--output", "out", "--plot", "charts.png", "--json"]
-    assert main([*sweep, "--error-at-most", "200"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert [knob["knob"] for knob in found["knobs"]] == ["precision", "fxaa"]
-    chosen = found["chosen"]
-    assert 0.0 < chosen["checked_error"] <= chosen["expected_error"] <= 200.0
-    assert chosen["held_out_error"] > 0.0
-    assert chosen["held_out_views"] == 20
-    assert found["chosen"]["milliseconds"] == min(point["milliseconds"] for point in found["front"])
+    assert main([*sweep, "--max-error", "200"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert [setting["setting"] for setting in report["quality_settings"]] == ["precision", "fxaa"]
+    chosen_point = report["choice"]
+    assert 0.0 < chosen_point["checked_error"] <= chosen_point["expected_error"] <= 200.0
+    assert chosen_point["held_out_error"] > 0.0
+    assert chosen_point["held_out_views"] == 20
+    assert report["choice"]["milliseconds"] == min(point["milliseconds"] for point in report["pareto_front"])
     page = (tmp_path / "out/report.html").read_text()
-    assert page.count("data:image/png;base64,") >= 4  # two charts, and the worst places of two knobs
+    assert page.count("data:image/png;base64,") >= 4  # two charts, and the worst places of two quality settings
     assert 'src="http' not in page
     assert (tmp_path / "charts.png").stat().st_size > 1000
-    assert (tmp_path / "out/images/pictures.png").is_file()
+    assert (tmp_path / "out/images/images.png").is_file()
     settings = RenderSettings.load(tmp_path / "out/settings.json")
-    assert settings.technique.fxaa is (found["chosen"]["values"]["fxaa"] == "on")
+    assert settings.technique.fxaa is (report["choice"]["values"]["fxaa"] == "on")
     render = ["render", *scene, "--settings", "out/settings.json", "--output", "a.png", "--json"]
     assert main(render) == 0
     assert json.loads(capsys.readouterr().out)["technique"] == "forward"
@@ -310,12 +337,19 @@ def test_the_command_writes_a_page_and_settings_that_render_reads(
     assert json.loads(capsys.readouterr().out)["technique"] == "deferred"
     (tmp_path / "out/accuracy.json").unlink()
     with pytest.raises(SystemExit):
-        main([*sweep[: sweep.index("--knob")], *sweep[sweep.index("--knob") + 2 :], "--budget-ms", "1e-3"])
-    said = capsys.readouterr()
-    assert "as that: 0.001 ms (allowed: " in said.err
-    assert "accuracy-out-of-reach" in said.err
-    assert json.loads(said.out)["chosen"] is None  # what was measured is shown all the same
-    assert "removed out/settings.json" in said.err
+        main(
+            [
+                *sweep[: sweep.index("--quality-setting")],
+                *sweep[sweep.index("--quality-setting") + 2 :],
+                "--budget-ms",
+                "1e-3",
+            ]
+        )
+    captured = capsys.readouterr()
+    assert "as that: 0.001 ms (allowed: " in captured.err
+    assert "accuracy-out-of-reach" in captured.err
+    assert json.loads(captured.out)["choice"] is None  # what was measured is shown all the same
+    assert "removed out/settings.json" in captured.err
     assert not (tmp_path / "out/settings.json").exists()  # it isn't the answer to this question
     assert (tmp_path / "out/accuracy.json").is_file()
 
@@ -325,9 +359,9 @@ def test_settings_that_are_no_answer_are_kept_without_a_question(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     RenderSettings().save(Path("settings.json"))
-    sweep = ["accuracy", "city:blocks=2", "--backend", "null", "--size", "16x16", "--knob", "fxaa"]
+    sweep = ["accuracy", "city:blocks=2", "--backend", "null", "--size", "16x16", "--quality-setting", "fxaa"]
     with pytest.raises(SystemExit):
-        main(sweep)  # null draws nothing: no knob is left
+        main(sweep)  # null draws nothing: no quality setting is left
     assert Path("settings.json").exists()
     with pytest.raises(SystemExit):
         main([*sweep, "--budget-ms", "9", "--settings", "settings.json"])
@@ -339,29 +373,31 @@ def test_settings_that_are_no_answer_are_kept_without_a_question(
 
 
 def test_what_is_left_out_is_said_once_for_all_values() -> None:
-    none = KnobReport("blending", "gl", "a device", (), dict.fromkeys(("weighted", "sorted"), "the scene lacks glass"))
-    some = replace(report_of("samples", ("1", 1.0, 1.0)), left_out={"2": "no 2", "8": "no 8"})
+    none = SettingReport(
+        "blending", "gl", "a device", (), dict.fromkeys(("weighted", "sorted"), "the scene lacks glass")
+    )
+    partial_report = replace(make_report("samples", ("1", 1.0, 1.0)), left_out={"2": "no 2", "8": "no 8"})
     lines = ["blending: the scene lacks glass", "samples: 2: no 2", "samples: 8: no 8"]
-    assert list_left_out([none, some, report_of("fxaa", ("off", 1.0, 1.0))]) == lines
+    assert describe_left_out([none, partial_report, make_report("fxaa", ("off", 1.0, 1.0))]) == lines
 
 
 @pytest.mark.nightly
 @pytest.mark.usefixtures("gl")
 def test_a_sweep_that_was_killed_does_nothing_twice(tmp_path: Path) -> None:
-    knobs = ("fxaa", "depth", "precision", "second_eye")
+    quality_settings = ("fxaa", "depth", "precision", "second_eye")
     command = [sys.executable, "-m", "renderer", "accuracy", "city:blocks=2", "--backend", "gl", "--size", "32x18"]
     command += ["--views", "1", "--rounds", "2", "--output", str(tmp_path)]
-    command += [text for knob in knobs for text in ("--knob", knob)]
+    command += [text for setting in quality_settings for text in ("--quality-setting", setting)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     while not list(tmp_path.glob("jobs/*.json")):
         assert process.poll() is None
         time.sleep(0.01)
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
-    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("jobs/*.json")}
-    assert 1 <= len(kept) < len(knobs)
+    finished = {path: path.stat().st_mtime_ns for path in tmp_path.glob("jobs/*.json")}
+    assert 1 <= len(finished) < len(quality_settings)
     assert not (tmp_path / "accuracy.json").exists()
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-    assert {path: path.stat().st_mtime_ns for path in kept} == kept
-    found = json.loads((tmp_path / "accuracy.json").read_text())
-    assert [one["knob"] for one in found["knobs"]] == list(knobs)
+    assert {path: path.stat().st_mtime_ns for path in finished} == finished
+    report = json.loads((tmp_path / "accuracy.json").read_text())
+    assert [entry["setting"] for entry in report["quality_settings"]] == list(quality_settings)

@@ -1,4 +1,4 @@
-"""Pictures in float64: what devices draw is near them, and what is wrong is found."""
+"""Images in float64: what devices draw is near them, and what is wrong is found."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from renderer.content import load_scene, parse_camera
-from renderer.lab.accuracy.float64 import decode_levels, encode_levels, shade_exactly
-from renderer.lab.accuracy.sweep import find_distances
+from renderer.lab.accuracy.float64 import decode_levels, encode_levels, shade_in_float64
+from renderer.lab.accuracy.sweep import distances_from_depth
 from renderer.lab.exam.scenes import make_views
 from renderer.scene import Depth
 from renderer.settings import RenderSettings
@@ -15,8 +15,8 @@ from rhi.shading import Precision
 from tests.renderer.conftest import open_device
 
 SETTINGS = RenderSettings().change_all({"technique.name": "forward", "algorithm": "frustum"})
-MOST = {"cl": 1.0, "gl": 5.0}
-"""Levels that a picture may be from float64: half a level is rounding, and llvmpipe's pow has few bits."""
+MAX_ERROR = {"cl": 1.0, "gl": 5.0}
+"""Levels that an image may be from float64: half a level is rounding, and llvmpipe's pow has few bits."""
 
 
 @pytest.mark.parametrize("bias", [0.0, -1.25])
@@ -25,17 +25,17 @@ def test_exact_shading_is_within_a_level_of_float64_at_each_pixel(backend: str, 
     scene, size = load_scene("city:blocks=4"), (96, 54)
     settings = SETTINGS.change_all({"precision": Precision.EXACT, "textures.mip_bias": bias})
     with open_device(backend) as device, settings.open(device, scene, size) as renderer:
-        camera = settings.aim(parse_camera("ground", scene, 600))
-        exact = shade_exactly(renderer, camera, 10.0)
+        camera = settings.adapt_camera(parse_camera("ground", scene, 600))
+        exact = shade_in_float64(renderer, camera, 10.0)
         result = renderer.render(camera, 10.0)
-        shown = result.image.read()[..., :3].astype(np.float64)
-        away = find_distances(camera, result.depth.read().astype(np.float64))
+        levels = result.image.read()[..., :3].astype(np.float64)
+        away = distances_from_depth(camera, result.depth.read().astype(np.float64))
     seen = exact.objects >= 0
     assert seen.mean() > 0.5
-    assert np.abs(shown - exact.levels).max(axis=2)[seen].max() <= MOST[backend]
+    assert np.abs(levels - exact.levels).max(axis=2)[seen].max() <= MAX_ERROR[backend]
     assert (np.abs(away[seen] / exact.distances[seen] - 1.0) < 3e-4).all()
-    moved = np.roll(shown, 1, axis=1)  # the next pixel's light is not within the bound
-    assert np.abs(moved - exact.levels).max(axis=2)[seen].max() > MOST[backend]
+    moved = np.roll(levels, 1, axis=1)  # the next pixel's light is not within the bound
+    assert np.abs(moved - exact.levels).max(axis=2)[seen].max() > MAX_ERROR[backend]
 
 
 def test_levels_are_srgb_both_ways() -> None:
@@ -47,20 +47,20 @@ def test_levels_are_srgb_both_ways() -> None:
 @pytest.mark.parametrize("direction", Depth)
 def test_distances_are_those_that_depth_leads_back_to(direction: Depth) -> None:
     scene = load_scene("grid:count=1")
-    camera = SETTINGS.change("depth", direction).aim(next(iter(scene.views.values())))
+    camera = SETTINGS.change("depth", direction).adapt_camera(next(iter(scene.views.values())))
     point = np.array([1.0, 0.5, -7.0, 1.0])  # 7 m before the eye
     clip = camera.projection.matrix @ point
-    assert np.isclose(find_distances(camera, np.array(clip[2] / clip[3])), 7.0)
+    assert np.isclose(distances_from_depth(camera, np.array(clip[2] / clip[3])), 7.0)
 
 
 def test_distances_under_a_parallel_projection_are_along_the_view() -> None:
     scene, camera = make_views()["a parallel projection whose near plane cuts boxes"]
     with open_device("gl") as device, SETTINGS.open(device, scene, (48, 28)) as renderer:
-        camera = SETTINGS.aim(camera)
-        exact = shade_exactly(renderer, camera)
+        camera = SETTINGS.adapt_camera(camera)
+        exact = shade_in_float64(renderer, camera)
         depth = renderer.render(camera).depth.read().astype(np.float64)
     seen = exact.objects >= 0
     assert seen.any()
-    away = find_distances(camera.with_aspect(48 / 28), depth)
+    away = distances_from_depth(camera.with_aspect(48 / 28), depth)
     assert np.ptp(exact.distances[seen]) > 1.0
     assert np.allclose(away[seen], exact.distances[seen], atol=1e-4)

@@ -23,7 +23,7 @@ from renderer.cli import main
 from renderer.cli.executors import make_executor
 from renderer.cli.output import OutputError
 from renderer.content import load_scene
-from renderer.lab.accuracy.tuning import ParameterPair, Trial, Walk, find_best, search, try_pairs
+from renderer.lab.accuracy.tuning import ParameterPair, PathFrames, Trial, search, select_best, try_pairs
 from renderer.visibility import VisibilitySettings
 
 COMMAND = ["tune", "city:blocks=4,detail=2", "--size", "64x36", "--frames", "3", "--b", "1:8", "--n", "2"]
@@ -62,10 +62,10 @@ def test_every_trial_is_within_the_ranges_and_made_once(
 
 
 @pytest.mark.parametrize("lowest", [(1.0, 1.0), (7.0, 31.0), (33.0, 5.0), (100.0, 40.0), (64.0, 12.0)])
-def test_the_search_comes_to_the_lowest_place(lowest: tuple[float, float]) -> None:
+def test_the_search_reaches_the_minimum(lowest: tuple[float, float]) -> None:
     valley = Valley(lowest)
     trials = list(search((1, 100), (1, 40), 4, valley.try_all))
-    best = find_best(trials, 1)[0]
+    best = select_best(trials, 1)[0]
     assert best.batch == pytest.approx(lowest[0], rel=0.2, abs=1)
     assert best.persistence == pytest.approx(lowest[1], rel=0.2, abs=1)
     assert len(trials) < 45  # of 4,000
@@ -73,7 +73,7 @@ def test_the_search_comes_to_the_lowest_place(lowest: tuple[float, float]) -> No
 
 def test_of_equal_times_fewer_queries_are_better() -> None:
     trials = [Trial(b, 1, 1.0, 1.0, 0.9, 0, 0, queries, 0) for b, queries in ((1, 50), (2, 20), (3, 30))]
-    assert [trial.batch for trial in find_best(trials)] == [2, 3, 1]
+    assert [trial.batch for trial in select_best(trials)] == [2, 3, 1]
 
 
 @pytest.fixture
@@ -109,19 +109,19 @@ def test_tune_writes_what_render_and_compare_read(here: Path, capsys: pytest.Cap
 def test_trials_go_along_a_walk_that_render_recorded(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     record = ["--camera", "sky", "--frame", "700", "--frames", "5", "--record", "walks/one.json"]
     assert main(["render", COMMAND[1], "--backend", "null", "--size", "64x36", *record]) == 0
-    walks: list[Walk] = []
+    walks: list[PathFrames] = []
 
-    def try_none(walk: Walk, pairs: list[ParameterPair]) -> list[Trial]:
-        walks.append(walk)
+    def try_none(path_frames: PathFrames, pairs: list[ParameterPair]) -> list[Trial]:
+        walks.append(path_frames)
         return [Trial(*pair, 1.0, 1.0, 1.0, 0, 0, 0, 0) for pair in pairs]
 
     monkeypatch.setattr("renderer.cli.tune.try_pairs", try_none)
     assert main([*COMMAND, "--rounds", "1", "--camera-path", "walks/one.json"]) == 0
     sky = load_scene(COMMAND[1]).paths["sky"]
-    for walk in walks:
-        assert len(walk.path) == 4
-        assert all(np.allclose(walk.path.camera(i).position, sky.camera(700 + i).position) for i in range(4))
-        assert all(np.allclose(walk.path.camera(i).rotation, sky.camera(700 + i).rotation) for i in range(4))
+    for path_frames in walks:
+        assert len(path_frames.path) == 4
+        assert all(np.allclose(path_frames.path.camera(i).position, sky.camera(700 + i).position) for i in range(4))
+        assert all(np.allclose(path_frames.path.camera(i).rotation, sky.camera(700 + i).rotation) for i in range(4))
     assert len(walks) == 5  # four pairs, and those that decide
 
 
@@ -131,26 +131,26 @@ def test_trials_go_along_a_walk_that_render_recorded(here: Path, monkeypatch: py
 def test_the_queries_that_are_asked_for_are_tuned_rendered_and_kept(
     here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    made: set[bool] = set()
+    emulations: set[bool] = set()
     make_set = rhi.Device.query_set
 
     def note(device: rhi.Device, size: int, *, emulated: bool = False) -> rhi.QuerySet:
-        made.add(emulated)
+        emulations.add(emulated)
         return make_set(device, size, emulated=emulated)
 
     monkeypatch.setattr(rhi.Device, "query_set", note)
-    wanted = {kind == "emulated"}
+    expected = {kind == "emulated"}
     assert main([*COMMAND, "--backend", "gl", "--rounds", "1", "--queries", kind]) == 0
-    assert made == wanted
+    assert emulations == expected
     assert VisibilitySettings.load(here / "tuned/settings.json").emulated is (kind == "emulated")
     shared = ["render", COMMAND[1], "--size", "64x36", "--backend", "gl", "--visibility", "chc_plus_plus"]
     for extra in (["--settings", "tuned/settings.json"], ["--queries", kind]):
-        made.clear()
+        emulations.clear()
         assert main([*shared, *extra]) == 0
-        assert made == wanted
-    made.clear()
+        assert emulations == expected
+    emulations.clear()
     assert main([*shared, "--settings", "tuned/settings.json", "--queries", "native"]) == 0
-    assert made == {False}  # the option counts more than the file
+    assert emulations == {False}  # the option counts more than the file
 
 
 class Counter(Executor):
@@ -235,7 +235,9 @@ def test_a_trial_that_is_refused_says_why(
 def test_the_best_pair_is_tried_with_leaves_of_several_objects(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tried = []
 
-    def try_none(walk: Walk, pairs: list[ParameterPair], threshold: int = 0, leaf_size: int = 1) -> list[Trial]:
+    def try_none(
+        path_frames: PathFrames, pairs: list[ParameterPair], threshold: int = 0, leaf_size: int = 1
+    ) -> list[Trial]:
         tried.append(leaf_size)
         ratio = 0.5 if leaf_size == 4 else 0.9
         return [Trial(*pair, 1.0, 1.0, ratio, 0, 0, 0, 0, leaf_size) for pair in pairs]
@@ -243,5 +245,5 @@ def test_the_best_pair_is_tried_with_leaves_of_several_objects(here: Path, monke
     monkeypatch.setattr("renderer.cli.tune.try_pairs", try_none)
     assert main([*COMMAND, "--rounds", "1", "--leaf-size", "1:16"]) == 0
     assert [size for size in tried if size != 1] == [2, 4, 8, 16]
-    (found,) = here.glob("**/settings.json")
-    assert VisibilitySettings.load(found).leaf_size == 4
+    (settings_path,) = here.glob("**/settings.json")
+    assert VisibilitySettings.load(settings_path).leaf_size == 4

@@ -14,12 +14,12 @@ from tests.renderer.conftest import open_device
 
 
 def list_exams() -> list[object]:
-    """Each case on gl, cl and by night wgpu, and on the null device those that need nothing of a device."""
+    """Each case on gl, cl and in the nightly run wgpu, and on the null device those that need nothing of a device."""
     return [
         pytest.param(name, number, marks=pytest.mark.nightly if case.is_long or name == "wgpu" else ())
         for name in ("gl", "cl", "wgpu", "null")
         for number, case in CASES.items()
-        if name != "null" or not case.needs
+        if name != "null" or not case.requires
     ]
 
 

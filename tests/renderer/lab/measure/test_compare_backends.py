@@ -12,9 +12,9 @@ import pytest
 
 import rhi
 from renderer.cli import main
-from renderer.content import find_path, load_scene
-from renderer.lab.backends import compare_backends
-from renderer.lab.measure.backends import PASSES, BackendPasses
+from renderer.content import load_scene, parse_camera_path
+from renderer.lab.backend_comparison import compare_backends
+from renderer.lab.measure.backend_passes import PASSES, BackendPasses
 from tests.renderer.conftest import run_with_quick_kernels
 
 SCENE = "city:blocks=6"
@@ -61,7 +61,7 @@ def test_rows_of_backends_are_a_table_and_a_chart(tmp_path: Path, capsys: pytest
 
 def test_the_depth_pass_draws_the_depth_that_the_lit_pass_draws() -> None:
     scene = load_scene(SCENE)
-    camera = find_path("sky", scene).camera(900)
+    camera = parse_camera_path("sky", scene).camera(900)
     with rhi.create_device("gl") as device:
         passes = BackendPasses(device, scene, camera, (96, 64))
         depths = []
@@ -76,7 +76,7 @@ def test_the_depth_pass_draws_the_depth_that_the_lit_pass_draws() -> None:
 
 def test_queries_find_some_boxes_and_not_others() -> None:
     scene = load_scene(SCENE)
-    camera = find_path("ground", scene).camera(900)
+    camera = parse_camera_path("ground", scene).camera(900)
     with rhi.create_device("gl") as device:
         passes = BackendPasses(device, scene, camera, (96, 64))
         passes.work("queries")(0)
@@ -88,7 +88,7 @@ def test_queries_find_some_boxes_and_not_others() -> None:
 
 def test_rounds_are_those_asked_for() -> None:
     scene = load_scene(SCENE)
-    camera = find_path("ground", scene).camera(0)
+    camera = parse_camera_path("ground", scene).camera(0)
     asked: list[str] = []
 
     def rounds(name: str) -> Sequence[int]:
@@ -102,13 +102,13 @@ def test_rounds_are_those_asked_for() -> None:
 
 @pytest.mark.parametrize(
     "mode", ["quick", pytest.param("optimised", marks=pytest.mark.nightly)]
-)  # by day `test_cl_builds`
+)  # in the default run `test_cl_builds`
 def test_a_row_says_which_kernels_ran(
     mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if mode == "quick":
-        chosen = ("--size", "96x64", "--rounds", "2", "--passes", "depth", "--backends", "gl,cl", "--json")
-        rows = json.loads(run_with_quick_kernels(tmp_path, "backends", SCENE, *chosen).stdout)["rows"]
+        options = ("--size", "96x64", "--rounds", "2", "--passes", "depth", "--backends", "gl,cl", "--json")
+        rows = json.loads(run_with_quick_kernels(tmp_path, "backends", SCENE, *options).stdout)["rows"]
     else:
         monkeypatch.setenv("RHI_KERNELS", mode)
         rows = compare(capsys, "--passes", "depth", "--backends", "cl")["rows"]

@@ -1,4 +1,4 @@
-"""`compare deferred-plus`: what its tables hold, and the picture of the buffers."""
+"""`compare deferred-plus`: what its tables hold, and the image of the buffers."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from PIL import Image
 import rhi
 from renderer.cli import main
 from renderer.content import load_scene
-from renderer.lab.deferred_plus import TECHNIQUES
-from renderer.lab.measure.contents import color_rows
+from renderer.inspection.texture_images import color_indices
+from renderer.lab.deferred_plus_comparison import TECHNIQUES
 from renderer.renderer import Renderer
 from renderer.techniques import Clustered, Forward
 from renderer.visibility import NoCulling, TwoPassCulling
@@ -24,8 +24,8 @@ SMALL = ["--size", "48x32", "--frames", "2", "--backend", "gl"]
 def test_the_report_has_the_steps_of_all_techniques_and_of_culling(
     gl: rhi.Device, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    picture = tmp_path / "buffers.png"
-    assert main(["compare", "deferred-plus", "hall:lights=4", *SMALL, "--json", "--output", str(picture)]) == 0
+    path = tmp_path / "buffers.png"
+    assert main(["compare", "deferred-plus", "hall:lights=4", *SMALL, "--json", "--output", str(path)]) == 0
     report = json.loads(capsys.readouterr().out)
     rows = {(row["technique"], row["culling"]): row for row in report["rows"]}
     assert set(rows) == {(name, culling) for name in TECHNIQUES for culling in (True, False)}
@@ -40,8 +40,8 @@ def test_the_report_has_the_steps_of_all_techniques_and_of_culling(
     assert culling["culled"] == pytest.approx(100.0 * (1.0 - culling["visible"] / culling["instances"]))
     names = ["likely: test boxes", "likely: list draws", "missed: test boxes", "missed: list draws", "remember"]
     assert [name for name in names if culling["steps"].get(name, 0.0) > 0.0] == names
-    with Image.open(picture) as shown:
-        assert shown.size == (3 * 48, 2 * 32)
+    with Image.open(path) as image:
+        assert image.size == (3 * 48, 2 * 32)
 
 
 def test_commands_of_culling_are_timed_step_by_step(gl: rhi.Device) -> None:
@@ -66,12 +66,16 @@ def test_depth_first_changes_no_pixel(gl: rhi.Device) -> None:
     with Renderer(gl, scene, visibility=NoCulling(scene), size=(64, 48)) as renderer:
         for renderer.technique in (Forward(), Clustered(), Clustered(depth_first=True)):
             images.append(renderer.render(camera).image.read().astype(int))
-        assert [one.name for one in renderer.plan(camera)[1].passes] == ["depth", "light lists", "forward"]
+        assert [frame_pass.name for frame_pass in renderer.plan(camera)[1].passes] == [
+            "depth",
+            "light lists",
+            "forward",
+        ]
     assert (images[1] == images[2]).all()
     assert np.abs(images[0] - images[2]).max() <= 2
 
 
 def test_neighbouring_materials_have_unlike_colors() -> None:
-    colors = color_rows(np.arange(100))
+    colors = color_indices(np.arange(100))
     assert ((colors > 0.2) & (colors < 1.0)).all()
     assert np.abs(np.diff(colors, axis=0)).max(1).min() > 0.2

@@ -9,7 +9,7 @@ import pytest
 
 import rhi
 from renderer.cli import main
-from renderer.lab.measure.encodings import ENCODINGS
+from renderer.lab.measure.encoding_errors import ENCODINGS
 
 
 def test_rows_have_the_errors_and_times_of_each_encoding(

@@ -7,15 +7,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from frames import find_eye, make_boxes
-from refusals import find_rule
+from frames import first_view_camera, make_boxes
+from refusals import refused_rule
 
 import rhi
 from renderer.cli import main
 from renderer.content import load_scene
-from renderer.lab.light_culling import choose_lights, compare_light_culling, find_lit, find_overlaps, find_surfaces
+from renderer.lab.light_culling_comparison import (
+    choose_lights,
+    compare_light_culling,
+    lit_cells,
+    overlapping_cells,
+    surface_ranges,
+)
 from renderer.lights.culling import SPHERE_TESTS, make_grid
-from renderer.lights.culling.volumes import find_volumes
+from renderer.lights.culling.volumes import compute_light_volumes
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Lights, Perspective, scaling, translation
 from renderer.visibility import NoCulling
@@ -95,18 +101,18 @@ def test_the_scene_has_its_own_lights_and_technique_afterwards(gl: rhi.Device) -
 
 
 def test_what_lights_a_pixel_is_found_by_range_and_cone() -> None:
-    lens = Perspective(far=50.0)
-    lights, camera = Lights(), Camera.look_at((0, 0, 0), (0, 0, -1), projection=lens)
-    grid = make_grid(lens, (4, 4), 2)
-    depth = np.full((4, 4), (lens.matrix[2, 2] * -10.0 + lens.matrix[2, 3]) / 10.0, np.float32)
+    projection = Perspective(far=50.0)
+    lights, camera = Lights(), Camera.look_at((0, 0, 0), (0, 0, -1), projection=projection)
+    grid = make_grid(projection, (4, 4), 2)
+    depth = np.full((4, 4), (projection.matrix[2, 2] * -10.0 + projection.matrix[2, 3]) / 10.0, np.float32)
     depth[:2, :2] = 0.0
     lights.add_point((0, 0, -10), 100.0)
     lights.add_point((0, 0, -20), 9.9)
     lights.add_spot((-20, -20, -10), (1, 0, 0), 100.0, 0.1, 0.2)
     lights.add_spot((0, 0, -5), (0, 0, -1), 100.0, 0.1, 1.5)
     lights.add_spot((0, 0, -5), (0, 0, 1), 100.0, 0.1, 1.5)
-    found = find_lit(grid, camera, lights, depth)
-    assert found.tolist() == [[False] * 5, *[[True, False, False, True, False]] * 3]
+    is_lit = lit_cells(grid, camera, lights, depth)
+    assert is_lit.tolist() == [[False] * 5, *[[True, False, False, True, False]] * 3]
 
 
 def test_a_light_that_is_left_out_is_missed(gl: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,7 +121,10 @@ def test_a_light_that_is_left_out_is_missed(gl: rhi.Device, monkeypatch: pytest.
     camera = next(iter(scene.views.values()))
     with Renderer(gl, scene, size=(200, 120), visibility=NoCulling(scene)) as renderer:
         (right,) = compare_light_culling(renderer, camera, [3], ["exact"], tile=16, rounds=1)
-        monkeypatch.setattr("renderer.lights.culling.uploads.find_volumes", lambda *given: shrink(find_volumes(*given)))
+        monkeypatch.setattr(
+            "renderer.lights.culling.uploads.compute_light_volumes",
+            lambda *arguments: shrink(compute_light_volumes(*arguments)),
+        )
         (wrong,) = compare_light_culling(renderer, camera, [3], ["exact"], tile=16, rounds=1)
     assert right["missed"] == 0
     assert wrong["missed"] == right["pairs"] - wrong["pairs"] > 0
@@ -127,7 +136,7 @@ def shrink(volumes: Any) -> Any:
     return volumes
 
 
-def test_lights_are_chosen_from_all_and_more_include_fewer() -> None:
+def test_lights_are_selected_from_all_and_more_include_fewer() -> None:
     lights = Lights()
     for x in range(60):
         lights.add_point((x, 0.0, 0.0), 1.0)
@@ -140,35 +149,35 @@ def test_lights_are_chosen_from_all_and_more_include_fewer() -> None:
     assert set(few.point["position"][:, 0]) <= set(more.point["position"][:, 0])
     assert (everything.point == lights.point).all()
     assert (everything.spot == lights.spot).all()
-    assert find_rule(lambda: choose_lights(lights, 101)) == "measure-few-lights"
+    assert refused_rule(lambda: choose_lights(lights, 101)) == "measure-too-few-lights"
 
 
 def test_surfaces_of_tiles_are_those_of_their_pixels() -> None:
-    lens = Perspective(far=50.0)
-    grid = make_grid(lens, (5, 3), 2)
+    projection = Perspective(far=50.0)
+    grid = make_grid(projection, (5, 3), 2)
     z = np.arange(1.0, 16.0).reshape(3, 5)
-    depth = (lens.matrix[2, 2] * -z + lens.matrix[2, 3]) / z
+    depth = (projection.matrix[2, 2] * -z + projection.matrix[2, 3]) / z
     depth[:2, :2] = 0.0
-    near, far = find_surfaces(grid, depth)
+    near, far = surface_ranges(grid, depth)
     assert np.allclose(near, [[np.inf, 3, 5], [11, 13, 15]])
     assert np.allclose(far, [[-np.inf, 9, 10], [12, 14, 15]])
 
 
 def test_overlaps_are_found_in_every_slice() -> None:
-    lens = Perspective(far=50.0)
-    lights, camera = Lights(), Camera.look_at((0, 0, 0), (0, 0, -1), projection=lens)
+    projection = Perspective(far=50.0)
+    lights, camera = Lights(), Camera.look_at((0, 0, 0), (0, 0, -1), projection=projection)
     lights.add_point((0, 0, -10), 1.0)
     lights.add_point((0, 0, -40), 1.0)
     lights.add_spot((0, 0, 2), (0, 0, 1), 2.5, 0.1, 3.0)
-    grid = make_grid(lens, (64, 64), 64, slices=4)
+    grid = make_grid(projection, (64, 64), 64, slices=4)
     depth = np.linspace(0.0001, 1.0, 64 * 64).reshape(64, 64)
-    found = find_overlaps(grid, find_volumes(lights, camera), depth)
+    overlaps = overlapping_cells(grid, compute_light_volumes(lights, camera), depth)
     # Slices begin at 0.1, 0.47, 2.2 and 10.6 metres.
-    assert found.tolist() == [[False, False, True], [False, False, True], [True, False, False], [True, True, False]]
+    assert overlaps.tolist() == [[False, False, True], [False, False, True], [True, False, False], [True, True, False]]
 
 
 def test_a_device_that_draws_nothing_has_no_surfaces(null: rhi.Device) -> None:
     scene = load_scene(HALL)
     with Renderer(null, scene, visibility=NoCulling(scene)) as renderer:
-        given = renderer, find_eye(scene), [1], list(SPHERE_TESTS)
-        assert find_rule(lambda: compare_light_culling(*given, tile=8)) == "measure-no-pictures"
+        arguments = renderer, first_view_camera(scene), [1], list(SPHERE_TESTS)
+        assert refused_rule(lambda: compare_light_culling(*arguments, tile=8)) == "measure-no-rendering"

@@ -11,7 +11,7 @@ import pytest
 import rhi
 from renderer.cli import main
 from renderer.content import load_scene
-from renderer.lab.techniques import compare_techniques, vary_scene
+from renderer.lab.technique_comparison import compare_techniques, vary_scene
 from renderer.scene import Scene
 from renderer.techniques import TECHNIQUES, Clustered, Deferred, Forward, ForwardMultipass
 from rhi import ValidationError
@@ -95,7 +95,7 @@ def test_numbers_are_options_of_the_scene(text: str, objects: int | None, lights
 
 
 @pytest.mark.parametrize(("text", "objects", "lights", "allowed"), [
-    ("city", None, 4, "hall, grid, night, bazaar, glass"), ("hall", 4, None, "grid"), ("a.glb", 1, None, "grid"),
+    ("city", None, 4, "hall, grid, night, bazaar, glass, yard"), ("hall", 4, None, "grid"), ("a.glb", 1, None, "grid"),
 ])  # fmt: skip
 def test_a_scene_that_has_no_such_number_is_refused_and_those_are_named_that_have(
     text: str, objects: int | None, lights: int | None, allowed: str

@@ -7,7 +7,7 @@ from frames import make_boxes
 from nightly_reasons import FEWER_CASES, ONLY_KERNELS
 
 from renderer import techniques
-from renderer.lab.measure.light_evaluations import Counted, count_light_evaluations, find_count
+from renderer.lab.measure.light_evaluations import CountingTechnique, count_light_evaluations, find_counting_pass
 from renderer.renderer import Renderer
 from renderer.scene import AlphaMode, Camera, Scene, scaling, translation
 from renderer.visibility import NoCulling
@@ -16,7 +16,7 @@ from rhi import Device
 SIZE = (64, 48)
 PIXELS = SIZE[0] * SIZE[1]
 SHRUNK = 39 * 29  # 0.6 of each side, rounded up
-COUNTED = [name for name, make in techniques.TECHNIQUES.items() if find_count(make()) is not None]
+COUNTED = [name for name, make in techniques.TECHNIQUES.items() if find_counting_pass(make()) is not None]
 
 
 def walls(*distances: float, points: int = 0, spots: int = 0, reach: float = 100.0) -> Scene:
@@ -110,7 +110,7 @@ def test_masked_volumes_leave_out_what_is_before_them(gl: Device, make: type[tec
     assert 0 < (count(gl, scene, make(stencil=True)) or 0) < (count(gl, scene, make()) or 0)
 
 
-@pytest.mark.parametrize("technique", [techniques.Forward(samples=4), techniques.Smoothed(techniques.Forward())])
+@pytest.mark.parametrize("technique", [techniques.Forward(samples=4), techniques.FxaaTechnique(techniques.Forward())])
 def test_what_is_not_known_how_to_count_is_not_counted(gl: Device, technique: techniques.Technique) -> None:
     assert count(gl, walls(5.0, points=1), technique) is None
 
@@ -131,9 +131,14 @@ def test_counting_leaves_the_renderer_as_it_was(gl: Device) -> None:
 def test_a_counted_technique_has_its_own_passes_and_one_more(null: Device) -> None:
     scene = walls(5.0, points=1)
     with Renderer(
-        null, scene, technique=Counted(techniques.Deferred()), visibility=NoCulling(scene), size=SIZE
+        null, scene, technique=CountingTechnique(techniques.Deferred()), visibility=NoCulling(scene), size=SIZE
     ) as renderer:
         renderer.render(scene.views["eye"])
         _, plan = renderer.plan(scene.views["eye"])
         assert renderer.technique.name == "deferred"
-    assert [one.name for one in plan.passes] == ["geometry", "point lights", "resolve", "light evaluations"]
+    assert [frame_pass.name for frame_pass in plan.passes] == [
+        "geometry",
+        "point lights",
+        "resolve",
+        "light evaluations",
+    ]

@@ -65,9 +65,9 @@ def test_what_lights_a_geometry_buffer_costs_the_same_for_each_number_of_objects
 
 
 def test_forward_shading_looks_at_all_lights_of_an_object_and_at_fewer_of_each_of_many(gl: rhi.Device) -> None:
-    one, some, many = (count(gl, wall(side, 8, 1.0), Forward(), EYE) for side in (1, 4, 16))
-    assert one == 8 * SIZE[0] * SIZE[1]
-    assert one > some > many > 0
+    of_one, of_four, of_sixteen = (count(gl, wall(side, 8, 1.0), Forward(), EYE) for side in (1, 4, 16))
+    assert of_one == 8 * SIZE[0] * SIZE[1]
+    assert of_one > of_four > of_sixteen > 0
 
 
 def test_forward_shading_by_all_lights_looks_at_all_of_them_however_many_objects_there_are(gl: rhi.Device) -> None:
@@ -88,6 +88,6 @@ def test_a_light_at_a_time_draws_objects_times_lights_and_volumes_are_as_many_as
         with Renderer(null, scene, technique=technique, visibility=NoCulling(scene), size=SIZE) as renderer:
             null.stream.clear()
             renderer.render(EYE)
-            (lamps,) = (one for one in null.stream.draws() if one.labels == ("point lights",))
-            drawn.append(lamps["draws"] if technique.name == "forward_multipass" else lamps["instances"])
+            (light_draws,) = (draws for draws in null.stream.draws() if draws.labels == ("point lights",))
+            drawn.append(light_draws["draws"] if technique.name == "forward_multipass" else light_draws["instances"])
     assert drawn == [side * side * lights, lights]

@@ -35,8 +35,8 @@ def compose(font: Font, text: str, size: tuple[int, int], x: int, y: int) -> NDA
     """Return the coverage (h, w) of a text, put together of the atlas's texels."""
     image = np.zeros(size[::-1], np.uint8)
     layout = lay_out(font, text)
-    for glyph, (left, top) in zip(layout.glyphs, layout.places + np.array((x, y)), strict=True):
-        (u, v), (wide, high) = font.texel[glyph], font.extent[glyph]
+    for glyph, (left, top) in zip(layout.glyphs, layout.positions + np.array((x, y)), strict=True):
+        (u, v), (wide, high) = font.atlas_position[glyph], font.extent[glyph]
         part = image[top : top + high, left : left + wide]
         texels = font.coverage[v : v + high, u : u + wide]
         assert not ((part > 0) & (texels > 0)).any(), "glyphs overlap here, so coverage isn't a plain copy"
@@ -140,11 +140,11 @@ def add_everything(canvas: Canvas) -> None:
 
 
 def test_gl_and_cl_draw_the_same_pixels() -> None:
-    pictures = []
+    images = []
     for name in ("gl", "cl"):
         with open_device(name) as device:
-            pictures.append(draw(device, (190, 100), add_everything).astype(int))
-    first, second = pictures
+            images.append(draw(device, (190, 100), add_everything).astype(int))
+    first, second = images
     difference = np.abs(first - second).max(axis=2)
     blended = np.isin(first, (0, 255)).all(axis=2)
     # Where coverage is partial, llvmpipe blends in 8 bits, which rounds the light before it is added.
@@ -161,9 +161,9 @@ def record(null: rhi.Device, add: Callable[[Canvas], object]) -> tuple[int, int]
     before = null.statistics.upload_bytes
     add(canvas)
     with null.render_pass(image):
-        given = canvas.draw(image.size)
+        draw_count = canvas.draw(image.size)
     draws = sum(command.op is Op.DRAW for command in null.stream)
-    assert draws == given
+    assert draws == draw_count
     return draws, null.statistics.upload_bytes - before
 
 

@@ -24,7 +24,7 @@ def font() -> Font:
     return Font.load(13)
 
 
-def place_one_by_one(font: Font, text: str) -> tuple[list[tuple[int, int, int]], int, int]:
+def lay_out_one_by_one(font: Font, text: str) -> tuple[list[tuple[int, int, int]], int, int]:
     """Return (glyph, x, y) of the drawn glyphs, the width and the height, measured with Pillow."""
     plain = ImageFont.truetype(FILE, font.size, layout_engine=ImageFont.Layout.BASIC)
     shaped = ImageFont.truetype(FILE, font.size, layout_engine=ImageFont.Layout.RAQM)
@@ -33,7 +33,7 @@ def place_one_by_one(font: Font, text: str) -> tuple[list[tuple[int, int, int]],
     def length(part: str) -> float:
         return shaped.getlength(part, features=no_ligatures)
 
-    found, x, line, width = [], 0, 0, 0
+    glyphs, x, line, width = [], 0, 0, 0
     for number, character in enumerate(text):
         code = ord(character)
         if character == "\t":
@@ -43,23 +43,23 @@ def place_one_by_one(font: Font, text: str) -> tuple[list[tuple[int, int, int]],
         elif code in PRINTABLE:
             mask, (left, top) = plain.getmask2(character, "L", anchor="la")
             if all(mask.size):
-                found.append((code, x + left, line * font.line_height + top))
+                glyphs.append((code, x + left, line * font.line_height + top))
             x += round(plain.getlength(character))
             following = text[number + 1 : number + 2]
             if following and ord(following) in PRINTABLE:
                 x += round(length(character + following) - length(character) - length(following))
         else:
-            found.append((BOX, x + 1, line * font.line_height + int(font.place[BOX, 1])))
+            glyphs.append((BOX, x + 1, line * font.line_height + int(font.bearing[BOX, 1])))
             x += int(font.advance[BOX])
         width = max(width, x)
-    return found, width, (line + 1) * font.line_height
+    return glyphs, width, (line + 1) * font.line_height
 
 
 def check_layout(font: Font, text: str) -> None:
     layout = lay_out(font, text)
-    expected, width, height = place_one_by_one(font, text)
-    given = np.column_stack([layout.glyphs, layout.places]).tolist()
-    assert given == [list(each) for each in expected], text
+    expected, width, height = lay_out_one_by_one(font, text)
+    glyphs = np.column_stack([layout.glyphs, layout.positions]).tolist()
+    assert glyphs == [list(each) for each in expected], text
     assert (layout.width, layout.height) == (width, height), text
 
 
@@ -95,7 +95,7 @@ def test_digits_are_equally_wide_so_that_numbers_stay_in_place(font: Font) -> No
 
 
 def test_every_printable_character_of_latin_1_has_a_glyph_and_no_other(font: Font) -> None:
-    glyphs = font.find_glyphs("".join(map(chr, range(300)))).tolist()
+    glyphs = font.lookup_glyphs("".join(map(chr, range(300)))).tolist()
     expected = [code if code in PRINTABLE else BOX for code in range(300)]
     expected[9], expected[10] = TAB, LINE
     assert glyphs == expected
@@ -106,7 +106,7 @@ def test_the_atlas_holds_what_pillow_rasterises_and_glyphs_do_not_overlap(font: 
     taken = np.zeros(font.coverage.shape, int)
     taken[:3, :3] += 1
     for code in [*PRINTABLE, BOX]:
-        (x, y), (wide, high) = font.texel[code], font.extent[code]
+        (x, y), (wide, high) = font.atlas_position[code], font.extent[code]
         taken[y : y + high, x : x + wide] += 1
         if code != BOX:
             mask = plain.getmask(chr(code), "L")
@@ -121,7 +121,7 @@ def test_the_atlas_holds_what_pillow_rasterises_and_glyphs_do_not_overlap(font: 
 def test_a_font_that_lacks_characters_draws_boxes_for_them(tmp_path: Path) -> None:
     ascii_only = ImageFont.load_default(14)
     (tmp_path / "small.ttf").write_bytes(ascii_only.font_bytes)
-    assert Font.load(14, tmp_path / "small.ttf").find_glyphs("Aé").tolist() == [ord("A"), BOX]
+    assert Font.load(14, tmp_path / "small.ttf").lookup_glyphs("Aé").tolist() == [ord("A"), BOX]
 
 
 @pytest.mark.parametrize(("size", "is_fine"), [(3, False), (4, True), (256, True), (257, False)])

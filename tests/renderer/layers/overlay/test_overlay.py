@@ -15,10 +15,24 @@ from renderer.layers.canvas import Canvas, Font, srgb
 from renderer.layers.overlay import Overlay, panels
 from renderer.layers.overlay.history import History
 from renderer.layers.overlay.overlay import name_algorithm
-from renderer.layers.overlay.panels import Box, draw_graph, draw_legend, draw_map, draw_timers, find_ground
+from renderer.layers.overlay.panels import (
+    Rectangle,
+    compute_ground_bounds,
+    draw_graph,
+    draw_legend,
+    draw_map,
+    draw_timers,
+)
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene
-from renderer.visibility import AutoCulling, CullingWalk, FrustumCulling, NoCulling, WalkOutcome, make_visibility
+from renderer.visibility import (
+    AutoCulling,
+    CullingTraversal,
+    FrustumCulling,
+    NoCulling,
+    TraversalOutcome,
+    make_visibility,
+)
 from rhi import Device, Format, Op, TimerNode
 from tests.renderer.conftest import open_device
 
@@ -41,7 +55,7 @@ class Catch:
 
 
 @pytest.fixture
-def shown(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def drawn_texts(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The texts that canvases are given."""
     texts: list[str] = []
     plain = Canvas.text
@@ -54,7 +68,7 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return texts
 
 
-def find_value(texts: list[str], name: str) -> str:
+def get_value(texts: list[str], name: str) -> str:
     """Return the value beside the name in the last two-column text that has it."""
     number = max(index for index, text in enumerate(texts) if name in text.split("\n"))
     return texts[number + 1].split("\n")[texts[number].split("\n").index(name)]
@@ -91,7 +105,9 @@ def test_an_overlay_is_two_draws_and_1000_frames_create_and_grow_nothing(null: D
     assert blocks[1] - blocks[0] < 350  # of 700 frames; a number that is kept in each would be 700
 
 
-def test_the_counters_are_those_of_the_frame_without_its_layers(null: Device, scene: Scene, shown: list[str]) -> None:
+def test_the_counters_are_those_of_the_frame_without_its_layers(
+    null: Device, scene: Scene, drawn_texts: list[str]
+) -> None:
     camera = scene.paths["ground"].camera(600)
     with Renderer(null, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
         overlay = Overlay(null)
@@ -100,12 +116,12 @@ def test_the_counters_are_those_of_the_frame_without_its_layers(null: Device, sc
             result = renderer.render(camera)
         overlay.destroy()
     statistics = result.statistics
-    assert find_value(shown, "objects drawn") == f"{len(scene.objects):,} of {len(scene.objects):,}"
-    assert find_value(shown, "triangles") == f"{statistics.triangles:,}"
-    assert find_value(shown, "draw calls") == "1"
+    assert get_value(drawn_texts, "objects drawn") == f"{len(scene.objects):,} of {len(scene.objects):,}"
+    assert get_value(drawn_texts, "triangles") == f"{statistics.triangles:,}"
+    assert get_value(drawn_texts, "draw calls") == "1"
     changes = statistics.software_state_changes, statistics.hardware_state_changes
-    assert find_value(shown, "states set / sent") == "{} / {}".format(*changes)
-    assert find_value(shown, "uploaded") == f"{statistics.upload_bytes / 1024:,.1f} KiB"
+    assert get_value(drawn_texts, "states set / sent") == "{} / {}".format(*changes)
+    assert get_value(drawn_texts, "uploaded") == f"{statistics.upload_bytes / 1024:,.1f} KiB"
     assert statistics.upload_bytes < 20 * len(scene.objects) + 64
 
 
@@ -123,7 +139,7 @@ def test_statistics_of_a_frame_are_the_same_with_and_without_layers(null: Device
 
 
 def test_the_overlay_covers_its_panels_and_changes_no_other_pixel(
-    drawing_device: Device, scene: Scene, shown: list[str]
+    drawing_device: Device, scene: Scene, drawn_texts: list[str]
 ) -> None:
     camera = scene.paths["ground"].camera(600)
     with Renderer(drawing_device, scene, visibility=FrustumCulling(scene), size=SIZE) as renderer:
@@ -141,14 +157,14 @@ def test_the_overlay_covers_its_panels_and_changes_no_other_pixel(
     assert not covered[:, 330:640].any()
     assert not covered[450:].any()
     assert (rows.min(), columns.min()) == (8, 8)
-    names = next(text for text in reversed(shown) if text.startswith("forward"))
+    names = next(text for text in reversed(drawn_texts) if text.startswith("forward"))
     assert names == "forward\noverlay"
     assert overlay.milliseconds > 0.0
 
 
 @pytest.mark.parametrize(("size", "most"), [((640, 360), 0.25), ((900, 640), 0.12), ((960, 500), 0.12)])
-def test_the_overlay_covers_a_quarter_of_a_small_picture(
-    drawing_device: Device, scene: Scene, shown: list[str], size: tuple[int, int], most: float
+def test_the_overlay_covers_a_quarter_of_a_small_image(
+    drawing_device: Device, scene: Scene, drawn_texts: list[str], size: tuple[int, int], most: float
 ) -> None:
     camera = scene.paths["ground"].camera(600)
     with Renderer(
@@ -161,19 +177,19 @@ def test_the_overlay_covers_a_quarter_of_a_small_picture(
         covered = (renderer.render(camera).image.read() != plain).any(axis=2)
         overlay.destroy()
     assert 0.5 * most < covered.mean() <= most
-    assert int(find_value(shown, "queries").split(" ")[0]) > 0
+    assert int(get_value(drawn_texts, "queries").split(" ")[0]) > 0
 
 
 @pytest.mark.parametrize(("size", "panels"), [((901, 501), 2), ((900, 501), 1), ((901, 500), 1)])
-def test_a_map_is_shown_over_images_with_room_for_it(
-    null: Device, scene: Scene, shown: list[str], size: tuple[int, int], panels: int
+def test_the_map_is_drawn_over_images_large_enough_for_it(
+    null: Device, scene: Scene, drawn_texts: list[str], size: tuple[int, int], panels: int
 ) -> None:
     with Renderer(null, scene, visibility=FrustumCulling(scene), size=size) as renderer:
         overlay = Overlay(null)
         renderer.layers.append(overlay)
         renderer.render(scene.paths["ground"].camera(600))
         overlay.destroy()
-    assert sum("objects from above" in text for text in shown) == panels - 1
+    assert sum("objects from above" in text for text in drawn_texts) == panels - 1
 
 
 def draw_panels(device: Device, scale: int) -> np.ndarray:
@@ -183,16 +199,18 @@ def draw_panels(device: Device, scale: int) -> np.ndarray:
     tree = [TimerNode("frame", 12.0, 3.0, [TimerNode("shadows", 4.5, 1.0), TimerNode("forward", 7.0, 2.0)]),
             TimerNode("overlay", 0.5, 2.5)]  # fmt: skip
     corners = rng.uniform(-50.0, 50.0, (60, 3))
-    walk = CullingWalk(True, corners, corners + rng.uniform(1.0, 9.0, (60, 3)), rng.integers(0, 4, 60).astype(np.uint8))
+    traversal = CullingTraversal(
+        True, corners, corners + rng.uniform(1.0, 9.0, (60, 3)), rng.integers(0, 4, 60).astype(np.uint8)
+    )
     camera = Camera.look_at((0, 2, 0), (10, 2, 4), projection=Perspective(1.0))
     size = (600 * scale, 260 * scale)
     canvas = Canvas(device, Font.load())
     with device.texture(size, Format.RGBA8) as image:
-        draw_graph(canvas, Box(8, 8, 240 * scale, 60 * scale), times, 0.1 * times, 2 * scale)
-        draw_timers(canvas, Box(8, 80 * scale, 280 * scale, 0), tree, 120 * scale, scale)
-        draw_legend(canvas, 8, 170 * scale, walk, scale)
+        draw_graph(canvas, Rectangle(8, 8, 240 * scale, 60 * scale), times, 0.1 * times, 2 * scale)
+        draw_timers(canvas, Rectangle(8, 80 * scale, 280 * scale, 0), tree, 120 * scale, scale)
+        draw_legend(canvas, 8, 170 * scale, traversal, scale)
         ground = np.array((-50.0, -50.0)), np.array((59.0, 59.0))
-        draw_map(canvas, Box(320 * scale, 8, 240 * scale, 240 * scale), ground, walk, camera)
+        draw_map(canvas, Rectangle(320 * scale, 8, 240 * scale, 240 * scale), ground, traversal, camera)
         with device.render_pass(image, clear=(0.1, 0.1, 0.1, 1)):
             canvas.draw(size)
         pixels = np.asarray(image.read())
@@ -202,23 +220,23 @@ def draw_panels(device: Device, scale: int) -> np.ndarray:
 
 @pytest.mark.parametrize("scale", [1, 2])
 def test_panels_are_the_same_on_gl_and_cl(scale: int) -> None:
-    pictures = []
+    images = []
     for name in ("gl", "cl"):
         with open_device(name) as device:
-            pictures.append(draw_panels(device, scale).astype(int))
-    difference = np.abs(pictures[0] - pictures[1]).max(axis=2)
+            images.append(draw_panels(device, scale).astype(int))
+    difference = np.abs(images[0] - images[1]).max(axis=2)
     # llvmpipe blends in 8 bits; a pixel centre on the edge of a slanted line may fall to either side.
     assert (difference > 2).sum() <= 4
-    assert pictures[0].std() > 10
+    assert images[0].std() > 10
 
 
 @pytest.mark.parametrize(("count", "more"), [(12, ""), (13, "\n... 1 more"), (40, "\n... 28 more")])
-def test_a_large_timer_tree_is_cut_off(null: Device, shown: list[str], count: int, more: str) -> None:
+def test_a_large_timer_tree_is_cut_off(null: Device, drawn_texts: list[str], count: int, more: str) -> None:
     leaves = [TimerNode(f"event {number}", 1.0, 2.0) for number in range(1, count)]
     canvas = Canvas(null, Font.load())
-    height = draw_timers(canvas, Box(0, 0, 280, 0), [TimerNode("frame", 9.0, 9.0, leaves)], 90, 1)
+    height = draw_timers(canvas, Rectangle(0, 0, 280, 0), [TimerNode("frame", 9.0, 9.0, leaves)], 90, 1)
     names = "frame\n" + "\n".join(f"  event {number}" for number in range(1, 12))
-    assert shown[0] == names + more
+    assert drawn_texts[0] == names + more
     assert height == canvas.font.line_height * (12 + bool(more))
 
 
@@ -226,7 +244,7 @@ def test_the_graph_shows_each_frame_as_high_as_its_time(gl: Device) -> None:
     frames, own = np.array([10.0, 50.0, 200.0]), np.array([0.0, 25.0, 200.0])
     canvas = Canvas(gl, Font.load())
     with gl.texture((40, 120), Format.RGBA16F) as image:
-        draw_graph(canvas, Box(2, 10, 30, 100), frames, own, 3)
+        draw_graph(canvas, Rectangle(2, 10, 30, 100), frames, own, 3)
         with gl.render_pass(image, clear=(0, 0, 0, 1)):
             canvas.draw((40, 120))
         pixels = image.read().astype(float)
@@ -252,7 +270,7 @@ def test_a_history_keeps_the_latest_values_in_their_order() -> None:
 
 
 def test_the_ground_of_a_city_leaves_out_the_land_around_it(scene: Scene) -> None:
-    low, high = find_ground(scene)
+    low, high = compute_ground_bounds(scene)
     everything = np.stack(scene.bounds)[:, ::2]
     assert np.prod(high - low) < 0.5 * np.prod(everything[1] - everything[0])
     lower, upper = scene.objects.lower[:, ::2], scene.objects.upper[:, ::2]
@@ -280,11 +298,11 @@ def test_auto_is_named_with_its_choice(null: Device, scene: Scene) -> None:
     assert name_algorithm(make_visibility("none", scene, null)) == "NoCulling"
 
 
-def draw_ground(gl: Device, walk: CullingWalk) -> np.ndarray:
+def draw_ground(gl: Device, traversal: CullingTraversal) -> np.ndarray:
     """Return a map of 100 × 100 texels, of which two at its edges are left free."""
     canvas, camera = Canvas(gl, Font.load()), Camera.look_at((-900, 0, 900), (-1000, 0, 1000))
     with gl.texture((100, 100), Format.RGBA8) as image:
-        draw_map(canvas, Box(0, 0, 100, 100), (np.zeros(2), np.full(2, 98.0)), walk, camera)
+        draw_map(canvas, Rectangle(0, 0, 100, 100), (np.zeros(2), np.full(2, 98.0)), traversal, camera)
         with gl.render_pass(image, clear=(0, 0, 0, 1)):
             canvas.draw((100, 100))
         pixels = image.read()
@@ -292,15 +310,19 @@ def draw_ground(gl: Device, walk: CullingWalk) -> np.ndarray:
     return np.asarray(pixels[:, :, :3].any(axis=2))
 
 
-@pytest.mark.parametrize("outcome", list(WalkOutcome))
-def test_every_outcome_has_its_color_on_the_map(gl: Device, outcome: WalkOutcome) -> None:
+@pytest.mark.parametrize("outcome", list(TraversalOutcome))
+def test_every_outcome_has_its_color_on_the_map(gl: Device, outcome: TraversalOutcome) -> None:
     corners = np.array([(10.0, 0.0, 10.0)])
-    rows, columns = np.nonzero(draw_ground(gl, CullingWalk(False, corners, corners + 20.0, np.array([outcome], "u1"))))
+    rows, columns = np.nonzero(
+        draw_ground(gl, CullingTraversal(False, corners, corners + 20.0, np.array([outcome], "u1")))
+    )
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (11, 30, 11, 30)
 
 
 def test_of_too_many_boxes_the_map_shows_the_largest(gl: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(panels, "MOST_BOXES", 2)
+    monkeypatch.setattr(panels, "MAX_BOXES", 2)
     corners, sides = np.array([(x, 0.0, 10.0) for x in (10.0, 30.0, 50.0, 70.0)]), np.array([4.0, 9.0, 5.0, 8.0])
-    walk = CullingWalk(False, corners, corners + sides[:, None], np.full(4, WalkOutcome.HIDDEN, np.uint8))
-    assert draw_ground(gl, walk)[13, [12, 32, 52, 72]].tolist() == [False, True, False, True]
+    traversal = CullingTraversal(
+        False, corners, corners + sides[:, None], np.full(4, TraversalOutcome.HIDDEN, np.uint8)
+    )
+    assert draw_ground(gl, traversal)[13, [12, 32, 52, 72]].tolist() == [False, True, False, True]

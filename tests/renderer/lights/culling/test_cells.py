@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from renderer.lab.exam.cell_pairs import LENSES, OffAxis, make_test_grid
-from renderer.lab.exam.lights import SLICED
+from renderer.lab.exam.cell_pairs import PROJECTIONS, OffAxisPerspective, make_test_grid
+from renderer.lab.exam.light_culling_cases import SLICED_GRIDS
 from renderer.lights.culling.cells import (
     block_cell,
     corner,
     depth_bits,
-    distance_of,
-    distances_of,
+    depth_to_distance,
     padded_radius,
+    rounded_distance_range,
     slice_start,
 )
-from renderer.lights.culling.projections import make_grid
+from renderer.lights.culling.grid_projection import make_grid
 from renderer.scene import Depth, Perspective
 from rhi import ValidationError
 from rhi.shading import evaluate
@@ -31,9 +31,9 @@ def test_cells_end_with_the_image() -> None:
     assert np.allclose([whole["low"], whole["high"]], [[-15 * 1366 / 768, -15], [15 * 1366 / 768, 15]])
 
 
-@pytest.mark.parametrize("lens", LENSES)
-def test_neighbours_share_their_sides_to_the_last_bit(lens: str) -> None:
-    grid = make_test_grid(lens)
+@pytest.mark.parametrize("projection_name", PROJECTIONS)
+def test_neighbours_share_their_sides_to_the_last_bit(projection_name: str) -> None:
+    grid = make_test_grid(projection_name)
     cells = evaluate(block_cell, grid, np.stack(np.meshgrid(np.arange(171), np.arange(96)), -1), 1, 1.0, 2.0)
     for side in ("", "_slope"):
         assert (cells["high" + side][:, :-1, 0] == cells["low" + side][:, 1:, 0]).all()
@@ -41,28 +41,31 @@ def test_neighbours_share_their_sides_to_the_last_bit(lens: str) -> None:
 
 
 def test_the_sides_of_an_off_axis_eye_are_shifted() -> None:
-    grid, straight = make_test_grid("off-axis", (1000, 1000)), make_grid(OffAxis().lens.with_aspect(1), (1000, 1000), 8)
+    grid, straight = (
+        make_test_grid("off-axis", (1000, 1000)),
+        make_grid(OffAxisPerspective().projection.with_aspect(1), (1000, 1000), 8),
+    )
     ours = evaluate(block_cell, grid, (3, 5), 1, 1.0, 2.0, dtype=np.float64)
     other = evaluate(block_cell, straight, (3, 5), 1, 1.0, 2.0, dtype=np.float64)
-    focal = OffAxis().lens.matrix[1, 1]
-    assert np.allclose(ours["low_slope"] - other["low_slope"], np.array(OffAxis().shift) / focal)
+    focal = OffAxisPerspective().projection.matrix[1, 1]
+    assert np.allclose(ours["low_slope"] - other["low_slope"], np.array(OffAxisPerspective().shift) / focal)
 
 
 # -- depths --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("projection_name", PROJECTIONS)
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_a_depth_is_the_distance_that_the_projection_gives_it(lens: str, dtype: type) -> None:
-    projection, grid = LENSES[lens], make_test_grid(lens)
+def test_a_depth_is_the_distance_that_the_projection_gives_it(projection_name: str, dtype: type) -> None:
+    projection, grid = PROJECTIONS[projection_name], make_test_grid(projection_name)
     z = np.linspace(grid.near, grid.far, 100)
     clip = np.column_stack([np.zeros((100, 2)), -z, np.ones(100)]) @ projection.matrix.T
     depth = (clip[:, 2] / clip[:, 3]).astype(np.float32)
-    between = evaluate(distances_of, grid, depth, dtype=dtype)
+    between = evaluate(rounded_distance_range, grid, depth, dtype=dtype)
     rounding = 1e-6 * (1.0 + np.abs(z))
     assert (between[:, 0] <= z + rounding).all()
     assert (z <= between[:, 1] + rounding).all()
-    if lens != "standard":  # which is coarse
+    if projection_name != "standard":  # which is coarse
         assert (np.ptp(between, axis=1) < 0.01 * grid.far).all()
 
 
@@ -71,9 +74,9 @@ def test_a_depth_is_the_distance_that_the_projection_gives_it(lens: str, dtype: 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_the_farthest_depth_is_the_end_of_the_grid(far: float, depth: Depth, dtype: type) -> None:
     grid = make_grid(Perspective(far=far, depth=depth), (8, 8), 8, reach=80.0)
-    assert evaluate(distance_of, grid, grid.background, dtype=dtype) == 80.0
-    assert evaluate(distance_of, grid, 1.0 - grid.background, dtype=dtype) == pytest.approx(0.1)
-    assert evaluate(distances_of, grid, grid.background, dtype=dtype)[1] == 80.0
+    assert evaluate(depth_to_distance, grid, grid.background, dtype=dtype) == 80.0
+    assert evaluate(depth_to_distance, grid, 1.0 - grid.background, dtype=dtype) == pytest.approx(0.1)
+    assert evaluate(rounded_distance_range, grid, grid.background, dtype=dtype)[1] == 80.0
 
 
 # -- masks and radii ----------------------------------------------------------------------------------------------
@@ -95,10 +98,10 @@ def test_all_of_a_flat_range_is_in_its_first_slice(dtype: type) -> None:
         assert evaluate(depth_bits, 5.0, 5.0, low, high, dtype=dtype) == 1
 
 
-@pytest.mark.parametrize("lens", ["perspective", "parallel"])
-def test_a_padded_radius_is_larger_by_the_rounding_of_the_greatest_coordinates(lens: str) -> None:
+@pytest.mark.parametrize("projection_name", ["perspective", "parallel"])
+def test_a_padded_radius_is_larger_by_the_rounding_of_the_greatest_coordinates(projection_name: str) -> None:
     """2^-20 of their sum: the sphere's, and those of the corners of a cell."""
-    grid = make_test_grid(lens)
+    grid = make_test_grid(projection_name)
     tiles = np.stack(np.meshgrid(np.arange(0, 171, 10), np.arange(0, 96, 5)), -1).reshape(-1, 2)
     cells = evaluate(block_cell, grid, tiles, 1, 3.0, 20.0, dtype=np.float64)
     corners = np.stack([evaluate(corner, cells, index, dtype=np.float64) for index in range(8)])
@@ -114,7 +117,7 @@ def test_a_padded_radius_is_larger_by_the_rounding_of_the_greatest_coordinates(l
 
 def test_slices_are_filaments() -> None:
     """z_i = zf · 2^((i - N) · L), L = log2(zf / zn) / (N - 1), and the first begins at the near plane."""
-    grid, far, first, count = SLICED["filament"], 100.0, 5.0, 16
+    grid, far, first, count = SLICED_GRIDS["filament"], 100.0, 5.0, 16
     length = np.log2(far / first) / (count - 1)
     ours = evaluate(slice_start, grid, np.arange(count + 1), dtype=np.float64)
     assert np.allclose(ours[1:], far * 2.0 ** ((np.arange(1, count + 1) - count) * length))
@@ -123,24 +126,24 @@ def test_slices_are_filaments() -> None:
 
 
 def test_slices_without_a_first_one_are_equally_long_in_the_logarithm() -> None:
-    starts = evaluate(slice_start, SLICED["geometric"], np.arange(25), dtype=np.float64)
+    starts = evaluate(slice_start, SLICED_GRIDS["geometric"], np.arange(25), dtype=np.float64)
     assert np.allclose(starts[1:] / starts[:-1], 1000.0 ** (1 / 24))
-    flat = evaluate(slice_start, SLICED["parallel, behind"], np.arange(6), dtype=np.float64)
+    flat = evaluate(slice_start, SLICED_GRIDS["parallel, behind"], np.arange(6), dtype=np.float64)
     assert np.allclose(flat, [-5, 12, 29, 46, 63, 80])
 
 
 def test_a_grid_refuses_what_cannot_be_divided() -> None:
-    class Rolled(OffAxis):
+    class Rolled(OffAxisPerspective):
         @property
         def matrix(self) -> np.ndarray:
             m = super().matrix
             m[0, 1] = 0.1
             return m
 
-    for given in (
+    for wrong_options in (
         {"size": (0, 4)}, {"tile": 0}, {"slices": 0}, {"projection": Rolled()}, {"slices": 4, "first_slice": 0.05},
         {"slices": 4, "first_slice": 200.0},
     ):  # fmt: skip
-        options = {"projection": Perspective(far=100.0), "size": (4, 4), "tile": 4} | given
+        options = {"projection": Perspective(far=100.0), "size": (4, 4), "tile": 4} | wrong_options
         with pytest.raises(ValidationError, match="lights-bad-grid"):
             make_grid(options.pop("projection"), options.pop("size"), options.pop("tile"), **options)

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from shader_cells import evaluate_cells
 
-from renderer.lab.exam.cell_pairs import LENSES
+from renderer.lab.exam.cell_pairs import PROJECTIONS
 from renderer.lab.exam.cone_pairs import ANGLES, ConePairs, make_cone_pairs
+from renderer.light_kinds.volumes import Cone, bounding_sphere
 from renderer.lights.culling.cells import Cell
-from renderer.lights.culling.cone_tests import Cone, bounding_sphere
 from renderer.lights.culling.sphere_tests import overlaps_exactly
 from renderer.lights.culling.table import CONE_TESTS
 from rhi.shading import evaluate
 
 
-@pytest.fixture(scope="module", params=LENSES)
+@pytest.fixture(scope="module", params=PROJECTIONS)
 def pairs(request: pytest.FixtureRequest) -> ConePairs:
     return make_cone_pairs(request.param)
 
@@ -49,32 +49,32 @@ def test_the_sphere_around_a_cone_overlaps_what_the_cone_overlaps(pairs: ConePai
 
 @pytest.mark.parametrize("name", CONE_TESTS)
 def test_no_cone_that_overlaps_is_dropped_in_float64(pairs: ConePairs, name: str) -> None:
-    kept = evaluate(CONE_TESTS[name].function, evaluate_cells(pairs), pairs.cones, 1e-12, dtype=np.float64)
-    assert not (pairs.overlap & ~kept).any()
+    passed = evaluate(CONE_TESTS[name].function, evaluate_cells(pairs), pairs.cones, 1e-12, dtype=np.float64)
+    assert not (pairs.overlap & ~passed).any()
 
 
 def test_cone_tests_differ_by_what_they_keep(pairs: ConePairs) -> None:
     around = overlaps_sphere_first(pairs)
-    kept = {
+    passed = {
         name: int((around & evaluate(test.function, evaluate_cells(pairs), pairs.cones, 0.0, dtype=np.float64)).sum())
         for name, test in CONE_TESTS.items()
     }
-    assert kept["tight"] < kept["planes"] < kept["sphere"]
-    assert kept["cone_sphere"] < kept["sphere"]
-    assert kept["tight"] < 1.1 * pairs.overlap.sum()
+    assert passed["tight"] < passed["planes"] < passed["sphere"]
+    assert passed["cone_sphere"] < passed["sphere"]
+    assert passed["tight"] < 1.1 * pairs.overlap.sum()
 
 
 ASIDE, BEHIND = 1.0, -1.0
 """Where a point a metre beside the axis is along it: at 45° from the axis, and at 135°."""
 
 
-@pytest.mark.parametrize(("along", "angle", "kept"), [
+@pytest.mark.parametrize(("along", "angle", "passed"), [
     (ASIDE, 0.1, False), (ASIDE, 44.0, False), (ASIDE, 46.0, True), (ASIDE, 90.0, True), (ASIDE, 120.0, True),
     (ASIDE, 180.0, True), (BEHIND, 89.0, False), (BEHIND, 91.0, False), (BEHIND, 134.0, False), (BEHIND, 136.0, True),
     (BEHIND, 180.0, True),
 ])  # fmt: skip
-def test_a_cell_of_a_point_is_kept_if_the_angle_reaches_it(along: float, angle: float, kept: bool) -> None:
+def test_a_cell_of_a_point_is_kept_if_the_angle_reaches_it(along: float, angle: float, passed: bool) -> None:
     cell = Cell(low=(1, 0), low_slope=(0, 0), high=(1, 0), high_slope=(0, 0), near=along, far=along)
     for name in ("cone_sphere", "tight"):
         test = CONE_TESTS[name].function
-        assert evaluate(test, cell, make_cone(np.radians(angle)), 0.0, dtype=np.float64) == kept
+        assert evaluate(test, cell, make_cone(np.radians(angle)), 0.0, dtype=np.float64) == passed

@@ -7,14 +7,14 @@ import pytest
 from shader_cells import evaluate_cells
 
 import rhi
-from renderer.lab.exam.cell_pairs import LENSES, Pairs, make_pairs
-from renderer.lab.exam.lights import is_beyond_padding
+from renderer.lab.exam.cell_pairs import PROJECTIONS, Pairs, make_pairs
+from renderer.lab.exam.light_culling_cases import exceeds_padding
 from renderer.lab.exam.sphere_pairs import pack_pairs, run_sphere_tests
 from renderer.lights.culling.cells import Cell, corner
 from renderer.lights.culling.table import SPHERE_TESTS
 from rhi.shading import evaluate
 
-COUNT = 17_000  # of each of six lenses
+COUNT = 17_000  # of each of six projections
 
 
 def run(device: rhi.Device, pairs: Pairs) -> dict[str, np.ndarray]:
@@ -22,7 +22,7 @@ def run(device: rhi.Device, pairs: Pairs) -> dict[str, np.ndarray]:
     return run_sphere_tests(device, pairs.grid, pack_pairs(pairs))
 
 
-@pytest.fixture(scope="module", params=LENSES)
+@pytest.fixture(scope="module", params=PROJECTIONS)
 def pairs(request: pytest.FixtureRequest) -> Pairs:
     return make_pairs(request.param, COUNT)
 
@@ -36,16 +36,16 @@ def test_corners_are_those_of_the_inverse_projection(pairs: Pairs) -> None:
 @pytest.mark.parametrize("name", SPHERE_TESTS)
 def test_no_pair_that_overlaps_is_dropped_in_float64(pairs: Pairs, name: str) -> None:
     test = SPHERE_TESTS[name]
-    kept = evaluate(test.function, evaluate_cells(pairs), pairs.centres, pairs.radii, dtype=np.float64)
+    passed = evaluate(test.function, evaluate_cells(pairs), pairs.centres, pairs.radii, dtype=np.float64)
     certain = np.abs(pairs.distances - pairs.radii) > 1e-9 * (1.0 + np.abs(pairs.centres).sum(1))
-    assert not (pairs.overlap & ~kept & certain).any()
+    assert not (pairs.overlap & ~passed & certain).any()
     assert 0.2 < pairs.overlap.mean() < 0.8
     assert certain.mean() > 0.9
-    is_box = not pairs.grid.slope_step.x and "box" in name  # of a parallel lens
+    is_box = not pairs.grid.slope_step.x and "box" in name  # of a parallel projection
     if test.is_exact or is_box:
-        assert (kept == pairs.overlap)[certain].all()
+        assert (passed == pairs.overlap)[certain].all()
     else:
-        assert (kept & ~pairs.overlap & certain).any()  # otherwise the table calls it less than it is
+        assert (passed & ~pairs.overlap & certain).any()  # otherwise the table calls it less than it is
 
 
 SIDES = {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}
@@ -64,30 +64,30 @@ def test_a_sphere_behind_a_plane_is_dropped_from_its_radius_on(name: str, side: 
     which = "low" if across.sum() < 0 else "high"
     cell[which][axis], cell[which + "_slope"][axis] = 0.0, slope
     normal = np.append(across, -slope * across.sum()) / np.hypot(1.0, slope)
-    for radius, kept in ((4.999, False), (5.001, True)):
-        assert evaluate(SPHERE_TESTS[name].function, cell, 5.0 * normal, radius, dtype=np.float64) == kept
+    for radius, passed in ((4.999, False), (5.001, True)):
+        assert evaluate(SPHERE_TESTS[name].function, cell, 5.0 * normal, radius, dtype=np.float64) == passed
 
 
 def test_no_pair_that_overlaps_is_dropped_on_a_device(device: rhi.Device, pairs: Pairs) -> None:
-    for name, kept in run(device, pairs).items():
-        assert not (pairs.overlap & ~kept).any(), name
+    for name, passed in run(device, pairs).items():
+        assert not (pairs.overlap & ~passed).any(), name
 
 
 def test_padding_adds_few_pairs_on_a_device(device: rhi.Device, pairs: Pairs) -> None:
     """Of exact tests: beyond what the padding explains, they keep nothing that doesn't overlap."""
-    kept = run(device, pairs)
-    beyond = is_beyond_padding(pairs)
+    passed = run(device, pairs)
+    beyond = exceeds_padding(pairs)
     assert beyond.mean() > 0.2
-    assert not (kept["exact"] & beyond).any()
-    assert not (kept["all_axes"] & beyond).any()
+    assert not (passed["exact"] & beyond).any()
+    assert not (passed["all_axes"] & beyond).any()
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("lens", LENSES)
-def test_no_pair_of_a_hundred_thousand_is_dropped(device: rhi.Device, lens: str) -> None:
-    many = make_pairs(lens, 100_000, seed=1)
-    for name, kept in run(device, many).items():
-        assert not (many.overlap & ~kept).any(), name
+@pytest.mark.parametrize("projection", PROJECTIONS)
+def test_no_pair_of_a_hundred_thousand_is_dropped(device: rhi.Device, projection: str) -> None:
+    many = make_pairs(projection, 100_000, seed=1)
+    for name, passed in run(device, many).items():
+        assert not (many.overlap & ~passed).any(), name
         test = SPHERE_TESTS[name].function
         exact = evaluate(test, evaluate_cells(many), many.centres, many.radii * (1 + 1e-9) + 1e-9, dtype=np.float64)
         assert not (many.overlap & ~exact).any(), name

@@ -8,29 +8,29 @@ import numpy as np
 
 from renderer.content import BUILT_IN
 from renderer.scene import Camera, Perspective, Scene, SceneBuilder, scaling, translation
-from renderer.scene.cloth import Cloths, Fabric, Gust, Sheet, Wind, make_sheet
+from renderer.scene.cloth import ClothGrid, ClothSimulation, Fabric, Gust, Wind, make_cloth_grid
 
 BREEZE = Wind(
     (0.2, 0.0, 0.6), (Gust((0.0, 0.2, 2.0), (0.3, 0.4, 0.0), 0.7), Gust((0.5, 0.0, 1.0), (1.1, 0.3, 0.0), 0.4))
 )
 
 
-def make_square(rows: int = 6, columns: int = 5, size: float = 1.0, **options: Any) -> Sheet:
+def make_square(rows: int = 6, columns: int = 5, size: float = 1.0, **options: Any) -> ClothGrid:
     """Make a cloth that hangs by its upper edge, in the plane of x and y."""
     x, y = np.meshgrid(np.linspace(-0.5, 0.5, columns), np.linspace(0.0, -1.0, rows))
     pinned = np.zeros((rows, columns), bool)
     pinned[0] = True
-    return make_sheet(size * np.stack([x, y, np.zeros_like(x)], 2), pinned, **options)
+    return make_cloth_grid(size * np.stack([x, y, np.zeros_like(x)], 2), pinned, **options)
 
 
-def advance(cloths: Cloths, first: int, last: int, members: Any = None) -> None:
+def advance(cloths: ClothSimulation, first: int, last: int, members: Any = None) -> None:
     """Ask for the steps from `first` to `last`."""
     members = np.arange(len(cloths)) if members is None else np.asarray(members)
     for number in range(first, last + 1):
         cloths.step(members, np.full(len(members), number))
 
 
-def find_points(cloths: Cloths) -> np.ndarray:
+def read_points(cloths: ClothSimulation) -> np.ndarray:
     """Return the points (k, n, 3) of all cloths."""
     vertices = cloths.vertices(np.arange(len(cloths)))
     return vertices["position"].reshape(len(cloths), -1, 3)
@@ -39,14 +39,14 @@ def find_points(cloths: Cloths) -> np.ndarray:
 def make_scene(count: int = 3, *, gap: float = 3.0, shadows: bool = False, cast: bool = True, **options: Any) -> Scene:
     """Make `count` cloths in a row along x, `gap` metres apart, 2 m above a floor, in front of them a camera."""
     builder = SceneBuilder("washing")
-    sheet = make_square(fabric=Fabric(density=0.2))
+    cloth_grid = make_square(fabric=Fabric(density=0.2))
     floor = builder.add_material(base_color=(0.6, 0.6, 0.6))
     builder.add_objects(builder.add_node(scaling((40.0, 1.0, 40.0))), builder.add_mesh(BUILT_IN["plane"]()), floor)
     linen = builder.add_material(base_color=(0.9, 0.8, 0.6), double_sided=True)
-    meshes = [builder.add_mesh(sheet.make_mesh(), f"cloth {i}", sheet.bounds) for i in range(count)]
+    meshes = [builder.add_mesh(cloth_grid.make_mesh(), f"cloth {i}", cloth_grid.bounds) for i in range(count)]
     nodes = builder.add_nodes(translation([(gap * i, 2.0, 0.0) for i in range(count)]))
     hung = builder.add_objects(nodes, meshes, linen, casts_shadow=cast)
-    builder.simulate(hung, Cloths(count, sheet, BREEZE, **options))
+    builder.simulate(hung, ClothSimulation(count, cloth_grid, BREEZE, **options))
     builder.lights.sky = builder.lights.ground = (0.2, 0.2, 0.2)
     builder.lights.add_directional((-0.3, -1.0, -0.6), intensity=2.0, casts_shadow=shadows)
     builder.views["all"] = look((gap * (count - 1) / 2, 2.0, 5.0), (gap * (count - 1) / 2, 1.5, 0.0), 1.9)

@@ -13,7 +13,7 @@ import rhi
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Scene, SceneBuilder
-from renderer.scene.cloth import Cloths
+from renderer.scene.cloth import ClothSimulation
 from renderer.visibility import FrustumCulling, NoCulling, make_visibility
 from rhi import Op
 from rhi.backends.null import PROFILES
@@ -28,22 +28,22 @@ def open_renderer(device: rhi.Device, scene: Scene) -> Renderer:
 
 
 def count_dispatches(device: rhi.Device) -> int:
-    found = len(device.stream.filter((Op.DISPATCH,)))
+    count = len(device.stream.filter((Op.DISPATCH,)))
     device.stream.clear()
-    return found
+    return count
 
 
 def test_only_what_is_seen_takes_steps_in_one_dispatch_for_all(null: rhi.Device) -> None:
     scene = make_scene(3, gap=8.0)
     with open_renderer(null, scene) as renderer:
         null.stream.clear()
-        found = []
+        counts = []
         frames = [("all", 0), (ONE, 1), (ONE, 2), (AWAY, 3), (AWAY, 4), (AWAY, 600), ("all", 601)]
         for camera, frame in frames:
             camera = scene.views[camera] if isinstance(camera, str) else camera
             counted = renderer.render(camera, frame / 60).statistics
-            found.append((count_dispatches(null), counted.simulation_steps, counted.skipped_simulations))
-    assert found == [
+            counts.append((count_dispatches(null), counted.simulation_steps, counted.skipped_simulations))
+    assert counts == [
         (0, 0, 0),  # at the beginning cloths are as they were uploaded
         (1, 1, 2),  # of those seen last, only what is still in view is expected to be seen
         (1, 1, 2),
@@ -54,23 +54,23 @@ def test_only_what_is_seen_takes_steps_in_one_dispatch_for_all(null: rhi.Device)
     ]
 
 
-def test_cloths_that_are_simulated_unseen_take_each_frame_s_steps_and_no_more_when_they_return(
+def test_cloths_that_are_simulated_while_hidden_take_each_frame_s_steps_and_no_more_when_they_return(
     null: rhi.Device,
 ) -> None:
-    scene, found = make_scene(3, gap=8.0), []
+    scene, counts = make_scene(3, gap=8.0), []
     with open_renderer(null, scene) as renderer:
-        renderer.simulates_unseen = True
+        renderer.simulates_hidden = True
         for camera, frame in ((scene.views["all"], 0), (ONE, 1), (AWAY, 2), (AWAY, 600), (AWAY, 601), (ONE, 602)):
             null.stream.clear()
             counted = renderer.render(camera, frame / 60).statistics
-            found.append((count_dispatches(null), counted.simulation_steps, counted.skipped_simulations))
-    assert found == [(0, 0, 0), (1, 3, 2), (1, 3, 3), (1, 243, 3), (1, 3, 3), (1, 3, 2)]
+            counts.append((count_dispatches(null), counted.simulation_steps, counted.skipped_simulations))
+    assert counts == [(0, 0, 0), (1, 3, 2), (1, 3, 3), (1, 243, 3), (1, 3, 3), (1, 3, 2)]
 
 
-def test_a_cloth_that_is_hidden_takes_no_step_unseen(null: rhi.Device) -> None:
+def test_a_cloth_whose_node_is_hidden_takes_no_step(null: rhi.Device) -> None:
     scene = make_scene(2)
     with open_renderer(null, scene) as renderer:
-        renderer.simulates_unseen = True
+        renderer.simulates_hidden = True
         renderer.render(AWAY, 1 / 60)
         scene.nodes.hide(scene.objects.node[renderer.simulator.objects[:1]])
         assert renderer.render(AWAY, 2 / 60).statistics.simulation_steps == 1
@@ -113,10 +113,10 @@ def test_what_shows_unexpectedly_is_stepped_between_passes(gl: rhi.Device) -> No
     with Renderer(gl, scene, size=SIZE, visibility=algorithm) as renderer:
         renderer.render(AWAY, 0.0)
         gl.stream.clear()
-        found = renderer.render(scene.views["all"], 0.3).image.read()
+        image = renderer.render(scene.views["all"], 0.3).image.read()
         assert 1 < count_dispatches(gl) <= 3  # they were found one after another
         renderer.visibility = none
-        assert np.array_equal(found, renderer.render(scene.views["all"], 0.3).image.read())
+        assert np.array_equal(image, renderer.render(scene.views["all"], 0.3).image.read())
     algorithm.destroy()
 
 
@@ -138,9 +138,11 @@ def test_time_that_goes_back_begins_again_and_leaves_nothing_behind(null: rhi.De
 def test_nothing_is_left_of_any_of_several_simulations(null: rhi.Device) -> None:
     builder = SceneBuilder("two kinds of cloth")
     for size in (1.0, 2.0):
-        sheet = make_square(size=size)
-        mesh, node = builder.add_mesh(sheet.make_mesh(), bounds=sheet.bounds), builder.add_node()
-        builder.simulate(builder.add_objects(node, mesh, builder.add_material()), Cloths(1, sheet, BREEZE))
+        cloth_grid = make_square(size=size)
+        mesh, node = builder.add_mesh(cloth_grid.make_mesh(), bounds=cloth_grid.bounds), builder.add_node()
+        builder.simulate(
+            builder.add_objects(node, mesh, builder.add_material()), ClothSimulation(1, cloth_grid, BREEZE)
+        )
     scene = builder.build()
     with open_renderer(null, scene) as renderer:
         for frame in (1, 2, 1):
@@ -186,7 +188,7 @@ def test_each_simulator_has_cloths_of_its_own(null: rhi.Device) -> None:
 
 
 @pytest.mark.nightly_cases("cl", reason=FEWER_CASES)
-def test_pictures_are_those_of_cloths_on_numpy(drawing_device: rhi.Device) -> None:
+def test_frames_are_those_of_cloths_on_numpy(drawing_device: rhi.Device) -> None:
     """The same scene, whose simulation is hidden from the device, is uploaded."""
     scene, plain = make_scene(2), make_scene(2)
 
@@ -195,14 +197,16 @@ def test_pictures_are_those_of_cloths_on_numpy(drawing_device: rhi.Device) -> No
             self.catch_up, self.interval = cloths.catch_up, cloths.interval
             self.step, self.leap, self.vertices = cloths.step, cloths.leap, cloths.vertices
 
-    plain.simulated = tuple(replace(one, simulation=OnNumpy(one.simulation)) for one in plain.simulated)
+    plain.simulated = tuple(
+        replace(simulated, simulation=OnNumpy(simulated.simulation)) for simulated in plain.simulated
+    )
     camera, frames = scene.views["all"], []
     for each in (scene, plain):
         with Renderer(drawing_device, each, size=(96, 54), visibility=NoCulling(each)) as renderer:
             for seconds in (0.0, 0.3):
                 image = renderer.render(camera, seconds).image.read().astype(int)
                 frames.append(image)
-            vertices = renderer.simulator.find_vertices(1)
+            vertices = renderer.simulator.read_vertices(1)
             assert vertices["position"][-1, 2] > 0.02  # it has moved
     assert np.abs(frames[1] - frames[3]).max() <= 24  # an edge may lie on a pixel's sample
     assert (np.abs(frames[1] - frames[3]) > 1).any(2).mean() < 0.002
@@ -216,12 +220,12 @@ def test_a_shadow_follows_its_cloth_that_isn_t_in_view(gl: rhi.Device, casts: bo
     with open_renderer(gl, scene) as renderer:
         first, *_, last = (renderer.render(camera, seconds) for seconds in (0.0, 0.25, 0.5))
         assert 1 not in last.visible
-        moved = renderer.simulator.find_vertices(1)["position"][:, 2].max() > 0.02
+        moved = renderer.simulator.read_vertices(1)["position"][:, 2].max() > 0.02
         assert last.statistics.simulation_steps == (15 if casts else 0)
         del first
-        pictures = [renderer.render(camera, seconds).image.read() for seconds in (0.5, 0.75)]
+        images = [renderer.render(camera, seconds).image.read() for seconds in (0.5, 0.75)]
     assert moved == casts
-    assert (pictures[0] != pictures[1]).any() == casts
+    assert (images[0] != images[1]).any() == casts
 
 
 def test_a_hall_has_as_many_banners_as_are_asked_for(null: rhi.Device) -> None:

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from refusals import find_rule
+from refusals import refused_rule
 
 import rhi
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, translation
-from renderer.scene.water import Water, WaterPool
-from renderer.scene.water.pools import FORGOTTEN
+from renderer.scene.water import WaterPool, WaterSimulation
+from renderer.scene.water.water_pools import FORGOTTEN_FRACTION
 from renderer.visibility import FrustumCulling
 from rhi import Op
 from rhi.backends.null import NullBackend
@@ -22,14 +22,14 @@ from rhi.backends.null import NullBackend
 RAIN: dict[str, Any] = {"size": (1.5, 1.0), "cells": (24, 20), "rain": 20.0}
 
 
-def advance(water: Water, first: int, last: int, members: Any = None) -> None:
+def advance(water: WaterSimulation, first: int, last: int, members: Any = None) -> None:
     """Ask for the steps from `first` to `last`."""
     members = np.arange(len(water)) if members is None else np.asarray(members)
     for number in range(first, last + 1):
         water.step(members, np.full(len(members), number))
 
 
-def deform(device: rhi.Device, water: Water) -> np.ndarray:
+def deform(device: rhi.Device, water: WaterSimulation) -> np.ndarray:
     """Take the steps that are due on a device; return the vertices (k, n, 6): positions and normals."""
     count, points = len(water), int(np.prod(water.pool.shape))
     with device.storage(float, 6 * points * count) as vertices:
@@ -37,17 +37,20 @@ def deform(device: rhi.Device, water: Water) -> np.ndarray:
         return vertices.read().reshape(count, points, 6).copy()
 
 
-def find_error(device: rhi.Device, cells: int, damping: float) -> float:
+def measure_error(device: rhi.Device, cells: int, damping: float) -> float:
     """Return the greatest error in 5 s of a standing wave of 2 m and 1 cm, in its height."""
     start = 0.01 * np.cos(np.pi * np.linspace(0.0, 1.0, cells + 1)) * np.ones((cells + 1, 1))
-    water, worst = Water(1, WaterPool(cells=(cells, cells), depth=0.1, damping=damping, rain=0.0, start=start)), 0.0
+    water, worst = (
+        WaterSimulation(1, WaterPool(cells=(cells, cells), depth=0.1, damping=damping, rain=0.0, start=start)),
+        0.0,
+    )
     rate = np.sqrt(9.81 * 0.1) * np.pi / 2.0
     for number in range(10, 301, 10):
         advance(water, number - 9, number)
-        found = deform(device, water)[0, :, 1].reshape(start.shape)
+        heights = deform(device, water)[0, :, 1].reshape(start.shape)
         seconds = number / 60.0
         exact = start * np.cos(rate * seconds) * np.exp(-0.5 * damping * seconds)
-        worst = max(worst, float(np.abs(found - exact).max()) / 0.01)
+        worst = max(worst, float(np.abs(heights - exact).max()) / 0.01)
     water.release(device)
     return worst
 
@@ -55,22 +58,22 @@ def find_error(device: rhi.Device, cells: int, damping: float) -> float:
 @pytest.mark.parametrize("damping", [0.0, 0.8])
 def test_a_standing_wave_is_the_analytic_one_to_the_square_of_the_cells(device: rhi.Device, damping: float) -> None:
     """The scheme's error of speed is the 1/24 of (π cell / 2 m)², less what the length of a step gives back."""
-    coarse, fine = find_error(device, 8, damping), find_error(device, 32, damping)
+    coarse, fine = measure_error(device, 8, damping), measure_error(device, 32, damping)
     assert 0.005 < coarse < 0.05
     assert fine < coarse / 14.0
 
 
 def test_devices_take_the_same_steps_as_numpy(device: rhi.Device) -> None:
-    there, here = (Water(3, WaterPool(**RAIN), seed=2) for _ in range(2))
+    there, here = (WaterSimulation(3, WaterPool(**RAIN), seed=2) for _ in range(2))
     for first in (1, 41):
         for water in (there, here):
             advance(water, first, first + 39, [2, 0])
-        found = deform(device, there)
+        vertices = deform(device, there)
     expected = here.vertices(np.arange(3)).reshape(3, -1)
     assert np.abs(expected["position"][..., 1]).max() > 1e-3
-    assert np.abs(found[..., 1] - expected["position"][..., 1]).max() < 1e-6
-    assert np.abs(found[..., 3:] - expected["normal"]).max() < 1e-5
-    assert (found[1, :, 1] == 0.0).all()  # it takes no step
+    assert np.abs(vertices[..., 1] - expected["position"][..., 1]).max() < 1e-6
+    assert np.abs(vertices[..., 3:] - expected["normal"]).max() < 1e-5
+    assert (vertices[1, :, 1] == 0.0).all()  # it takes no step
     copied = deepcopy(there)
     there.release(device)
     assert np.abs(copied.read() - here.read()).max() < 1e-6
@@ -79,7 +82,7 @@ def test_devices_take_the_same_steps_as_numpy(device: rhi.Device) -> None:
 @pytest.mark.parametrize("steps", [1, 2])
 def test_what_is_released_begins_again_at_its_first_heights(null: rhi.Device, steps: int) -> None:
     start = 0.01 * np.cos(np.pi * np.linspace(0.0, 1.0, 7)) * np.ones((6, 1))
-    again, new = (Water(1, WaterPool(cells=(6, 5), rain=0.0, start=start)) for _ in range(2))
+    again, new = (WaterSimulation(1, WaterPool(cells=(6, 5), rain=0.0, start=start)) for _ in range(2))
     advance(again, 1, steps)
     deform(null, again)
     again.release(null)
@@ -91,11 +94,11 @@ def test_what_is_released_begins_again_at_its_first_heights(null: rhi.Device, st
 
 def test_the_shader_takes_the_same_steps_on_numpy(null: rhi.Device) -> None:
     null.backend_as(NullBackend).run_shaders()
-    there, here = (Water(2, WaterPool(cells=(6, 5), rain=60.0), seed=2) for _ in range(2))
+    there, here = (WaterSimulation(2, WaterPool(cells=(6, 5), rain=60.0), seed=2) for _ in range(2))
     for water in (there, here):
         advance(water, 1, 4)
-    found = deform(null, there)
-    assert np.abs(found[..., 1].reshape(-1) - here.vertices(np.arange(2))["position"][:, 1]).max() < 1e-7
+    vertices = deform(null, there)
+    assert np.abs(vertices[..., 1].reshape(-1) - here.vertices(np.arange(2))["position"][:, 1]).max() < 1e-7
 
 
 @pytest.mark.parametrize(("missed", "is_forgotten"), [(1, True), (0, False)])
@@ -103,27 +106,28 @@ def test_what_returns_after_its_memory_is_as_if_it_had_been_seen_always(missed: 
     pool = WaterPool(**{**RAIN, "damping": 6.0})
     memory = pool.memory
     assert memory is not None
-    assert pool.kept**memory <= FORGOTTEN < pool.kept ** (memory - 1)
-    always, away = (Water(1, pool, seed=5) for _ in range(2))
+    assert pool.damping_factor**memory <= FORGOTTEN_FRACTION < pool.damping_factor ** (memory - 1)
+    always, away = (WaterSimulation(1, pool, seed=5) for _ in range(2))
     advance(always, 1, 500)
     advance(away, 1, 50)
     advance(away, 500 - memory + 1 if missed else 480, 500)
     error = np.abs(always.read() - away.read()).max() / np.abs(always.read()).max()
-    assert (error < 2.0 * FORGOTTEN) == is_forgotten
+    assert (error < 2.0 * FORGOTTEN_FRACTION) == is_forgotten
 
 
 def test_without_damping_no_step_is_left_out() -> None:
-    assert Water(1, WaterPool(damping=0.0)).catch_up.memory is None
-    assert Water(1, WaterPool(damping=1.0)).catch_up.memory == 829
+    assert WaterSimulation(1, WaterPool(damping=0.0)).catch_up.memory is None
+    assert WaterSimulation(1, WaterPool(damping=1.0)).catch_up.memory == 829
 
 
 def test_no_rain_takes_water_out_of_its_bounds() -> None:
     wild, calm = (
-        WaterPool(**{**RAIN, "rain": 60.0, "limit": limit, "drop": 0.1, "damping": 0.0}) for limit in (0.1, 4.0)
+        WaterPool(**{**RAIN, "rain": 60.0, "max_height": max_height, "drop": 0.1, "damping": 0.0})
+        for max_height in (0.1, 4.0)
     )
     heights = []
     for pool in (wild, calm):
-        water = Water(1, pool)
+        water = WaterSimulation(1, pool)
         advance(water, 1, 120)
         heights.append(np.abs(water.read()).max())
     assert heights[0] <= np.float32(0.1)
@@ -135,22 +139,22 @@ def make_pools() -> Scene:
     builder, pool = SceneBuilder("pools"), WaterPool(**RAIN)
     meshes = [builder.add_mesh(pool.make_mesh(), f"water {number}", pool.bounds) for number in range(3)]
     nodes = builder.add_nodes(translation([(4.0 * number, 0.0, 0.0) for number in range(3)]))
-    builder.simulate(builder.add_objects(nodes, meshes, builder.add_material()), Water(3, pool))
+    builder.simulate(builder.add_objects(nodes, meshes, builder.add_material()), WaterSimulation(3, pool))
     builder.lights.add_directional((-0.3, -1.0, -0.6))
     return builder.build()
 
 
 def test_only_what_is_seen_takes_steps_in_one_dispatch_for_all(null: rhi.Device) -> None:
     scene = make_pools()
-    every, one = (Camera.look_at((4.0, height, 0.5 * height), (4.0, 0.0, 0.0)) for height in (9.0, 1.5))
+    every, single = (Camera.look_at((4.0, height, 0.5 * height), (4.0, 0.0, 0.0)) for height in (9.0, 1.5))
     away = Camera.look_at((0.0, 2.0, 5.0), (0.0, 40.0, 60.0))
     with Renderer(null, scene, size=(64, 36), visibility=FrustumCulling(scene)) as renderer:
-        found = []
-        for camera, frame in ((every, 1), (one, 2), (one, 3), (away, 4), (away, 900), (one, 901)):
+        counts = []
+        for camera, frame in ((every, 1), (single, 2), (single, 3), (away, 4), (away, 900), (single, 901)):
             null.stream.clear()
             steps = renderer.render(camera, frame / 60).statistics.simulation_steps
-            found.append((len(null.stream.filter((Op.DISPATCH,))), steps))
-    assert found == [(1, 3), (1, 1), (1, 1), (0, 0), (0, 0), (1, WaterPool().memory)]
+            counts.append((len(null.stream.filter((Op.DISPATCH,))), steps))
+    assert counts == [(1, 3), (1, 1), (1, 1), (0, 0), (0, 0), (1, WaterPool().memory)]
 
 
 def test_waves_are_seen_on_each_device(drawing_device: rhi.Device) -> None:
@@ -166,16 +170,17 @@ def test_waves_are_seen_on_each_device(drawing_device: rhi.Device) -> None:
     "wrong",
     [
         {"size": (0.0, 1.0)}, {"depth": float("nan")}, {"damping": -1.0}, {"rain": 61.0}, {"drop": 0.2},
-        {"radius": 0.0}, {"limit": 0.0}, {"cells": (1, 4)}, {"cells": (128, 128)}, {"cells": (100, 100), "depth": 1.0},
+        {"radius": 0.0}, {"max_height": 0.0}, {"cells": (1, 4)}, {"cells": (128, 128)},
+        {"cells": (100, 100), "depth": 1.0},
         {"start": np.zeros((3, 3))}, {"start": np.full((49, 49), 0.11)},
     ],
     ids=lambda wrong: "-".join(wrong),
 )  # fmt: skip
 def test_what_is_no_pool_is_refused(wrong: dict[str, Any]) -> None:
     WaterPool(start=np.full((49, 49), 0.1), rain=60.0, drop=0.1, cells=(48, 48), depth=0.3)  # the control
-    assert find_rule(lambda: WaterPool(**wrong)) == "scene-bad-water"
+    assert refused_rule(lambda: WaterPool(**wrong)) == "scene-bad-water"
 
 
 @pytest.mark.parametrize("count", [0, 65_536])
 def test_pools_are_as_many_as_a_dispatch_has_groups(count: int) -> None:
-    assert find_rule(lambda: Water(count, WaterPool())) == "scene-bad-water"
+    assert refused_rule(lambda: WaterSimulation(count, WaterPool())) == "scene-bad-water"

@@ -12,7 +12,7 @@ import rhi
 from rhi import Device
 from rhi.backends.cl import create_backend
 from rhi.backends.cl.builds import Kernel
-from rhi.backends.cl.context import KERNELS_ENVIRONMENT
+from rhi.backends.cl.cl_context import KERNELS_ENVIRONMENT
 
 
 @pytest.fixture
@@ -24,8 +24,8 @@ def cl_kit() -> Iterator[ClKit]:
 
 @pytest.fixture(scope="module")
 def device() -> Iterator[Device]:
-    with rhi.create_device("cl") as made:
-        yield made
+    with rhi.create_device("cl") as created:
+        yield created
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Kernels that are built quickly and optimised later: the same pictures, no waits, nothing lost."""
+"""Kernels that are built quickly and optimised later: the same images, no waits, nothing lost."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from numpy.typing import NDArray
 
 import rhi
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format, Program
-from rhi.backends.cl import builds, context
-from rhi.backends.cl.backend import ClBackend
-from rhi.backends.cl.context import KERNELS_ENVIRONMENT
-from rhi.backends.cl.pocl import cache, compiler
+from rhi.backends.cl import builds, cl_context
+from rhi.backends.cl.cl_backend import ClBackend
+from rhi.backends.cl.cl_context import KERNELS_ENVIRONMENT
+from rhi.backends.cl.cl_programs import ComputeProgram
+from rhi.backends.cl.pocl import compiler, kernel_cache
 from rhi.backends.cl.pocl.compiler import Compiler, Job
-from rhi.backends.cl.programs import ComputeProgram
-from rhi.conformance.patience import comes_true
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import corners, rectangle
+from rhi.conformance.waiting import wait_until
 from rhi.contract.descriptors import ProgramDescriptor, Stage, StageText
 from rhi.errors import ShaderError
 from rhi.shading import Shader, StorageRW, abs, barrier, exp, global_id, local_id, pow, shared, sin
@@ -42,16 +42,16 @@ def draw(
     device: Device, program: Program[...], *states: Any, format: Format = Format.RGBA8,
     color: tuple[float, ...] = (0.2, 0.4, 0.6, 0.5),
 ) -> NDArray[Any]:  # fmt: skip
-    """Draw many small triangles and a rectangle, which use all kernels; return the picture."""
+    """Draw many small triangles and a rectangle, which use all kernels; return the image."""
     rng = np.random.default_rng(0)
-    places = np.zeros((1500, 4))
-    places[:, :2] = np.repeat(rng.uniform(-1, 1, (500, 2)), 3, axis=0) + rng.uniform(-0.1, 0.1, (1500, 2))
-    places[:, 2:] = 0.5, 1.0
+    positions = np.zeros((1500, 4))
+    positions[:, :2] = np.repeat(rng.uniform(-1, 1, (500, 2)), 3, axis=0) + rng.uniform(-0.1, 0.1, (1500, 2))
+    positions[:, 2:] = 0.5, 1.0
     with (
         device.texture(SIZE, format) as image,
         device.texture(SIZE, Format.D32F) as depth,
         device.mesh(rectangle(depth=0.25, color=color)) as wall,
-        device.mesh(corners(places, color)) as pieces,
+        device.mesh(corners(positions, color)) as pieces,
     ):
         with (
             device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.4),
@@ -63,13 +63,13 @@ def draw(
         return image.read()
 
 
-def find_builds(device: Device) -> builds.Builds:
+def get_builds(device: Device) -> builds.Builds:
     backend = device._core.backend
     assert isinstance(backend, ClBackend)
     return backend._builds
 
 
-def find_compute(device: Device, program: Program[...]) -> ComputeProgram:
+def get_compute_kernel(device: Device, program: Program[...]) -> ComputeProgram:
     backend = device._core.backend
     assert isinstance(backend, ClBackend)
     return backend._programs[program.id]
@@ -105,11 +105,11 @@ FORMATS = (Format.RGBA8, Format.RGBA8_SRGB, Format.RGBA16F, Format.R32F)
 def test_a_new_combination_of_states_and_formats_builds_nothing(device: Device, format: Format) -> None:
     program = device.program(Colored)
     draw(device, program)
-    built = find_builds(device).built
-    assert find_builds(device).is_quick
+    built = get_builds(device).built
+    assert get_builds(device).is_quick
     for states in STATES.values():
         draw(device, program, *states, format=format)
-    assert find_builds(device).built == built
+    assert get_builds(device).built == built
 
 
 @pytest.mark.nightly_cases("added", "blended", "equal", "nearest", "opaque", reason=FEWER_CASES)
@@ -117,14 +117,14 @@ def test_a_new_combination_of_states_and_formats_builds_nothing(device: Device, 
 def test_quick_and_optimised_kernels_draw_the_same_bits(
     monkeypatch: pytest.MonkeyPatch, states: tuple[Any, ...]
 ) -> None:
-    pictures = []
+    images = []
     for mode in ("quick", "optimised"):
         monkeypatch.setenv(KERNELS_ENVIRONMENT, mode)
         with rhi.create_device("cl") as device:
             monkeypatch.setattr(builds.Builds, "is_cached", lambda self, *_: not self.is_quick)
-            assert find_builds(device).is_quick == (mode == "quick")
-            pictures.append(draw(device, device.program(Colored), *states, format=Format.RGBA16F))
-    np.testing.assert_array_equal(*pictures)
+            assert get_builds(device).is_quick == (mode == "quick")
+            images.append(draw(device, device.program(Colored), *states, format=Format.RGBA16F))
+    np.testing.assert_array_equal(*images)
 
 
 class Waves(Shader):
@@ -160,20 +160,20 @@ class Backwards(Waves):
 
 def test_quick_and_optimised_compute_programs_compute_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     results, options = [], []
-    build = context.build_cached
+    build = cl_context.build_cached
 
-    def note(opened: Any, kept: Any, request: cache.Request, stored: Any) -> Any:
+    def note(opened: Any, cache: Any, request: kernel_cache.Request, stored: Any) -> Any:
         options.append(request.options)
-        return build(opened, kept, request, stored)
+        return build(opened, cache, request, stored)
 
     for mode in ("quick", "optimised"):
         monkeypatch.setenv(KERNELS_ENVIRONMENT, mode)
         with rhi.create_device("cl") as device:
-            for module in (context, builds):
+            for module in (cl_context, builds):
                 monkeypatch.setattr(module, "build_cached", note)
             results.append(run_waves(device, device.program(Waves)))
             monkeypatch.undo()
-    assert options == [context.QUICK, ()]
+    assert options == [cl_context.QUICK, ()]
     np.testing.assert_array_equal(*results)
     assert len(np.unique(results[0])) > 100
 
@@ -188,19 +188,19 @@ def test_a_compute_program_that_was_prepared_waits_for_no_build(
     monkeypatch: pytest.MonkeyPatch, device: Device
 ) -> None:
     """Another process optimises it, before it is dispatched for the first time; one that wasn't is built there."""
-    built: list[cache.Request] = []
+    built: list[kernel_cache.Request] = []
     compile = builds.Builds.compile
 
-    def note(made: builds.Builds, request: cache.Request, quick: bool = False) -> Any:
+    def note(owner: builds.Builds, request: kernel_cache.Request, quick: bool = False) -> Any:
         built.append(request)
-        return compile(made, request, quick)
+        return compile(owner, request, quick)
 
     monkeypatch.setattr(builds.Builds, "compile", note)
     prepared, other = device.program(Waves), device.program(Backwards)
     end = device.prepare(prepared)
     assert device.is_building
     end.result()
-    assert comes_true(lambda: not device.is_building)
+    assert wait_until(lambda: not device.is_building)
     first = run_waves(device, prepared)
     assert not built
     run_waves(device, other)
@@ -218,8 +218,8 @@ def test_hot_compute_programs_are_optimised_and_compute_the_same(
     first = run_waves(device, program)
     device.finish()
     run_waves(device, program)  # its own time is known by now
-    assert comes_true(lambda: not device.is_building)
-    compute = find_compute(device, program)
+    assert wait_until(lambda: not device.is_building)
+    compute = get_compute_kernel(device, program)
     for is_quick in (False, False):
         np.testing.assert_array_equal(run_waves(device, program), first)
         assert compute._kernel is not None
@@ -231,9 +231,11 @@ def test_a_kernel_that_ends_its_compiler_is_left_as_it_is_and_the_next_is_optimi
 ) -> None:
     program, other = device.program(Harmful), device.program(Backwards)
     launch = builds.Launch(("compute",), ((bytes(8), (0,)), 0))  # an address that isn't memory of the driver's
-    find_compute(device, program)._optimisation.launch = launch  # type: ignore[union-attr]
+    get_compute_kernel(device, program)._optimisation.launch = launch  # type: ignore[union-attr]
     device.prepare([rhi.DrawPlan(program), rhi.DrawPlan(other)]).result()
-    prepared = [find_compute(device, one)._optimisation.program for one in (program, other)]  # type: ignore[union-attr]
+    prepared = [
+        get_compute_kernel(device, compute_program)._optimisation.program for compute_program in (program, other)
+    ]  # type: ignore[union-attr]
     assert prepared[0] is None
     assert prepared[1] is not None
     assert len(np.unique(run_waves(device, program))) > 100
@@ -255,7 +257,7 @@ def test_hot_kernels_are_optimised_and_draw_the_same(
     with caplog.at_level(logging.INFO, "rhi.kernels"):
         np.testing.assert_array_equal(draw(device, program), expected)
         deadline = time.monotonic() + 120
-        while find_builds(device)._waiting and time.monotonic() < deadline:
+        while get_builds(device)._waiting and time.monotonic() < deadline:
             time.sleep(0.01)
     for _ in range(2):  # the first takes them
         np.testing.assert_array_equal(draw(device, program), expected)
@@ -269,8 +271,8 @@ def test_heat_is_the_time_of_launches(monkeypatch: pytest.MonkeyPatch, device: D
     events: list[Any] = []
     enqueue = builds.cl.enqueue_nd_range_kernel
 
-    def note(queue: Any, kernel: Any, *given: Any) -> Any:
-        event = enqueue(queue, kernel, *given)
+    def note(queue: Any, kernel: Any, *args: Any) -> Any:
+        event = enqueue(queue, kernel, *args)
         events.extend([event] if kernel.function_name == "raster" else [])
         return event
 
@@ -295,7 +297,7 @@ def test_of_launches_in_flight_one_is_timed_and_stands_for_all() -> None:
     kernel = builds.Kernel(program, "raster", optimisation)  # type: ignore[arg-type]
     with pytest.MonkeyPatch.context() as patch:
         launches = iter([event, other, other, event])
-        patch.setattr(builds.cl, "enqueue_nd_range_kernel", lambda *given: next(launches))
+        patch.setattr(builds.cl, "enqueue_nd_range_kernel", lambda *args: next(launches))
         for items in (10, 20, 30):
             kernel.launch(None, 0, items)
         event.status = 0
@@ -307,20 +309,20 @@ def test_of_launches_in_flight_one_is_timed_and_stands_for_all() -> None:
 
 
 def test_the_kernels_that_took_most_time_are_optimised_first(device: Device) -> None:
-    made, request = find_builds(device), find_builds(device).request("", ())
-    jobs = [builds.Optimisation(request, builds.Launch((), ()), made) for _ in range(3)]
-    made._jobs += [(job, Future()) for job in jobs]
+    owner, request = get_builds(device), get_builds(device).request("", ())
+    jobs = [builds.Optimisation(request, builds.Launch((), ()), owner) for _ in range(3)]
+    owner._jobs += [(job, Future()) for job in jobs]
     jobs[0].heat, jobs[1].heat, jobs[2].heat = 0.5, 2.0, 1.0  # they get warm while they wait
-    assert [made._find_job()[0] for _ in jobs] == [jobs[1], jobs[2], jobs[0]]  # type: ignore[index]
+    assert [owner._wait_for_job()[0] for _ in jobs] == [jobs[1], jobs[2], jobs[0]]  # type: ignore[index]
 
 
 def test_kernels_that_are_not_hot_stay_as_they_are(device: Device) -> None:
     for _ in range(3):
         draw(device, device.program(Colored))
-    assert not find_builds(device)._threads
+    assert not get_builds(device)._threads
 
 
-def test_from_the_disk_nothing_is_told(
+def test_kernels_from_disk_are_not_reported(
     caplog: pytest.LogCaptureFixture, expected: NDArray[Any], optimised_kernels: None
 ) -> None:
     with caplog.at_level(logging.INFO, "rhi.kernels"), rhi.create_device("cl") as device:
@@ -335,20 +337,20 @@ def test_launches_that_there_is_no_machine_code_of_are_compiled(
     monkeypatch.setattr(builds, "LARGE_GRID", limit)
     with rhi.create_device("cl") as device:
         np.testing.assert_array_equal(draw(device, device.program(Colored)), expected)
-        used = [one for one in find_builds(device)._context.programs.list_held() if one._types]
-        assert {one._is_whole for one in used} == {limit == 1}
+        used = [program for program in get_builds(device)._context.programs.list_resident() if program._types]
+        assert {program._is_whole for program in used} == {limit == 1}
 
 
 @pytest.mark.parametrize("error", [OSError("no more processes"), MemoryError(), EOFError()])
 def test_without_another_process_the_kernels_at_hand_remain(
     monkeypatch: pytest.MonkeyPatch, device: Device, expected: NDArray[Any], error: Exception
 ) -> None:
-    def fail(*given: Any) -> None:
+    def fail(*args: Any) -> None:
         raise error
 
     monkeypatch.setattr(builds, "HOT", 0)
     monkeypatch.setattr(Compiler, "__init__" if isinstance(error, OSError) else "compile", fail)
-    monkeypatch.setattr(cache.KernelCache, "knows", lambda *given: False)
+    monkeypatch.setattr(kernel_cache.KernelCache, "contains", lambda *args: False)
     program = device.program(Colored)
     for _ in range(3):
         np.testing.assert_array_equal(draw(device, program), expected)
@@ -375,14 +377,14 @@ def test_closing_a_device_does_not_wait_for_kernels_that_are_optimised(monkeypat
     monkeypatch.delenv(KERNELS_ENVIRONMENT, raising=False)
     monkeypatch.setattr(builds, "HOT", 0)
     monkeypatch.setattr(builds.Builds, "is_cached", lambda self, *_: False)
-    monkeypatch.setattr(cache.KernelCache, "knows", lambda *given: False)
+    monkeypatch.setattr(kernel_cache.KernelCache, "contains", lambda *args: False)
     killer = threading.Timer(20.0, lambda: [process.kill() for process in processes])
     killer.start()
     try:
         with rhi.create_device("cl") as device:
             draw(device, device.program(Colored))
-            assert find_builds(device)._waiting
-            assert comes_true(lambda: bool(halted))
+            assert get_builds(device)._waiting
+            assert wait_until(lambda: bool(halted))
         assert all(process.poll() is None for process in processes)
     finally:
         killer.cancel()
@@ -391,7 +393,7 @@ def test_closing_a_device_does_not_wait_for_kernels_that_are_optimised(monkeypat
 
 
 def test_a_process_that_refuses_a_kernel_goes_on_with_others(device: Device) -> None:
-    compiler = Compiler(find_builds(device)._context.device)
+    compiler = Compiler(get_builds(device)._context.device)
     job = Job("kernel void k(ulong address) {}", (), ("k",), ((bytes(64), (0,)),), "")
     try:
         with pytest.raises(ValueError, match="refused"):
@@ -403,7 +405,7 @@ def test_a_process_that_refuses_a_kernel_goes_on_with_others(device: Device) -> 
 
 @pytest.mark.parametrize("stage", [Stage.VERTEX, Stage.FRAGMENT])
 @pytest.mark.parametrize("mode", ["quick", "optimised"])
-def test_a_text_that_the_driver_refuses_is_told_of_by_the_draw_that_needs_it(
+def test_source_that_the_driver_refuses_raises_at_the_draw_that_uses_it(
     monkeypatch: pytest.MonkeyPatch, stage: Stage, mode: str
 ) -> None:
     monkeypatch.setenv(KERNELS_ENVIRONMENT, mode)
@@ -411,9 +413,9 @@ def test_a_text_that_the_driver_refuses_is_told_of_by_the_draw_that_needs_it(
         good = device.program(Colored)
         descriptor = good.descriptor
 
-        def emit(language: str, wanted: Stage) -> StageText:
-            emitted = descriptor.emit(language, wanted)
-            if wanted is not stage:
+        def emit(language: str, requested: Stage) -> StageText:
+            emitted = descriptor.emit(language, requested)
+            if requested is not stage:
                 return emitted
             text = "int undeclared(void) {\n    return nothing;\n}\n" + emitted.text
             return StageText(text, tuple(("bad.py", line) for line in (10, 20, 30)))

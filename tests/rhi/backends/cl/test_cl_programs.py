@@ -12,10 +12,11 @@ import pytest
 from cl_kit import FILL, ClKit, describe_program
 
 import rhi
-from rhi.backends.cl import programs
+from rhi.backends.cl import cl_programs
 from rhi.conformance.operation import test_compute
 from rhi.contract.descriptors import Binding, BindingKind, BufferUsage
-from rhi.errors import CallSite, DeviceError, ShaderError
+from rhi.errors import DeviceError, ShaderError
+from rhi.errors.call_sites import CallSite
 
 SCALE = """
 kernel void scale(constant float *factor, global const float *from, int from_count, global float *to, int to_count) {
@@ -70,13 +71,13 @@ def test_a_uniform_is_read_where_it_was_bound(cl_kit: ClKit, usage: BufferUsage)
     constants, target = cl_kit.buffer(factors, usage), cl_kit.buffer(bytes(4))
     cl_kit.backend.bind_storage(0, cl_kit.buffer(np.float32([7])), 0, 4)
     cl_kit.backend.bind_storage(1, target, 0, 4)
-    for place, expected in ((2, 700), (0, 7), (1, 70)):
-        cl_kit.backend.bind_uniform(0, constants, place * grain, 4)
+    for index, expected in ((2, 700), (0, 7), (1, 70)):
+        cl_kit.backend.bind_uniform(0, constants, index * grain, 4)
         cl_kit.dispatch(program)
         assert np.frombuffer(cl_kit.backend.read_buffer(target, 0, 4), "f4") == expected
 
 
-def test_a_new_buffer_in_the_place_of_a_destroyed_one_is_bound(cl_kit: ClKit) -> None:
+def test_a_new_buffer_that_replaces_a_destroyed_one_is_bound(cl_kit: ClKit) -> None:
     program = cl_kit.program(describe_program(FILL))
     for _ in range(3):
         buffer = cl_kit.buffer(bytes(8))
@@ -89,15 +90,15 @@ def test_a_new_buffer_in_the_place_of_a_destroyed_one_is_bound(cl_kit: ClKit) ->
 def test_only_numbers_that_change_are_set_again(cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch) -> None:
     """Setting one takes pyopencl 80 times as long as comparing it."""
     program = cl_kit.program(describe_program(FILL))
-    given: list[object] = []
+    arguments: list[object] = []
     set_arg: Callable[..., None] = cl.Kernel.set_arg
-    monkeypatch.setattr(cl.Kernel, "set_arg", lambda kernel, *each: (given.append(each[1]), set_arg(kernel, *each)))
+    monkeypatch.setattr(cl.Kernel, "set_arg", lambda kernel, *each: (arguments.append(each[1]), set_arg(kernel, *each)))
     for count, numbers in ((4, [4]), (4, []), (2, [2]), (2, []), (3, [3])):
-        given.clear()
+        arguments.clear()
         buffer = cl_kit.buffer(bytes(16))
         cl_kit.backend.bind_storage(0, buffer, 0, 4 * count)
         cl_kit.dispatch(program, 4)
-        assert [each for each in given if not isinstance(each, cl.Buffer)] == numbers
+        assert [each for each in arguments if not isinstance(each, cl.Buffer)] == numbers
         assert cl_kit.words(buffer, 4) == [*range(count, count + 4)]
 
 
@@ -192,7 +193,7 @@ def test_a_dispatch_that_fails_names_the_labels_it_lies_in(cl_kit: ClKit) -> Non
 @pytest.mark.parametrize(("floats", "lanes"), [(32, 16), (16, 16), (8, 8), (4, 4), (2, 1), (1, 1), (0, 1)])
 def test_a_work_item_does_as_many_invocations_as_a_register_has_floats(floats: int, lanes: int) -> None:
     device: Any = SimpleNamespace(native_vector_width_float=floats)
-    assert programs.count_lanes(device) == lanes
+    assert cl_programs.count_lanes(device) == lanes
 
 
 @pytest.mark.parametrize("lanes", [1, 4, 8, 16])
@@ -205,7 +206,7 @@ def test_shared_memory_barriers_and_atomics_work_with_any_number_of_lanes(
         asked.append(lanes)
         return lanes
 
-    monkeypatch.setattr(programs, "count_lanes", count_lanes)
+    monkeypatch.setattr(cl_programs, "count_lanes", count_lanes)
     with rhi.create_device("cl") as device:
         test_compute.test_a_work_group_sees_its_shared_memory_after_a_barrier(device)
         test_compute.test_atomics_work_in_shared_memory(device)

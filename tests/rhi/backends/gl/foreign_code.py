@@ -24,7 +24,7 @@ import pytest
 
 import rhi
 import rhi.conformance
-from rhi.backends.gl.backend import GlBackend
+from rhi.backends.gl.gl_backend import GlBackend
 
 KIT = Path(rhi.conformance.__file__).parent
 EGL: dict[str, Any] = {"backend": "egl", "libgl": "libEGL.so.1", "libegl": "libEGL.so.1"}
@@ -43,18 +43,18 @@ class ForeignCode:
 
     def _create_device(self, *arguments: Any, validation: bool = False, **options: Any) -> rhi.Device:
         device = self._create(*arguments, **options)
-        self._devices = [known for known in self._devices if not known.closed] + [device]
+        self._devices = [opened for opened in self._devices if not opened.closed] + [device]
         return device
 
     @pytest.hookimpl(wrapper=True)
     def pytest_pyfunc_call(self) -> Generator[None, Any, Any]:
-        sys.settrace(self._find_frame)
+        sys.settrace(self._watch_frame)
         try:
             return (yield)
         finally:
             sys.settrace(None)
 
-    def _find_frame(self, frame: FrameType, event: str, argument: object) -> Any:
+    def _watch_frame(self, frame: FrameType, event: str, argument: object) -> Any:
         is_test = Path(frame.f_code.co_filename).name.startswith("test_")
         return self._take_thread if is_test else None
 

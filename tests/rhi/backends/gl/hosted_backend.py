@@ -5,7 +5,7 @@ from __future__ import annotations
 import moderngl
 
 from rhi.backends.gl import create_backend
-from rhi.backends.gl.backend import GlBackend
+from rhi.backends.gl.gl_backend import GlBackend
 
 _hosts: list[moderngl.Context] = []
 

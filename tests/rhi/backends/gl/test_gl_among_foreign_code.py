@@ -39,8 +39,8 @@ def test_a_device_that_does_not_look_fails() -> None:
 
     A test that creates, fails and destroys leaves its device in the other context, where all that follow pass.
     """
-    chosen = ("-k", "not holds_zeros", "--maxfail=5")
-    assert run("--blind", OPERATION / "test_buffers.py", *chosen)["failed"] != []
+    options = ("-k", "not holds_zeros", "--maxfail=5")
+    assert run("--blind", OPERATION / "test_buffers.py", *options)["failed"] != []
 
 
 @pytest.mark.nightly

@@ -11,8 +11,8 @@ import pytest
 from gl_kit import FULL, GlKit, describe_program
 
 from rhi.backends.gl import create_backend
-from rhi.backends.gl.backend import GlBackend
-from rhi.conformance.steps import METHODS
+from rhi.backends.gl.gl_backend import GlBackend
+from rhi.conformance.port_steps import METHODS
 from rhi.contract.backend import Backend
 from rhi.contract.descriptors import BufferDescriptor, Region, TextureDescriptor
 from rhi.contract.formats import Format
@@ -42,7 +42,7 @@ def test_a_missing_moderngl_is_an_error_that_says_what_to_install(monkeypatch: p
     assert caught.value.rule.id == "device-driver"
 
 
-def test_two_backends_draw_in_turns(gl_kit: GlKit) -> None:
+def test_two_backends_draw_alternately(gl_kit: GlKit) -> None:
     other = GlKit(create_backend())
     kits = (gl_kit, other)
     programs = [kit.program(describe_program()) for kit in kits]

@@ -69,5 +69,5 @@ def test_threads_that_ask_for_the_types_at_once_get_all_of_them(monkeypatch: pyt
     monkeypatch.setattr(entry_points, "_make_prototype", wait_once)
     entry_points._prototypes.cache_clear()
     with ThreadPoolExecutor(2) as threads:
-        found = list(threads.map(lambda _: len(entry_points._prototypes()), range(2)))
-    assert found == [len(typing.get_type_hints(entry_points.EntryPoints))] * 2
+        counts = list(threads.map(lambda _: len(entry_points._prototypes()), range(2)))
+    assert counts == [len(typing.get_type_hints(entry_points.EntryPoints))] * 2

@@ -13,10 +13,10 @@ import pytest
 from nightly_reasons import SAME_ON_EACH_BACKEND
 
 import rhi
-from rhi.backends.gl.backend import GlBackend
-from rhi.conformance.patience import comes_true
+from rhi.backends.gl.gl_backend import GlBackend
 from rhi.conformance.shaders import Colored, Tint, Tinted
 from rhi.conformance.shapes import rectangle
+from rhi.conformance.waiting import wait_until
 from rhi.shading import Shader, StorageRW, global_id, uint
 
 SIZE = (64, 64)
@@ -126,7 +126,7 @@ def test_an_asynchronous_read_is_seen_to_be_done(device: rhi.Device, take_over: 
     image = device.texture(SIZE, rhi.Format.RGBA8)
     draw_all(device, image)
     read = image.read_async()
-    assert comes_true(is_done)
+    assert wait_until(is_done)
     assert (read.result()[..., 0] > 0).all()
 
 
@@ -455,17 +455,17 @@ def test_a_context_that_another_thread_holds_is_named() -> None:
         context = device.backend_as(GlBackend).context
         image = device.texture(SIZE, rhi.Format.RGBA8)
         context.mglo.__exit__()
-        held, released = threading.Event(), threading.Event()
+        taken, released = threading.Event(), threading.Event()
 
         def hold() -> None:
             context.mglo.__enter__()
-            held.set()
+            taken.set()
             released.wait(10)
             context.mglo.__exit__()
 
         thread = threading.Thread(target=hold)
         thread.start()
-        held.wait(10)
+        taken.wait(10)
         try:
             for use in (lambda: draw_all(device, image), lambda: device.buffer(4), device.make_current):
                 with pytest.raises(rhi.DeviceError, match=r"^\[device-context\]"):

@@ -1,4 +1,4 @@
-"""Devices beside contexts of other code: states stay apart, textures are shared, pictures show in its framebuffer."""
+"""Devices beside contexts of other code: states stay apart, textures are shared, images show in its framebuffer."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ import pytest
 from screens_kit import Display
 
 import rhi
-import rhi.backends.gl.backend
+import rhi.backends.gl.gl_backend
 from rhi import BlendFunction, CullMode, Device, DeviceError, Format, Scissor, ValidationError
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
-from rhi.backends.gl.host import Egl, _describe_version
+from rhi.backends.gl.gl_host import Egl, _describe_version
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.shading import Shader, Texture2D, fragment_coordinate, vec2, vec4, vertex_index
@@ -45,21 +45,21 @@ class Host:
     def __init__(self) -> None:
         self.context = moderngl.create_context(330, standalone=True, **EGL)
         self.gl = EntryPoints(self.context.mglo._context.load)
-        self.find_current = ctypes.PYFUNCTYPE(ctypes.c_void_p)(self.context.mglo._context.load("eglGetCurrentContext"))
-        self.address = self.find_current()
+        self.get_current = ctypes.PYFUNCTYPE(ctypes.c_void_p)(self.context.mglo._context.load("eglGetCurrentContext"))
+        self.address = self.get_current()
         self.framebuffer = self.context.simple_framebuffer(SIZE)
         self.framebuffer.use()
         self.framebuffer.clear(0, 0, 1, 1)
 
     @property
     def is_current(self) -> bool:
-        return bool(self.find_current() == self.address)
+        return bool(self.get_current() == self.address)
 
     def states(self) -> dict[str, int]:
-        found = {name: self.gl.get_integer(number) for name, number in READ.items()}
-        return found | {name: self.gl.IsEnabled(number) for name, number in SWITCHES.items()}
+        numbers = {name: self.gl.get_integer(number) for name, number in READ.items()}
+        return numbers | {name: self.gl.IsEnabled(number) for name, number in SWITCHES.items()}
 
-    def picture(self) -> np.ndarray:
+    def read_image(self) -> np.ndarray:
         """The framebuffer as a person sees it, the top row first."""
         texels = np.frombuffer(self.framebuffer.read(components=4), np.uint8)
         return texels.reshape(SIZE[1], SIZE[0], 4)[::-1]
@@ -67,9 +67,9 @@ class Host:
 
 @pytest.fixture
 def host() -> Iterator[Host]:
-    made = Host()
-    yield made
-    made.context.release()
+    created = Host()
+    yield created
+    created.context.release()
 
 
 @pytest.fixture(params=["direct", "recorded", "validated"])
@@ -91,13 +91,13 @@ def draw_all(device: Device, image: rhi.Texture) -> None:
         device.draw(device.program(Colored), device.mesh(rectangle()))
 
 
-def test_a_picture_shows_in_the_hosts_framebuffer_its_top_row_uppermost(host: Host, device: Device) -> None:
+def test_an_image_appears_in_the_hosts_framebuffer_its_top_row_uppermost(host: Host, device: Device) -> None:
     image = device.texture(ramp(), Format.RGBA8)
     device.present(image)
-    np.testing.assert_array_equal(host.picture(), ramp())
+    np.testing.assert_array_equal(host.read_image(), ramp())
 
 
-def test_a_picture_is_copied_bit_for_bit_into_the_viewport_alone(host: Host, device: Device) -> None:
+def test_an_image_is_copied_bit_for_bit_into_the_viewport_alone(host: Host, device: Device) -> None:
     image = device.texture(ramp((4, 3)), Format.RGBA8_SRGB)
     device.present()
     host.framebuffer.viewport = 2, 1, 4, 3
@@ -105,13 +105,13 @@ def test_a_picture_is_copied_bit_for_bit_into_the_viewport_alone(host: Host, dev
     device.present(image)
     expected = np.full((6, 8, 4), (0, 0, 255, 255), np.uint8)
     expected[2:5, 2:6] = ramp((4, 3))
-    np.testing.assert_array_equal(host.picture(), expected)
+    np.testing.assert_array_equal(host.read_image(), expected)
 
 
 def test_the_hosts_states_are_as_they_were(host: Host, device: Device) -> None:
     device.present()
     host.framebuffer.use()
-    host.framebuffer.scissor = 2, 2, 3, 3  # doesn't cut the picture
+    host.framebuffer.scissor = 2, 2, 3, 3  # doesn't cut the image
     host.context.enable_direct(enums.FRAMEBUFFER_SRGB)
     host.context.enable(moderngl.BLEND | moderngl.CULL_FACE)
     before = host.states()
@@ -124,7 +124,7 @@ def test_the_hosts_states_are_as_they_were(host: Host, device: Device) -> None:
     assert host.context.error == "GL_NO_ERROR"
     seen = image.read()
     device.present()
-    np.testing.assert_array_equal(host.picture(), seen)
+    np.testing.assert_array_equal(host.read_image(), seen)
     assert np.ptp(seen[..., 0]) > 0
 
 
@@ -167,19 +167,19 @@ def test_what_was_current_before_a_device_was_created_is_current_again(
     neighbour = Host() if current == "a neighbour's" else host
     if current == "none":
         host.context.mglo.__exit__()
-    before = Egl().find_current()
+    before = Egl().get_current()
     assert (before is None) == (current == "none")
     if not works:
-        monkeypatch.setattr(Egl, "share", lambda self, place: None)
+        monkeypatch.setattr(Egl, "create_shared", lambda self, binding: None)
         with pytest.raises(DeviceError, match="device-driver"):
             rhi.create_device("gl", context=host.context)
-        assert Egl().find_current() == before
+        assert Egl().get_current() == before
         return
     with rhi.create_device("gl", context=host.context) as device:
-        assert Egl().find_current() == before
+        assert Egl().get_current() == before
         device.present(device.texture(ramp(), Format.RGBA8))
         assert host.is_current
-        np.testing.assert_array_equal(host.picture(), ramp())
+        np.testing.assert_array_equal(host.read_image(), ramp())
     if neighbour is not host:
         neighbour.context.release()
 
@@ -243,8 +243,8 @@ def test_levels_and_layers_of_the_hosts_textures_are_known(host: Host, device: D
     layered = host.context.texture_array((4, 4, 3), 2, dtype="f2")
     cube = host.context.texture_cube((4, 4), 4)
     host.context.finish()
-    found = [device.adopt_texture(each) for each in (flat, layered, cube)]
-    assert [(each.format, each.levels, each.layers) for each in found] == [
+    adopted = [device.adopt_texture(each) for each in (flat, layered, cube)]
+    assert [(each.format, each.levels, each.layers) for each in adopted] == [
         (Format.R32F, 4, 1), (Format.RG16F, 1, 3), (Format.RGBA8, 1, 6),
     ]  # fmt: skip
 
@@ -264,7 +264,7 @@ def test_closing_deletes_what_the_device_made_and_nothing_else(host: Host) -> No
         image, buffer = device.texture(SIZE, Format.RGBA8), device.buffer(16)
         draw_all(device, image)
         name = device.native_texture(image)
-        bound = device.backend_as(rhi.backends.gl.backend.GlBackend)._buffers.objects[buffer.id].glo
+        bound = device.backend_as(rhi.backends.gl.gl_backend.GlBackend)._buffers.objects[buffer.id].glo
         device.present(image)
         assert is_texture(name)
         assert is_buffer(bound)
@@ -311,12 +311,12 @@ def test_without_a_current_context_nothing_is_adopted(host: Host) -> None:
         assert device.texture(ramp(), Format.RGBA8).read().shape == (6, 8, 4)
 
 
-@pytest.mark.parametrize(("given", "said"), [(b"3.1 (Old)", "3.1 (Old)"), (None, "unknown version")])
-def test_the_version_of_a_context_that_shares_nothing_is_told(given: bytes | None, said: str) -> None:
-    text = ctypes.create_string_buffer(given) if given is not None else None
+@pytest.mark.parametrize(("version", "description"), [(b"3.1 (Old)", "3.1 (Old)"), (None, "unknown version")])
+def test_the_version_of_a_context_that_shares_nothing_is_reported(version: bytes | None, description: str) -> None:
+    text = ctypes.create_string_buffer(version) if version is not None else None
     get = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint)(lambda _: ctypes.addressof(text) if text else None)
-    api: Any = SimpleNamespace(find_address=lambda _: ctypes.cast(get, ctypes.c_void_p).value)
-    assert _describe_version(api) == said
+    api: Any = SimpleNamespace(get_proc_address=lambda _: ctypes.cast(get, ctypes.c_void_p).value)
+    assert _describe_version(api) == description
 
 
 def test_what_is_no_context_is_refused(host: Host) -> None:
@@ -325,7 +325,7 @@ def test_what_is_no_context_is_refused(host: Host) -> None:
     assert host.is_current
 
 
-UNSHOWN = {
+UNPRESENTABLE = {
     "depth": {"format": Format.D32F},
     "integers": {"format": Format.RGBA8UI},
     "samples": {"format": Format.RGBA8, "samples": 4},
@@ -333,43 +333,43 @@ UNSHOWN = {
 }
 
 
-@pytest.mark.parametrize("what", UNSHOWN)
-def test_what_is_no_picture_is_not_shown(host: Host, device: Device, what: str) -> None:
-    image = device.texture(SIZE, **UNSHOWN[what])
+@pytest.mark.parametrize("what", UNPRESENTABLE)
+def test_textures_that_cannot_be_presented_are_refused(host: Host, device: Device, what: str) -> None:
+    image = device.texture(SIZE, **UNPRESENTABLE[what])
     with pytest.raises(ValidationError, match=r"^\[texture-format\]"):
         device.present(image)
     device.present(device.texture(ramp(), Format.RGBA8))
-    np.testing.assert_array_equal(host.picture(), ramp())
+    np.testing.assert_array_equal(host.read_image(), ramp())
 
 
 def test_two_devices_beside_one_host(host: Host) -> None:
     with (
-        rhi.create_device("gl", context=host.context) as one,
-        rhi.create_device("gl", context=host.context) as other,
+        rhi.create_device("gl", context=host.context) as first,
+        rhi.create_device("gl", context=host.context) as second,
     ):
-        images = [device.texture(SIZE, Format.RGBA8) for device in (one, other)]
-        for device, image in zip((one, other), images, strict=True):
+        images = [device.texture(SIZE, Format.RGBA8) for device in (first, second)]
+        for device, image in zip((first, second), images, strict=True):
             draw_all(device, image)
         np.testing.assert_array_equal(*(image.read() for image in images))
-        seen = other.adopt_texture(one.native_texture(images[0]))
-        one.present()
+        seen = second.adopt_texture(first.native_texture(images[0]))
+        first.present()
         np.testing.assert_array_equal(seen.read(), images[1].read())
 
 
 STANDALONE = """
 import moderngl, numpy as np, rhi
-from rhi.backends.gl.host import Glx
+from rhi.backends.gl.gl_host import Glx
 host = moderngl.create_context(standalone=True)
-there = Glx().find_current()
+there = Glx().get_current()
 with rhi.create_device("gl", context=host) as device:
-    assert Glx().find_current() == there, "and after the device was created"
+    assert Glx().get_current() == there, "and after the device was created"
     texels = np.arange(16, dtype=np.uint8).reshape(2, 2, 4)
     texture = device.texture(texels, rhi.Format.RGBA8)
     name = device.native_texture(texture)
     device.present()
-    assert Glx().find_current() == there, "the host's context is current after a frame"
+    assert Glx().get_current() == there, "the host's context is current after a frame"
     seen = host.external_texture(name, (2, 2), 4, 0, "f1").read()
-assert Glx().find_current() == there, "and when the device lets go"
+assert Glx().get_current() == there, "and when the device lets go"
 print(sorted(seen) == list(range(16)))
 """
 

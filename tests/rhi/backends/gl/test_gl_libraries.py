@@ -1,4 +1,4 @@
-"""Devices beside contexts of well-known libraries: the picture shows in their windows, and their context stays current.
+"""Devices beside contexts of well-known libraries: the image shows in their windows, and their context stays current.
 
 Each runs in a process of its own, in a virtual X server (nightly).
 """
@@ -16,14 +16,14 @@ from screens_kit import Display
 
 CHECK: Final = """
 import moderngl, numpy as np, rhi
-from rhi.backends.gl.host import _find_current
+from rhi.backends.gl.gl_host import _get_current
 
 def check(read, context="current"):
-    "A picture of noise, which the size of the place needn't scale."
+    "An image of noise, which the size of the place needn't scale."
     texels = np.random.default_rng(1).integers(0, 256, (48, 64, 4), np.uint8)
-    before, there = read(), _find_current()[1]
+    before, there = read(), _get_current()[1]
     with rhi.create_device("gl", context=context) as device:
-        assert (read(), _find_current()[1]) == (before, there), "the library's context is current, as it was"
+        assert (read(), _get_current()[1]) == (before, there), "the library's context is current, as it was"
         device.present(device.texture(texels))
         seen = np.frombuffer(read(), np.uint8).reshape(48, 64, -1)[::-1, :, :3]
         assert (seen == texels[..., :3]).all()
@@ -69,7 +69,7 @@ check(framebuffer.read)
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("library", LIBRARIES)
-def test_a_picture_shows_in_what_a_library_draws_to(library: str, display: Display) -> None:
+def test_an_image_appears_in_what_a_library_draws_to(library: str, display: Display) -> None:
     if importlib.util.find_spec(library) is None:
         pytest.skip(f"no {library}: pip install rhi[hosts]")
     environment = os.environ | display.environment | {"QT_QPA_PLATFORM": "offscreen"}

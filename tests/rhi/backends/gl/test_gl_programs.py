@@ -6,8 +6,8 @@ import pytest
 from gl_kit import FRAGMENT, FULL, VERTEX, GlKit, describe_program
 
 import rhi
-from rhi.backends.gl.driver_log import make_shader_error
-from rhi.backends.gl.programs import add_alpha_test
+from rhi.backends.gl.gl_driver_log import make_shader_error
+from rhi.backends.gl.gl_programs import add_alpha_test
 from rhi.contract.descriptors import Stage, StageText
 from rhi.contract.states import AlphaFunction, AlphaReference, AlphaTest, CullMode
 from rhi.errors import ShaderError
@@ -121,7 +121,7 @@ def test_main_may_be_written_with_void(gl_kit: GlKit) -> None:
 # -- llvmpipe's limit of turns, which the backend's page states -----------------------------------------------------
 
 
-class Turns(Struct):
+class Iterations(Struct):
     first: uint
     second: uint
 
@@ -130,28 +130,33 @@ class Counted(Shader):
     """Counts the turns of two loops."""
 
     work_group = (1,)
-    turns: Uniform[Turns]
+    iterations: Uniform[Iterations]
     counts: StorageRW[uint]
 
     def compute(self) -> None:
         a = uint(0)
-        while a < self.turns.first:
+        while a < self.iterations.first:
             a += uint(1)
         b = uint(0)
-        while b < self.turns.second:
+        while b < self.iterations.second:
             b += uint(1)
         self.counts[0] = a
         self.counts[1] = b
 
 
 @pytest.mark.parametrize(
-    ("wanted", "made"),
+    ("requested", "executed"),
     [((65534, 1), (65534, 1)), ((65535, 0), (65535, 0)), ((65536, 0), (65535, 0)), ((40000, 40000), (40000, 25534))],
 )
-def test_llvmpipe_ends_loops_after_65535_turns_in_all(wanted: tuple[int, int], made: tuple[int, int]) -> None:
+def test_llvmpipe_ends_loops_after_65535_iterations_in_all(
+    requested: tuple[int, int], executed: tuple[int, int]
+) -> None:
     with rhi.create_device("gl") as device:
         if "llvmpipe" not in device.capabilities.device:
             pytest.skip("a limit of llvmpipe")
-        counts, turns = device.storage(uint, 2), device.uniform(Turns(first=wanted[0], second=wanted[1]))
-        device.dispatch(device.program(Counted), 1, turns=turns, counts=counts)
-        assert tuple(counts.read()) == made
+        counts, iterations = (
+            device.storage(uint, 2),
+            device.uniform(Iterations(first=requested[0], second=requested[1])),
+        )
+        device.dispatch(device.program(Counted), 1, iterations=iterations, counts=counts)
+        assert tuple(counts.read()) == executed

@@ -12,7 +12,7 @@ from gl_kit import SIZE, GlKit
 
 import rhi
 from rhi import CullMode
-from rhi.backends.gl.buffers import Buffers
+from rhi.backends.gl.gl_buffers import Buffers
 from rhi.backends.gl.quads import expand_indices
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
@@ -95,9 +95,9 @@ def test_indexed_quads_read_their_indices_back_once(device: rhi.Device, monkeypa
     rows = rectangle()[[0, 1, 2, 5]]
     read, reads = Buffers.read, []
 
-    def count(self: Buffers, *place: int) -> bytes:
-        reads.append(place)
-        return read(self, *place)
+    def count(self: Buffers, *arguments: int) -> bytes:
+        reads.append(arguments)
+        return read(self, *arguments)
 
     monkeypatch.setattr(Buffers, "read", count)
     program, image = device.program(Colored), device.texture((4, 4), rhi.Format.RGBA8)

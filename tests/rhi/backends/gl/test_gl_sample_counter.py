@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rhi.backends.gl import create_backend, enums
-from rhi.backends.gl.queries import SampleCounter
+from rhi.backends.gl.gl_queries import SampleCounter
 from rhi.contract.descriptors import BufferDescriptor, Id, QueryKind
 from rhi.contract.states import CullMode
 
@@ -200,7 +200,7 @@ def test_no_query_is_active_when_the_context_goes(kind: QueryKind, monkeypatch: 
 def test_no_query_is_active_while_another_device_has_the_thread(gl_kit: GlKit, kind: QueryKind, is_new: bool) -> None:
     """Drivers of some GPUs would add what the other draws. llvmpipe doesn't, so counts alone can't show it here."""
 
-    def find_active() -> int:
+    def list_active() -> int:
         active = ctypes.c_int()
         gl_kit.backend.context.mglo.__enter__()
         gl_kit.backend.gl.GetQueryiv(enums.SAMPLES_PASSED, enums.CURRENT_QUERY, ctypes.byref(active))
@@ -218,9 +218,9 @@ def test_no_query_is_active_while_another_device_has_the_thread(gl_kit: GlKit, k
     gl_kit.draw(shape)
     other = other or create_backend()
     other.create_buffer(901, BufferDescriptor(64))
-    assert find_active() == 0
+    assert list_active() == 0
     gl_kit.draw(shape)
-    assert find_active() != 0  # and counts again
+    assert list_active() != 0  # and counts again
     other.activate()
     if kind is QueryKind.OCCLUSION:
         gl_kit.backend.end_query(query)

@@ -53,18 +53,18 @@ def test_a_device_has_no_anisotropy_where_it_may_never_end_unless_it_is_asked_fo
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], backend: str
 ) -> None:
     pytest.importorskip({"gl": "moderngl"}.get(backend, backend))
-    found = []
+    capabilities = []
     for value in ("1", "0"):
         monkeypatch.setenv("RHI_SLOW_ANISOTROPY", value)
         with rhi.create_device(backend) as device:
-            found.append(device.capabilities)
-    asked, plain = found
-    assert (asked.max_anisotropy, asked.left_out) == (16.0, ())
+            capabilities.append(device.capabilities)
+    asked, plain = capabilities
+    assert (asked.max_anisotropy, asked.disabled_features) == (16.0, ())
     hangs = "llvmpipe" in plain.device and "Mesa 22.3" in plain.driver
-    assert replace(plain, max_anisotropy=16.0, left_out=()) == asked
-    assert (plain.max_anisotropy, len(plain.left_out)) == ((1.0, 1) if hangs else (16.0, 0))
+    assert replace(plain, max_anisotropy=16.0, disabled_features=()) == asked
+    assert (plain.max_anisotropy, len(plain.disabled_features)) == ((1.0, 1) if hangs else (16.0, 0))
     main([])
-    assert capsys.readouterr().out.count("left out: anisotropy: llvmpipe of Mesa 22.3 may take minutes") >= hangs
+    assert capsys.readouterr().out.count("disabled: anisotropy: llvmpipe of Mesa 22.3 may take minutes") >= hangs
 
 
 def test_the_driver_is_known_by_name_and_version(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""Timelines as text, as pictures and as traces."""
+"""Timelines as text, as plots and as traces."""
 
 import json
 
@@ -57,7 +57,7 @@ def test_an_empty_timeline_prints():
     assert "busy 0.000" in str(ActivityLog().timeline(0, 0))
 
 
-def test_the_picture_has_each_span_in_its_color(timeline, tmp_path):
+def test_the_chart_has_each_span_in_its_color(timeline, tmp_path):
     figure = timeline.plot(tmp_path / "timeline.png")
     (axes,) = figure.axes
     cpu, gpu, *labels = axes.collections[:4]

@@ -28,10 +28,10 @@ def read(backend, query):
 
 @pytest.fixture
 def backend():
-    made = create_backend()
+    created = create_backend()
     for query in (1, 2, 3):
-        made.create_query(query, QueryKind.OCCLUSION)
-    return made
+        created.create_query(query, QueryKind.OCCLUSION)
+    return created
 
 
 def test_a_script_answers_in_the_order_in_which_queries_end(backend):

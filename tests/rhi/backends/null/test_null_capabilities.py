@@ -7,7 +7,7 @@ import pytest
 from null_kit import hand_made_program
 
 import rhi
-from rhi.backends.null import PROFILES, SimulatedBackend, Simulation, find_profile
+from rhi.backends.null import PROFILES, SimulatedBackend, Simulation, get_profile
 from rhi.contract.descriptors import Binding, BindingKind
 
 
@@ -160,7 +160,7 @@ def test_a_profile_of_ones_own_stays_a_null_device():
 
 def test_profiles_are_named_as_they_are_asked_for():
     for name, profile in PROFILES.items():
-        assert find_profile(name) is profile
+        assert get_profile(name) is profile
         assert profile.backend == "null"
         assert profile.device == ("null" if name == "everything" else name)
 

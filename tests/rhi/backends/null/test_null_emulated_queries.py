@@ -290,9 +290,9 @@ def test_the_same_program_has_the_same_races_at_every_latency_and_only_they_coun
         backend.spend(10**6)
         backend.completed()
         read += [(query, backend.read_query(query) - expected) for query, expected in written.items()]
-        found = [(h.kind, h.resource, h.first.line, h.second.line) for h in backend.hazards]
+        races = [(h.kind, h.resource, h.first.line, h.second.line) for h in backend.hazards]
         happened = {h.resource for h in backend.hazards if h.happened}
         assert {query for query, late in read if late} <= happened
-        return found
+        return races
 
     assert run(interrupt_latency=interrupt, submission_latency=submission) == run(interrupt_latency=10**5)

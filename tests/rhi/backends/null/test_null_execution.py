@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rhi.backends.null import Draw, ExecutionStatistics, NullBackend, create_backend
-from rhi.backends.null.backend import COMMAND_NANOSECONDS, KEPT_INDIRECT
+from rhi.backends.null.null_backend import COMMAND_NANOSECONDS, MAX_INDIRECT_RECORDS
 from rhi.commands.ops import Op as OpInOps
 from rhi.commands.stream import Op
 from rhi.contract import descriptors
@@ -17,14 +17,14 @@ ARGUMENTS, COUNT, STAGING = 200, 201, 202
 
 @pytest.fixture
 def backend():
-    made = create_backend()
-    made.create_vertex_array(
+    created = create_backend()
+    created.create_vertex_array(
         PLAIN, descriptors.VertexArrayDescriptor(1, (descriptors.VertexStream(9, 0, 12, False, ()),))
     )
-    made.create_vertex_array(INDEXED, descriptors.VertexArrayDescriptor(1, (), index_buffer=8))
+    created.create_vertex_array(INDEXED, descriptors.VertexArrayDescriptor(1, (), index_buffer=8))
     for buffer in (ARGUMENTS, COUNT, STAGING):
-        made.create_buffer(buffer, descriptors.BufferDescriptor(256))
-    return made
+        created.create_buffer(buffer, descriptors.BufferDescriptor(256))
+    return created
 
 
 def draw(backend, count=3, instances=1, base_instance=0):
@@ -115,8 +115,8 @@ def test_without_indices_there_is_no_base_vertex(backend):
 
 
 def test_several_draws_lie_a_stride_apart(backend):
-    for index, place in enumerate((8, 40, 72)):
-        backend.write_buffer(ARGUMENTS, place, words(index + 1, 1, 0, 0, index))
+    for index, argument_offset in enumerate((8, 40, 72)):
+        backend.write_buffer(ARGUMENTS, argument_offset, words(index + 1, 1, 0, 0, index))
     draw_indirect(backend, draws=3, offset=8, stride=32)
     assert resolved(backend) == [(1, 1, 0, 0, 0), (2, 1, 0, 0, 1), (3, 1, 0, 0, 2)]
     assert backend.indirect_draws[0].draws["count"].tolist() == [1, 2, 3]
@@ -142,12 +142,12 @@ def test_indirect_dispatches_are_read_when_executed(backend):
 
 
 def test_only_the_latest_indirect_commands_are_kept(backend):
-    for index in range(KEPT_INDIRECT + 1):
+    for index in range(MAX_INDIRECT_RECORDS + 1):
         backend.write_buffer(ARGUMENTS, 0, words(index))
         draw_indirect(backend)
-    assert len(backend.indirect_draws) == KEPT_INDIRECT
+    assert len(backend.indirect_draws) == MAX_INDIRECT_RECORDS
     assert resolved(backend, 0)[0][0] == 1
-    assert resolved(backend)[0][0] == KEPT_INDIRECT
+    assert resolved(backend)[0][0] == MAX_INDIRECT_RECORDS
 
 
 # -- fences and time -------------------------------------------------------------------------------------

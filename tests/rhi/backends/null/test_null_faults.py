@@ -14,13 +14,13 @@ POSITIONS = np.array([[-1, -1], [1, -1], [0, 1]], np.float32)
 
 def live(device):
     """Return the ids of resources that were created and not destroyed."""
-    made = set()
+    resources = set()
     for command in device.stream:
         if command.op.method.startswith("create_") and command.failure is None:
-            made.add(command.values[0])
+            resources.add(command.values[0])
         elif command.op is Op.DESTROY:
-            made.discard(command["resource"])
-    return made
+            resources.discard(command["resource"])
+    return resources
 
 
 def render(device, frames=3):
@@ -131,8 +131,8 @@ def test_an_event_that_finds_no_memory_for_its_end_keeps_what_its_beginning_got(
             device.event("a").__enter__()
         with device.event("b"):
             pass
-        made = [command for command in device.stream.filter(Op.CREATE_QUERY) if command.failure is None]
-        assert len(made) == 2
+        queries = [command for command in device.stream.filter(Op.CREATE_QUERY) if command.failure is None]
+        assert len(queries) == 2
         check_whole(device)
 
 
@@ -223,7 +223,7 @@ def test_what_waits_for_a_late_fence_is_kept_alive():
 
 @pytest.mark.parametrize("emulated", [False, True])
 def test_a_query_that_never_answers_is_never_finished_and_no_wait_is_forever(monkeypatch, emulated):
-    monkeypatch.setattr("rhi.device.queries.occlusion.ANSWER_SECONDS", 0.02)
+    monkeypatch.setattr("rhi.device.queries.occlusion.RESULT_SECONDS", 0.02)
     with rhi.create_device("null", faults=Faults(silent_query=0)) as device:
         device.backend_as(NullBackend).count_samples(lambda draw: 10)
         silent, other = (device.occlusion_query(emulated=emulated) for _ in range(2))

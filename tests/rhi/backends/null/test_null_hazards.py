@@ -148,11 +148,11 @@ def test_slots_that_the_program_does_not_read_are_in_nobodys_use():
     ],
 )
 def test_every_command_that_touches_memory_counts(use):
-    for begin, found in ((0, 0), (28, 1), (32, 0)):
+    for begin, hazard_count in ((0, 0), (28, 1), (32, 0)):
         backend = make_backend()
         use(backend)
         backend.write_buffer(STREAM, begin, bytes(4))
-        assert len(backend.hazards) == found
+        assert len(backend.hazards) == hazard_count
 
 
 @pytest.mark.parametrize(
@@ -204,12 +204,12 @@ def vertex_backend(index_buffer=0, per_instance=False):
 
 def found_bytes(backend):
     """Return the bytes of STREAM that are in use, by writing each."""
-    found = []
+    conflicting = []
     for byte in range(256):
         before = len(backend.hazards)
         backend.write_buffer(STREAM, byte, b"x")
-        found += [byte] * (len(backend.hazards) > before)
-    return found
+        conflicting += [byte] * (len(backend.hazards) > before)
+    return conflicting
 
 
 def test_a_draw_reads_the_vertices_it_names():
@@ -452,7 +452,7 @@ NO_COLOR = (ColorWrite, (ColorWrite.OFF,) * 8)
 
 
 @pytest.mark.parametrize(
-    ("descriptor", "changes", "image", "found"),
+    ("descriptor", "changes", "image", "has_feedback"),
     [
         (COLOR, [], None, True),
         (COLOR, [NO_COLOR], None, False),
@@ -466,14 +466,14 @@ NO_COLOR = (ColorWrite, (ColorWrite.OFF,) * 8)
         (descriptors.PassDescriptor((4, 4), (descriptors.Attachment(99),)), [], None, False),
     ],
 )
-def test_a_pass_that_reads_what_it_writes_is_found(descriptor, changes, image, found):
-    assert feedback(descriptor, changes, image) == [KINDS.PASS_FEEDBACK] * found
+def test_a_pass_that_reads_what_it_writes_is_found(descriptor, changes, image, has_feedback):
+    assert feedback(descriptor, changes, image) == [KINDS.PASS_FEEDBACK] * has_feedback
 
 
-@pytest.mark.parametrize(("form", "found"), [(Format.D24S8, True), (Format.D24, False)])
-def test_a_stencil_test_writes_only_a_target_that_has_stencil(form, found):
+@pytest.mark.parametrize(("form", "has_feedback"), [(Format.D24S8, True), (Format.D24, False)])
+def test_a_stencil_test_writes_only_a_target_that_has_stencil(form, has_feedback):
     changes = [(DepthWrite, DepthWrite.OFF), (StencilTest, StencilTest.ON)]
-    assert feedback(DEPTH, changes, form=form) == [KINDS.PASS_FEEDBACK] * found
+    assert feedback(DEPTH, changes, form=form) == [KINDS.PASS_FEEDBACK] * has_feedback
 
 
 # -- any program, any latency ----------------------------------------------------------------------------------
@@ -485,7 +485,7 @@ class Model:
 
     uses: list[tuple[int, int, int]]
     fences: dict[int, int]
-    known: int = 0
+    reached: int = 0
     calls: int = 0
 
 
@@ -519,15 +519,15 @@ def test_no_hazard_escapes_and_none_is_invented(actions, latency, batch, pixels)
     for what, number, size in actions:
         end = min(256, number + size)
         if what == "write":
-            met = [u for u in model.uses if u[0] > model.known and u[1] < end and number < u[2]]
+            met = [u for u in model.uses if u[0] > model.reached and u[1] < end and number < u[2]]
             expected.append(bool(met))
             before = len(backend.hazards)
             backend.write_buffer(STREAM, number, bytes(end - number))
-            found = backend.hazards[before:]
-            assert [bool(found)] == [bool(met)]
+            hazards = backend.hazards[before:]
+            assert [bool(hazards)] == [bool(met)]
             if met:
                 latest = max(met)
-                assert found[0].bytes == (max(number, latest[1]), min(end, latest[2]))
+                assert hazards[0].bytes == (max(number, latest[1]), min(end, latest[2]))
         elif what == "draw":
             backend.bind_uniform(0, STREAM, number, end - number)
             draw(backend)
@@ -539,15 +539,15 @@ def test_no_hazard_escapes_and_none_is_invented(actions, latency, batch, pixels)
             model.fences[value] = model.calls
             backend.signal(value)
         elif what == "ask":
-            model.known = max(model.known, model.fences.get(backend.completed(), 0))
+            model.reached = max(model.reached, model.fences.get(backend.completed(), 0))
         elif what == "wait":
             asked = max(0, value - number)
             assert backend.wait(asked, 1.0)
-            model.known = max(model.known, model.fences.get(asked, 0))
+            model.reached = max(model.reached, model.fences.get(asked, 0))
         elif what == "read":
             backend.read_buffer(STATIC, 0, 4)
             model.calls += 1
-            model.known = model.calls
+            model.reached = model.calls
         else:
             backend.spend(number)
     assert len(backend.hazards) == sum(expected)

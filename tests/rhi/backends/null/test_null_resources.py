@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rhi.backends.null import create_backend
-from rhi.backends.null.backend import QUEUED_BYTES
+from rhi.backends.null.null_backend import QUEUED_BYTES
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Region, TextureDescriptor
 from rhi.contract.formats import Format
 from rhi.errors import DeviceError

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from house_kit import Corner
+from harness_kit import Corner
 
 import rhi
 import rhi.shading as sl
@@ -20,7 +20,7 @@ class Scale(sl.Struct):
 
 
 class Item(sl.Struct):
-    place: sl.vec3
+    position: sl.vec3
     weight: float
 
 
@@ -33,7 +33,7 @@ class Weigh(sl.Shader):
     def compute(self) -> None:
         i = sl.global_id().x
         if i < len(self.weights):
-            self.weights[i] += self.scale.factor * self.items[i].weight * self.items[i].place.z
+            self.weights[i] += self.scale.factor * self.items[i].weight * self.items[i].position.z
 
 
 class Brighten(sl.Shader):
@@ -65,14 +65,14 @@ class Mark(sl.Shader):
 
 @pytest.fixture(params=[None, Simulation()], ids=["plain", "simulated"])
 def device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
-    with rhi.create_device("null", simulation=request.param) as made:
-        yield made
+    with rhi.create_device("null", simulation=request.param) as created:
+        yield created
 
 
 def weigh(device: rhi.Device, count: int = 6) -> np.ndarray:
     """Return the result of two dispatches of `Weigh` with weights of 1."""
     items = np.zeros(count, Item.dtype)
-    items["place"][:, 2], items["weight"] = np.arange(count), 2.0
+    items["position"][:, 2], items["weight"] = np.arange(count), 2.0
     weights = device.storage(float, np.ones(count, np.float32))
     program, scales = device.program(Weigh), device.uniform_array(Scale, 2)
     factors = np.zeros(2, scales.dtype)

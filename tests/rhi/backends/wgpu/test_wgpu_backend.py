@@ -14,11 +14,11 @@ from nightly_reasons import CHEAPER_TEST
 
 import rhi
 from rhi import Device, DeviceError, Format, Primitive, ShaderError
-from rhi.backends.null.capabilities import PROFILES
-from rhi.backends.wgpu import backend as wgpu_backend
-from rhi.conformance.pictures import draw_once
+from rhi.backends.null.null_capabilities import PROFILES
+from rhi.backends.wgpu import wgpu_backend as wgpu_backend
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
+from rhi.conformance.single_draws import draw_once
 from rhi.shading import Shader, StorageRW, global_id, native
 
 SIZE = (8, 8)
@@ -64,11 +64,11 @@ def test_an_adapter_that_does_not_exist_is_refused_with_those_that_do(
 def test_the_core_profile_has_what_a_null_device_says_of_webgpu(usable: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RHI_WGPU_PROFILE", "core")
     monkeypatch.setenv("RHI_SLOW_ANISOTROPY", "1")
-    known = PROFILES["webgpu"]
-    own = {"backend", "device", "driver", "shading", "passed_over", "left_out"}
+    expected = PROFILES["webgpu"]
+    own = {"backend", "device", "driver", "shading", "rejected_devices", "disabled_features"}
     with rhi.create_device("wgpu") as device:
-        names = {field.name for field in fields(known)} - own
-        assert {name: getattr(device.capabilities, name) for name in names} == {n: getattr(known, n) for n in names}
+        names = {field.name for field in fields(expected)} - own
+        assert {name: getattr(device.capabilities, name) for name in names} == {n: getattr(expected, n) for n in names}
         assert (draw_once(device, SIZE, Format.R8, rectangle()) == 255).all()
 
 
@@ -87,7 +87,7 @@ print(len(parsed))
 """
 
 
-def test_a_first_picture_parses_few_c_types(usable: None) -> None:
+def test_a_first_frame_parses_few_c_types(usable: None) -> None:
     """Each takes as long as reading the names of all: fifty of them took most of the start."""
     done = subprocess.run([sys.executable, "-c", _PARSES], capture_output=True, text=True, check=True)
     assert 0 < int(done.stdout) <= 5
@@ -120,10 +120,10 @@ def test_what_naga_refuses_is_told_with_its_python_line(device: Device) -> None:
 
 
 def test_commands_that_wgpu_refuses_are_an_error_and_those_after_them_run(device: Device) -> None:
-    made = inside(device)
+    backend = inside(device)
     with device.buffer(np.zeros(64, np.float32)) as values:
-        same = made._buffers[values.id].object
-        made._stream.outside().copy_buffer_to_buffer(same, 0, same, 4, 8)
+        same = backend._buffers[values.id].object
+        backend._stream.outside().copy_buffer_to_buffer(same, 0, same, 4, 8)
         with pytest.raises(DeviceError, match=r"^\[device-driver\]"):
             values.read()
         values.write(np.arange(64, dtype=np.float32))
@@ -133,7 +133,7 @@ def test_commands_that_wgpu_refuses_are_an_error_and_those_after_them_run(device
 _LOST = """
 import numpy as np
 import rhi
-from rhi.backends.wgpu.backend import WgpuBackend
+from rhi.backends.wgpu.wgpu_backend import WgpuBackend
 device = rhi.create_device("wgpu")
 buffer = device.buffer(64, np.dtype("u1"))
 device.backend_as(WgpuBackend).device.destroy()

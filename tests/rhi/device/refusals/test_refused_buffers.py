@@ -71,10 +71,10 @@ def test_an_array_must_have_the_buffer_s_dtype(recording: Device, dtype: str) ->
 
 
 def test_the_refusal_of_a_dtype_shows_both_layouts(recording: Device) -> None:
-    wanted = np.dtype([("a", "f4"), ("b", "f4", 3)])
-    given = np.dtype([("a", "f4"), ("b", "f8", 3)])
-    with recording.buffer(2, wanted) as buffer, refuses(rules.BUFFER_DTYPE, recording) as refusal:
-        buffer.write(np.zeros(2, given))
+    buffer_dtype = np.dtype([("a", "f4"), ("b", "f4", 3)])
+    data_dtype = np.dtype([("a", "f4"), ("b", "f8", 3)])
+    with recording.buffer(2, buffer_dtype) as buffer, refuses(rules.BUFFER_DTYPE, recording) as refusal:
+        buffer.write(np.zeros(2, data_dtype))
     assert "float32[3]" in str(refusal.error)
     assert "float64[3]" in str(refusal.error)
 
@@ -84,11 +84,11 @@ def test_the_refusal_of_a_dtype_shows_both_layouts(recording: Device) -> None:
     [(0, 0, 17), (8, 0, 9), (0, 8, 9), (-1, 0, 4), (0, -4, 4), (0, 0, 0), (16, 0, None)],
 )
 def test_a_copy_must_lie_in_both_buffers(recording: Device, offset: int, target: int, size: int | None) -> None:
-    with recording.buffer(16) as one, recording.buffer(16) as two:
+    with recording.buffer(16) as first, recording.buffer(16) as second:
         with refuses(rules.BUFFER_RANGE, recording):
-            one.copy_to(two, size=size, offset=offset, target_offset=target)
-        one.copy_to(two, size=16)
-        one.copy_to(two, offset=15, target_offset=15)
+            first.copy_to(second, size=size, offset=offset, target_offset=target)
+        first.copy_to(second, size=16)
+        first.copy_to(second, offset=15, target_offset=15)
 
 
 @pytest.mark.parametrize(("target", "overlaps"), [(0, True), (7, True), (-7, True), (8, False), (-8, False)])
@@ -154,16 +154,18 @@ HOLDS = [  # what is stored as given, then what isn't, both next to the bound
 ]
 
 
-@pytest.mark.parametrize(("element", "kept", "refused", "given"), HOLDS)
-def test_storage_of_numbers_takes_what_it_holds(recording: Device, element, kept, refused, given: str) -> None:
-    with recording.storage(element, kept) as storage:
-        assert (storage.read() == np.asarray(kept)).all()
+@pytest.mark.parametrize(("element", "accepted", "refused", "refusal_text"), HOLDS)
+def test_storage_of_numbers_takes_what_it_holds(
+    recording: Device, element, accepted, refused, refusal_text: str
+) -> None:
+    with recording.storage(element, accepted) as storage:
+        assert (storage.read() == np.asarray(accepted)).all()
         for call in (lambda: recording.storage(element, refused), lambda: storage.write(refused)):
             with refuses(rules.LAYOUT_MISMATCH, recording) as refusal:
                 call()
-            assert refusal.error.given == given
-        storage.write(kept)
-        assert (storage.read() == np.asarray(kept)).all()
+            assert refusal.error.given == refusal_text
+        storage.write(accepted)
+        assert (storage.read() == np.asarray(accepted)).all()
 
 
 def test_storage_needs_room(recording: Device) -> None:
@@ -215,10 +217,10 @@ def test_a_buffer_is_locked_once_at_a_time(recording: Device) -> None:
 
 def test_a_lock_made_twice_is_entered_once(recording: Device) -> None:
     with recording.buffer(8, U4) as buffer:
-        one, two = buffer.lock(Access.WRITE), buffer.lock(Access.WRITE)
-        with one, refuses(rules.LOCK_TWICE, recording), two:
+        first, second = buffer.lock(Access.WRITE), buffer.lock(Access.WRITE)
+        with first, refuses(rules.LOCK_TWICE, recording), second:
             pass
-        with two as array:
+        with second as array:
             array[:] = 5
         assert_same(buffer.read(), 5)
 

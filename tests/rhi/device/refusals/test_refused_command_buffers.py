@@ -311,12 +311,12 @@ def test_transient_meshes_belong_to_their_frame_or_buffer(recording: Device) -> 
 
 
 def test_passes_do_not_nest_in_a_buffer_either(recording: Device) -> None:
-    with recording.texture(SIZE, Format.R8) as one, recording.texture(SIZE, Format.R8) as two:
-        with recording.record() as commands, commands.render_pass(one):
-            with refuses(rules.PASS_NESTED, recording), commands.render_pass(two):
+    with recording.texture(SIZE, Format.R8) as first, recording.texture(SIZE, Format.R8) as second:
+        with recording.record() as commands, commands.render_pass(first):
+            with refuses(rules.PASS_NESTED, recording), commands.render_pass(second):
                 pass
-        with recording.render_pass(two):  # the device's pass and a buffer's are different things
-            with recording.record() as commands, commands.render_pass(one):
+        with recording.render_pass(second):  # the device's pass and a buffer's are different things
+            with recording.record() as commands, commands.render_pass(first):
                 pass
         recording.submit(commands)
 

@@ -68,8 +68,8 @@ def test_a_refused_draw_shows_the_user_s_frames(recording: Device, name: str) ->
         for draw in draws:
             with pytest.raises(ValidationError) as caught:
                 draw()
-            shown = "".join(traceback.format_exception(caught.value))
-            assert "During handling" not in shown
+            text = "".join(traceback.format_exception(caught.value))
+            assert "During handling" not in text
             own = [frame for frame in traceback.extract_tb(caught.value.__traceback__) if frame.filename != __file__]
             assert len(own) <= 2
 

@@ -105,17 +105,17 @@ def test_a_clear_is_four_finite_numbers_per_target(recording: rhi.Device, clear:
 
 
 @pytest.mark.parametrize(
-    ("format", "clear", "wrong", "least", "most"),
+    ("format", "clear", "wrong", "minimum", "maximum"),
     [(rhi.Format.D32F, "clear_depth", each, 0.0, 1.0) for each in (-0.001, 1.001, float("nan"))]
     + [(rhi.Format.D24S8, "clear_stencil", each, 0, 255) for each in (-1, 256)],
 )
 def test_a_clear_of_depth_is_0_to_1_and_of_stencil_a_byte(
-    recording: rhi.Device, format: rhi.Format, clear: str, wrong: float, least: float, most: float
+    recording: rhi.Device, format: rhi.Format, clear: str, wrong: float, minimum: float, maximum: float
 ) -> None:
     with recording.texture(SIZE, format) as depth:
         with refuses(rules.PASS_CLEAR, recording):
             recording.render_pass(depth=depth, **{clear: wrong})  # type: ignore[arg-type]
-        for fitting in (least, most):
+        for fitting in (minimum, maximum):
             recording.render_pass(depth=depth, **{clear: fitting})  # type: ignore[arg-type]
 
 

@@ -22,10 +22,10 @@ class Doubled(Shader):
         self.values[global_id().x] *= 2.0
 
 
-@pytest.mark.parametrize("given", ["a string", None, 5, Colored, ["a plan"], [Colored]], ids=repr)
-def test_only_programs_and_plans_are_prepared(recording: Device, given: Any) -> None:
+@pytest.mark.parametrize("value", ["a string", None, 5, Colored, ["a plan"], [Colored]], ids=repr)
+def test_only_programs_and_plans_are_prepared(recording: Device, value: Any) -> None:
     with refuses(rules.DEVICE_ARGUMENT, recording):
-        recording.prepare(given)
+        recording.prepare(value)
 
 
 def test_a_plan_has_a_program(recording: Device) -> None:
@@ -61,9 +61,9 @@ def test_targets_are_formats_or_textures_as_many_as_a_pass_takes(recording: Devi
 
 def test_targets_have_the_same_samples(recording: Device) -> None:
     program = recording.program(Colored)
-    one, four = (recording.texture((4, 4), Format.RGBA8, samples=samples) for samples in (1, 4))
+    single, four = (recording.texture((4, 4), Format.RGBA8, samples=samples) for samples in (1, 4))
     with refuses(rules.TEXTURE_SIZE, recording):
-        recording.prepare(program, targets=(one, four))
+        recording.prepare(program, targets=(single, four))
     recording.prepare(program, targets=(four, four))
 
 

@@ -25,7 +25,7 @@ def queries(recording: Device) -> Iterator[QuerySet]:
 
 
 @pytest.mark.parametrize(
-    ("rows", "right"),
+    ("query_indices", "right"),
     [
         ([0, 4], [0, 3]),
         ([-1, 0], [1, 0]),
@@ -38,21 +38,21 @@ def queries(recording: Device) -> Iterator[QuerySet]:
     ],
     ids=["past the last", "below 0", "come again", "too few", "nested", "floats", "flags", "huge"],
 )
-def test_rows_fit_the_draws_and_the_set(
-    recording: Device, queries: QuerySet, mesh: Mesh, image: Any, rows: Any, right: Any
+def test_query_indices_fit_the_draws_and_the_set(
+    recording: Device, queries: QuerySet, mesh: Mesh, image: Any, query_indices: Any, right: Any
 ) -> None:
     program = recording.program(Colored)
     draws = mesh.draws(np.zeros(3 if len(right) == 3 else 2, int), 3)
     with recording.render_pass(image):
-        with refuses(rules.QUERY_ROWS, recording):
-            recording.draw_counted(program, mesh, draws, queries, rows)
+        with refuses(rules.QUERY_INDICES, recording):
+            recording.draw_counted(program, mesh, draws, queries, query_indices)
         recording.draw_counted(program, mesh, draws, queries, right)
 
 
-def test_a_set_has_a_row_for_each_draw(recording: Device, queries: QuerySet, mesh: Mesh, image: Any) -> None:
+def test_a_set_has_a_query_for_each_draw(recording: Device, queries: QuerySet, mesh: Mesh, image: Any) -> None:
     program = recording.program(Colored)
     with recording.render_pass(image):
-        with refuses(rules.QUERY_ROWS, recording):
+        with refuses(rules.QUERY_INDICES, recording):
             recording.draw_counted(program, mesh, mesh.draws(np.zeros(5, int), 3), queries)
         recording.draw_counted(program, mesh, mesh.draws(np.zeros(5, int), 3), queries, [1, 1, 1, 1, 1])
         recording.draw_counted(program, mesh, mesh.draws(np.zeros(4, int), 3), queries)
@@ -83,8 +83,8 @@ def test_bindings_are_those_of_any_draw(recording: Device, queries: QuerySet, me
     with recording.render_pass(image):
         with refuses(rules.BINDING_MISSING, recording):
             loose(recording).draw_counted(program, mesh, draws, queries)
-        with recording.uniform(tint) as made:
-            recording.draw_counted(program, mesh, draws, queries, tint=made)
+        with recording.uniform(tint) as buffer:
+            recording.draw_counted(program, mesh, draws, queries, tint=buffer)
 
 
 def test_queries_do_not_nest(recording: Device, queries: QuerySet, mesh: Mesh, image: Any) -> None:
@@ -143,7 +143,7 @@ def test_a_set_has_answers_once_it_was_asked(recording: Device, queries: QuerySe
 
 
 @pytest.mark.parametrize("size", [-1, 1.5, "2"])
-def test_a_set_has_a_number_of_rows(recording: Device, size: Any) -> None:
+def test_a_set_has_a_number_of_queries(recording: Device, size: Any) -> None:
     with refuses(rules.DEVICE_ARGUMENT, recording):
         recording.query_set(size)
     assert len(recording.query_set(3)) == 3
@@ -185,18 +185,20 @@ def test_a_command_buffer_counts_by_its_device_s_sets(recording: Device, backend
 # -- conditions --------------------------------------------------------------------------------------------
 
 
-def draw_on_condition(encoder: rhi.Encoder, program: Any, mesh: Mesh, queries: QuerySet, rows: Any = None) -> None:
-    encoder.draw_conditional(program, mesh, mesh.draws([0, 3], 3), queries, rows)
+def draw_on_condition(
+    encoder: rhi.Encoder, program: Any, mesh: Mesh, queries: QuerySet, query_indices: Any = None
+) -> None:
+    encoder.draw_conditional(program, mesh, mesh.draws([0, 3], 3), queries, query_indices)
 
 
-def test_rows_that_counted_decide(recording: Device, queries: QuerySet, mesh: Mesh, image: Any) -> None:
+def test_queries_that_counted_decide(recording: Device, queries: QuerySet, mesh: Mesh, image: Any) -> None:
     program = recording.program(Colored)
     with recording.render_pass(image):
         with refuses(rules.QUERY_STATE, recording):
             draw_on_condition(recording, program, mesh, queries)
         recording.draw_counted(program, mesh, mesh.draws([0, 3], 3), queries, [1, 3])
         for wrong in (None, [1, 2], [1], [1, 4], [1.0, 3.0]):
-            with refuses(rules.QUERY_ROWS, recording):
+            with refuses(rules.QUERY_INDICES, recording):
                 draw_on_condition(recording, program, mesh, queries, wrong)
         draw_on_condition(recording, program, mesh, queries, [1, 3])
         draw_on_condition(recording, program, mesh, queries, [3, 3])
@@ -235,7 +237,7 @@ def test_a_command_buffer_decides_by_what_it_counts_itself(
         with refuses(rules.QUERY_STATE, recording):
             draw_on_condition(commands, program, mesh, queries)
         commands.draw_counted(program, mesh, mesh.draws([0, 3], 3), queries, [2, 3])
-        with refuses(rules.QUERY_ROWS, recording):
+        with refuses(rules.QUERY_INDICES, recording):
             draw_on_condition(commands, program, mesh, queries)
         draw_on_condition(commands, program, mesh, queries, [2, 3])
     recording.submit(commands)

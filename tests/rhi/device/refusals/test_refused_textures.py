@@ -48,11 +48,11 @@ def test_each_kind_has_its_number_of_layers(recording: Device, kind: TextureKind
             recording.texture((4, 4), Format.R8, kind=kind, layers=layers)
 
 
-@pytest.mark.parametrize(("most", "fits"), [(5, False), (6, True)])
+@pytest.mark.parametrize(("maximum", "fits"), [(5, False), (6, True)])
 def test_the_faces_of_a_cube_are_layers(
-    recording: Device, monkeypatch: pytest.MonkeyPatch, most: int, fits: bool
+    recording: Device, monkeypatch: pytest.MonkeyPatch, maximum: int, fits: bool
 ) -> None:
-    limits = replace(recording.capabilities, max_texture_layers=most)
+    limits = replace(recording.capabilities, max_texture_layers=maximum)
     monkeypatch.setattr(recording._core, "capabilities", limits)
     if fits:
         recording.texture((4, 4), Format.R8, kind=TextureKind.CUBE).destroy()
@@ -124,9 +124,9 @@ def test_a_texture_made_from_wrong_texels_leaves_nothing_behind(recording: Devic
     with refuses(rules.TEXTURE_DATA):
         recording.texture(np.zeros((4, 4, 4), "f4"), Format.RGBA8)
     recording.finish()
-    made = recording.stream.filter(Op.CREATE_TEXTURE)
+    created = recording.stream.filter(Op.CREATE_TEXTURE)
     gone = {command["resource"] for command in recording.stream.filter(Op.DESTROY)}
-    assert recording.statistics.creations == creations or made[-1]["texture"] in gone
+    assert recording.statistics.creations == creations or created[-1]["texture"] in gone
 
 
 @pytest.mark.parametrize(
@@ -208,11 +208,11 @@ def test_mipmaps_need_a_format_that_can_be_filtered(recording: Device, format: F
 
 
 def test_a_copy_keeps_the_format(recording: Device) -> None:
-    with recording.texture((4, 4), Format.RGBA8) as one, recording.texture((4, 4), Format.RGBA8_SRGB) as two:
+    with recording.texture((4, 4), Format.RGBA8) as first, recording.texture((4, 4), Format.RGBA8_SRGB) as second:
         with refuses(rules.TEXTURE_FORMAT, recording):
-            one.copy_to(two)
-    with recording.texture((4, 4), Format.RGBA8) as one, recording.texture((4, 4), Format.RGBA8) as two:
-        one.copy_to(two)
+            first.copy_to(second)
+    with recording.texture((4, 4), Format.RGBA8) as first, recording.texture((4, 4), Format.RGBA8) as second:
+        first.copy_to(second)
 
 
 @pytest.mark.parametrize(("x", "overlaps"), [(1, True), (2, False)])
@@ -269,10 +269,10 @@ def test_a_resolve_keeps_size_and_format(recording: Device, size: tuple[int, int
 
 def test_a_texture_is_locked_once_at_a_time(recording: Device) -> None:
     with recording.texture((4, 4), Format.R8) as texture:
-        one, two = texture.lock(Access.WRITE), texture.lock(Access.WRITE)
-        with one, refuses(rules.LOCK_TWICE, recording), two:
+        first, second = texture.lock(Access.WRITE), texture.lock(Access.WRITE)
+        with first, refuses(rules.LOCK_TWICE, recording), second:
             pass
-        with two:
+        with second:
             pass
 
 

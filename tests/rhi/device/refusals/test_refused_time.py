@@ -34,14 +34,14 @@ def test_only_what_was_signalled_is_waited_for(recording: Device, ahead: int) ->
 
 
 def test_queries_do_not_nest(recording: Device, image: Any) -> None:
-    one, two = recording.occlusion_query(), recording.occlusion_query()
+    first, second = recording.occlusion_query(), recording.occlusion_query()
     with recording.render_pass(image):
-        with one, refuses(rules.QUERY_NESTED, recording):
-            two.begin()
-        with one:
+        with first, refuses(rules.QUERY_NESTED, recording):
+            second.begin()
+        with first:
             with refuses(rules.QUERY_NESTED, recording):
-                one.begin()
-        with two:
+                first.begin()
+        with second:
             pass
 
 
@@ -102,18 +102,18 @@ def test_a_condition_needs_an_ended_query(recording: Device, image: Any) -> None
 
 
 def test_conditions_do_not_nest(recording: Device, image: Any) -> None:
-    one, two = recording.occlusion_query(), recording.occlusion_query()
+    first, second = recording.occlusion_query(), recording.occlusion_query()
     with recording.render_pass(image):
-        for query in (one, two):
+        for query in (first, second):
             with query:
                 pass
-        with recording.conditional(one):
-            for query in (one, two):
+        with recording.conditional(first):
+            for query in (first, second):
                 with refuses(rules.CONDITION_NESTED, recording), recording.conditional(query):
                     pass
-        with recording.conditional(two):
+        with recording.conditional(second):
             pass
-        with recording.conditional(two, inverted=True):
+        with recording.conditional(second, inverted=True):
             pass
 
 

@@ -16,7 +16,7 @@ class StoreAnywhere(sl.Shader):
         self.matrices[i][2][self.columns[i]] = 1.0
 
 
-class StoreKnown(sl.Shader):
+class StoreAtConstant(sl.Shader):
     matrices: sl.StorageRW[sl.mat4]
 
     def compute(self) -> None:
@@ -59,7 +59,7 @@ def test_an_unknown_column_of_a_stored_matrix_is_chosen_by_a_switch() -> None:
 
 
 def test_a_known_column_is_stored_at_once() -> None:
-    text = source(StoreKnown)
+    text = source(StoreAtConstant)
     assert "switch" not in text
     assert "[1][2] = 1.0;" in text
 

@@ -143,12 +143,12 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("right", "wrong", "given", "says"), WRONG, ids=[row[1] for row in WRONG])
-def test_a_declaration_that_differs_from_the_class_is_refused(right, wrong, given, says):
+@pytest.mark.parametrize(("right", "wrong", "declaration", "says"), WRONG, ids=[row[1] for row in WRONG])
+def test_a_declaration_that_differs_from_the_class_is_refused(right, wrong, declaration, says):
     assert "void main()" in sl.compile_shader(sl.from_source(TEXT)).emit("glsl", Stage.VERTEX).text
     with pytest.raises(ShaderError, match=r"^\[shading-native\]") as error:
         sl.compile_shader(sl.from_source(TEXT.replace(right, wrong, 1))).emit("glsl", Stage.VERTEX)
-    assert error.value.given == given
+    assert error.value.given == declaration
     assert says in str(error.value)
     assert wrong in str(error.value)  # the line
 

@@ -184,8 +184,8 @@ def test_sets_bindings_and_rows_first_are_in_the_module():
     for target, decoration, *values in instructions(binary, DECORATE):
         if decoration in (DESCRIPTOR_SET, BINDING):
             (sets if decoration == DESCRIPTOR_SET else bindings)[target] = values[0]
-    places = sorted((sets[target], bindings[target]) for target in sets)
-    assert places == [(0, 0), *((2, binding) for binding in range(10)), (3, 0)]
+    slots = sorted((sets[target], bindings[target]) for target in sets)
+    assert slots == [(0, 0), *((2, binding) for binding in range(10)), (3, 0)]
     members = [decoration for _, _, decoration, *_ in instructions(binary, MEMBER_DECORATE)]
     assert ROW_MAJOR in members
 
@@ -217,13 +217,13 @@ def all_shaders():
         for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
             if not module.name.endswith(("__main__", "conftest")):
                 importlib.import_module(module.name)
-    found, queue = [], [sl.Shader]
+    shaders, queue = [], [sl.Shader]
     while queue:
         for shader in queue.pop().__subclasses__():
             queue.append(shader)
             if shader.__module__.startswith(("renderer", "rhi.")):
-                found.append(shader)
-    return found
+                shaders.append(shader)
+    return shaders
 
 
 def stages_of_all():

@@ -43,10 +43,10 @@ def calls(rows, on=""):
         for overload in row.overloads:
             if row.effect is SideEffect.DISCARD:
                 continue
-            given = [argument(parameter) for parameter in overload.parameters][1 if on else 0 :]
-            if row.name == "gather" and len(given) == 2:
-                given[1] = "3"
-            call = f"{on}{row.name}({', '.join(given)})"
+            arguments = [argument(parameter) for parameter in overload.parameters][1 if on else 0 :]
+            if row.name == "gather" and len(arguments) == 2:
+                arguments[1] = "3"
+            call = f"{on}{row.name}({', '.join(arguments)})"
             lines.append(call if overload.result == VOID else f"r{len(lines)} = {call}")
     return "\n".join("        " + line for line in ["x = 0.5", "n = 1", "b = x < 1.0", *lines, "pass"])
 
@@ -215,12 +215,12 @@ def test_every_builtin_has_its_value(run_everywhere):
         "    def compute(self) -> None:\n"
         "        x = self.a[0]\n        y = self.a[1]\n        n = self.ints[0]\n        u = self.uints[0]\n" + lines
     )
-    given = {
+    inputs = {
         "a": np.array([0.5, -1.75], "f4"),
         "ints": np.array([-37], "i4"),
         "uints": np.array([0xB4], "u4"),
     }
-    out = run_everywhere(load(source), **given, out=len(VALUES))["out"]
+    out = run_everywhere(load(source), **inputs, out=len(VALUES))["out"]
     wrong = {
         text: (float(got), expected)
         for (text, expected), got in zip(VALUES.values(), out, strict=True)

@@ -200,13 +200,13 @@ ERRORS = [
 ]
 
 
-@pytest.mark.parametrize(("text", "line", "given", "shown"), ERRORS, ids=[row[2] for row in ERRORS])
-def test_a_text_that_fails_is_refused_at_its_line(text, line, given, shown):
+@pytest.mark.parametrize(("text", "line", "value", "excerpt"), ERRORS, ids=[row[2] for row in ERRORS])
+def test_a_text_that_fails_is_refused_at_its_line(text, line, value, excerpt):
     with pytest.raises(ShaderError, match=r"^\[shading-text\]") as error:
         from_source(text, file="buffer.py")
     assert (error.value.site.file, error.value.site.line) == ("buffer.py", line)
-    assert given in str(error.value)
-    assert shown in str(error.value)
+    assert value in str(error.value)
+    assert excerpt in str(error.value)
 
 
 def test_an_error_of_the_language_points_into_the_text():

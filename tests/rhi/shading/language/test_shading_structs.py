@@ -61,22 +61,22 @@ BAD = {
 
 
 def field_by_field(cls, values):
-    made = cls.__new__(cls)
-    made._set_fields(values)
-    return made
+    value = cls.__new__(cls)
+    value._set_fields(values)
+    return value
 
 
 @pytest.mark.parametrize("cls", [Plain, Defaulted])
 @pytest.mark.parametrize(("name", "value"), [(name, value) for name in GOOD for value in GOOD[name]])
 def test_a_generated_constructor_keeps_what_checks_field_by_field_would(cls, name, value):
     values = {each: GOOD[each][0] for each in GOOD} | {name: value}
-    made, expected = cls(**values), field_by_field(cls, values)
+    created, expected = cls(**values), field_by_field(cls, values)
     for layout in Layout:
         assert cls(**values).to_bytes(layout) == expected.to_bytes(layout)
-    assert repr(made) == repr(expected)
-    assert made.to_bytes() == expected.to_bytes()  # also after its fields were read
-    made.scale = expected.scale = 8
-    assert made.to_bytes() == expected.to_bytes() != cls(**values).to_bytes()
+    assert repr(created) == repr(expected)
+    assert created.to_bytes() == expected.to_bytes()  # also after its fields were read
+    created.scale = expected.scale = 8
+    assert created.to_bytes() == expected.to_bytes() != cls(**values).to_bytes()
 
 
 @pytest.mark.parametrize("cls", [Plain, Defaulted])
@@ -106,9 +106,9 @@ def test_a_constructor_generated_for_a_base_does_not_serve_structs_derived_from_
 
 def test_a_value_keeps_what_its_arrays_held():
     view = np.arange(16.0).reshape(4, 4)
-    made = Plain(**{name: GOOD[name][0] for name in GOOD} | {"view": view})
+    value = Plain(**{name: GOOD[name][0] for name in GOOD} | {"view": view})
     view[:] = 0
-    assert np.asarray(made.view).tolist() == np.arange(16.0).reshape(4, 4).tolist()
+    assert np.asarray(value.view).tolist() == np.arange(16.0).reshape(4, 4).tolist()
 
 
 def test_rows_of_a_structs_dtype_take_plain_tuples():

@@ -25,106 +25,106 @@ class View(sl.Struct):
     matrix: sl.mat4
     offset: sl.vec3
     time: float
-    turned: int
+    swaps_axes: int
 
 
-class Place(sl.Struct):
+class Transform(sl.Struct):
     linear: sl.mat3
     offset: sl.vec3
 
 
 class Base(sl.Shader):
     view: sl.Uniform[View]
-    places: sl.Storage[Place]
+    transforms: sl.Storage[Transform]
 
     def vertex(self, v: Vertex) -> sl.vec4:
-        return self.view.matrix @ sl.vec4(self.place(v), self.places[sl.instance_index()].offset.x)
+        return self.view.matrix @ sl.vec4(self.world_position(v), self.transforms[sl.instance_index()].offset.x)
 
-    def place(self, v: Vertex) -> sl.vec3:
+    def world_position(self, v: Vertex) -> sl.vec3:
         return v.position
 
 
-class Placed(Base):
-    def place(self, v: Vertex) -> sl.vec3:
-        thing = self.places[sl.instance_index()]
+class AffineTransform(Base):
+    def world_position(self, v: Vertex) -> sl.vec3:
+        thing = self.transforms[sl.instance_index()]
         return thing.linear @ v.position + (thing.offset - self.view.offset)
 
 
 class Swayed(Base):
     """What is not affine is the same for all vertices."""
 
-    def place(self, v: Vertex) -> sl.vec3:
-        place = -v.position * sl.cos(self.view.time)
-        place.y -= self.view.offset.x / self.view.time
-        place = place + sl.vec3(0.0, sl.dot(v.position, self.view.offset), 2.0)
-        return place.xyz
+    def world_position(self, v: Vertex) -> sl.vec3:
+        world_position = -v.position * sl.cos(self.view.time)
+        world_position.y -= self.view.offset.x / self.view.time
+        world_position = world_position + sl.vec3(0.0, sl.dot(v.position, self.view.offset), 2.0)
+        return world_position.xyz
 
 
 class Flat(Base):
-    def place(self, v: Vertex) -> sl.vec3:
+    def world_position(self, v: Vertex) -> sl.vec3:
         return sl.vec3(v.uv, 1.0)
 
 
 class Squared(Base):
-    def place(self, v: Vertex) -> sl.vec3:
+    def world_position(self, v: Vertex) -> sl.vec3:
         return v.position * v.uv.x
 
 
 class Divided(Base):
-    def place(self, v: Vertex) -> sl.vec3:
+    def world_position(self, v: Vertex) -> sl.vec3:
         return self.view.offset / v.position.x
 
 
 class Rounded(Base):
-    def place(self, v: Vertex) -> sl.vec3:
+    def world_position(self, v: Vertex) -> sl.vec3:
         return sl.vec3(float(int(v.position.x)), v.uv)
 
 
 class Pulled(Base):
-    def place(self, v: Vertex) -> sl.vec3:
-        return self.places[sl.vertex_index()].offset
+    def world_position(self, v: Vertex) -> sl.vec3:
+        return self.transforms[sl.vertex_index()].offset
 
 
 class Skinned(Base):
-    def place(self, v: Vertex) -> sl.vec3:
-        return self.places[v.bone].linear @ v.position
+    def world_position(self, v: Vertex) -> sl.vec3:
+        return self.transforms[v.bone].linear @ v.position
 
 
 class Folded(Base):
-    def place(self, v: Vertex) -> sl.vec3:
-        place = v.position
-        if place.x < 0.0:
-            place.x = 0.0
-        return place
+    def world_position(self, v: Vertex) -> sl.vec3:
+        world_position = v.position
+        if world_position.x < 0.0:
+            world_position.x = 0.0
+        return world_position
 
 
-class Chosen(Base):
+class ConditionalSwizzle(Base):
     """Affine in either case, but not plain assignments."""
 
-    def place(self, v: Vertex) -> sl.vec3:
-        place = v.position
-        if self.view.turned != 0:
-            place = place.zyx
-        return place
+    def world_position(self, v: Vertex) -> sl.vec3:
+        world_position = v.position
+        if self.view.swaps_axes != 0:
+            world_position = world_position.zyx
+        return world_position
 
 
 class Heights(Base):
     heights: sl.Texture2D
 
-    def place(self, v: Vertex) -> sl.vec3:
+    def world_position(self, v: Vertex) -> sl.vec3:
         return v.position + self.heights.sample_lod(v.uv, 0.0).xyz
 
 
 class Marking(Base):
     marks: sl.StorageRW[int]
 
-    def place(self, v: Vertex) -> sl.vec3:
+    def world_position(self, v: Vertex) -> sl.vec3:
         self.marks[sl.vertex_index()] = 1
         return v.position
 
 
 class Constant(Base):
-    def place(self, v: Vertex) -> sl.vec3:
+    def world_position(self, v: Vertex) -> sl.vec3:
         return self.view.offset
 
 
@@ -145,7 +145,7 @@ class ShadedVarying(Base):
         return Shaded(
             clip=self.view.matrix @ sl.vec4(v.position, 1.0),
             light=sl.cos(v.uv.x) / v.uv.y,
-            bent=self.places[v.bone].offset,
+            bent=self.transforms[v.bone].offset,
         )
 
     def fragment(self, v: Shaded) -> sl.vec4:
@@ -160,7 +160,7 @@ def boxed(shader: type[sl.Shader]) -> list[int] | None:
     return [int(word[5:-1]) for line in lines for word in line.split()[2:]] if lines else None
 
 
-@pytest.mark.parametrize("shader", [Base, Placed, Swayed, ShadedVarying])
+@pytest.mark.parametrize("shader", [Base, AffineTransform, Swayed, ShadedVarying])
 def test_affine_positions_are_bounded_by_what_they_depend_on(shader: type[sl.Shader]) -> None:
     assert boxed(shader) == [0, 1, 2]
 
@@ -172,7 +172,7 @@ def test_only_words_that_positions_depend_on_count() -> None:
 @pytest.mark.parametrize(
     "shader",
     [
-        Squared, Divided, Rounded, Pulled, Skinned, Folded, Chosen, Heights, Marking, Constant, Checked,
+        Squared, Divided, Rounded, Pulled, Skinned, Folded, ConditionalSwizzle, Heights, Marking, Constant, Checked,
     ],
 )  # fmt: skip
 def test_other_positions_are_not_bounded(shader: type[sl.Shader]) -> None:
@@ -183,14 +183,14 @@ def test_bounds_read_nothing_by_a_vertex() -> None:
     """A corner's other inputs are unknown: an index among them would read anywhere."""
     text = sl.compile_shader(ShadedVarying).emit("opencl16", Stage.VERTEX).text
     whole, bounds = text.split("#define RHI_BOXED")
-    assert "places_" in whole.split("void rhi_vertex")[1].split("{", 1)[1]
-    assert "places_" not in bounds.split("{", 1)[1]
+    assert "transforms_" in whole.split("void rhi_vertex")[1].split("{", 1)[1]
+    assert "transforms_" not in bounds.split("{", 1)[1]
 
 
 # -- that they hold ------------------------------------------------------------------------------------------
 
 KERNEL = """
-kernel void run(global const uint *view, global const uint *places, int count, global const float *boxes,
+kernel void run(global const uint *view, global const uint *transforms, int count, global const float *boxes,
                 global const float *shares, global float *out) {
     int round = get_global_id(0);
     boxes += 6 * round;
@@ -201,13 +201,13 @@ kernel void run(global const uint *view, global const uint *places, int count, g
         inputs[k] = as_uint16((RHI_LANES >> k & 1) == 0 ? (float16)(low) : (float16)(high));
         reaches[k] = as_uint(fmax(fabs(low), fabs(high)));
     }
-    rhi_bounds(view, places, count, inputs, reaches, RHI_LANES, round, 0, (int16)(-1), corners);
+    rhi_bounds(view, transforms, count, inputs, reaches, RHI_LANES, round, 0, (int16)(-1), corners);
     for (int k = 0; k < 3; ++k) {
         float16 share = vload16(3 * round + k, shares);
         float16 at = boxes[k] * (1.0f - share) + boxes[3 + k] * share;
         inputs[k] = as_uint16(clamp(at, (float16)(boxes[k]), (float16)(boxes[3 + k])));
     }
-    rhi_vertex(view, places, count, inputs, RHI_LANES, round, 0, (int16)(-1), whole);
+    rhi_vertex(view, transforms, count, inputs, RHI_LANES, round, 0, (int16)(-1), whole);
     for (int i = 0; i < 8; ++i) vstore16(as_float16(corners[i]), 12 * round + i, out);
     for (int i = 0; i < 4; ++i) vstore16(as_float16(whole[i]), 12 * round + 8 + i, out);
 }
@@ -215,7 +215,7 @@ kernel void run(global const uint *view, global const uint *places, int count, g
 ROUNDS = 512
 
 
-@pytest.fixture(scope="module", params=[Placed, Swayed])
+@pytest.fixture(scope="module", params=[AffineTransform, Swayed])
 def kernel(request: pytest.FixtureRequest) -> cl.Kernel:
     text = sl.compile_shader(request.param).emit("opencl16", Stage.VERTEX).text + KERNEL
     return cl.Kernel(build_text(text), "run")
@@ -236,7 +236,7 @@ def test_positions_lie_between_those_of_corners_but_for_the_slack(
 
     view = np.zeros(32, np.float32)
     view[:20] = random(20)
-    places = random(ROUNDS, 16)
+    transforms = random(ROUNDS, 16)
     middle = random(ROUNDS, 3)
     size = np.abs(middle) * np.float32(10.0**scale) * rng.random((ROUNDS, 3)).astype(np.float32)
     if flat:
@@ -245,21 +245,21 @@ def test_positions_lie_between_those_of_corners_but_for_the_slack(
     shares = rng.choice([rng.random((ROUNDS, 3, 16)), rng.integers(0, 2, (ROUNDS, 3, 16))]).astype(np.float32)
     out = np.zeros((ROUNDS, 12, 16), np.float32)
     target = buffer(out)
-    given_ = buffer(view), buffer(places), np.int32(ROUNDS), buffer(boxes), buffer(shares), target
-    kernel(queue(), (ROUNDS,), None, *given_).wait()
+    arguments = buffer(view), buffer(transforms), np.int32(ROUNDS), buffer(boxes), buffer(shares), target
+    kernel(queue(), (ROUNDS,), None, *arguments).wait()
     cl.enqueue_copy(queue(), out, target)
-    corners, slacks, found = out[:, :4], out[:, 4:8, :1], out[:, 8:]
-    known = np.isfinite(slacks[..., 0])
-    assert known.any() or spread > 2
+    corners, slacks, positions = out[:, :4], out[:, 4:8, :1], out[:, 8:]
+    is_finite = np.isfinite(slacks[..., 0])
+    assert is_finite.any() or spread > 2
     pairs = (0, None), (1, None), (2, None), (3, None), (3, 0), (3, 1), (3, 2)
-    for sign, (one, other) in product((1, -1), pairs):
-        sure = known[:, one] if other is None else known[:, one] & known[:, other]
-        here, there = corners[sure, one], found[sure, one].astype(np.float64)
-        slack = slacks[sure, one].astype(np.float64)
+    for sign, (column, other) in product((1, -1), pairs):
+        sure = is_finite[:, column] if other is None else is_finite[:, column] & is_finite[:, other]
+        here, there = corners[sure, column], positions[sure, column].astype(np.float64)
+        slack = slacks[sure, column].astype(np.float64)
         if other is not None:  # in float32, as planes of the view are tested
             with np.errstate(over="ignore"):
                 here = here + sign * corners[sure, other]
-            there, slack = there + sign * found[sure, other], slack + slacks[sure, other]
+            there, slack = there + sign * positions[sure, other], slack + slacks[sure, other]
         finite = np.isfinite(here).all(axis=1)  # a sum beyond the largest float has the right sign
         here, there, slack = here[finite], there[finite], slack[finite]
         assert (there >= here.min(axis=1, keepdims=True) - slack).all()

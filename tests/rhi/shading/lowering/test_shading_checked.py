@@ -13,16 +13,16 @@ import rhi
 import rhi.shading as sl
 from rhi.errors import ShaderError
 
-WAYS = {
+RUNNERS = {
     "one lane": lambda shader, **values: run_opencl(shader, 1, **values),
     "16 lanes": lambda shader, **values: run_opencl(shader, 16, **values),
     "numpy": sl.run_compute,
 }
 
 
-@pytest.fixture(params=WAYS)
+@pytest.fixture(params=RUNNERS)
 def run(request):
-    return WAYS[request.param]
+    return RUNNERS[request.param]
 
 
 class Plain(sl.Shader):
@@ -129,7 +129,7 @@ def test_uniform_of_values_that_differ_is_an_error(width):
     same = {**values(), "which": np.repeat([3, 4], 16).astype("i4")}
     run_opencl(Same, width, **same)
     same["which"][20] = 5
-    with pytest.raises(ShaderError, match=r"^\[shading-different\]") as caught:
+    with pytest.raises(ShaderError, match=r"^\[shading-nonuniform\]") as caught:
         run_opencl(Same, width, **same)
     assert caught.value.site.line == line_of(Same, "uniform(")
 
@@ -141,8 +141,8 @@ class First(Checked):
 
 
 def test_values_that_are_broadcast_may_differ(run):
-    found = run(First, **{**values(), "which": np.repeat([3, 4], 16).astype("i4")})
-    assert set(np.unique(found["out"])) <= set(values()["a"][[3, 4]].tolist())
+    results = run(First, **{**values(), "which": np.repeat([3, 4], 16).astype("i4")})
+    assert set(np.unique(results["out"])) <= set(values()["a"][[3, 4]].tolist())
 
 
 def test_a_shader_that_is_not_checked_is_not_a_word_longer():

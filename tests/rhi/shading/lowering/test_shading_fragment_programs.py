@@ -63,12 +63,12 @@ def check(source, context):
         "16 lanes": run_fragment_lanes(shader, offset, (8, 8), **values),
         "NumPy": run_fragment_numpy(shader, offset, (8, 8), **values),
     }
-    kept = expected["kept"]
+    coverage = expected["coverage"]
     for language, results in others.items():
-        for name in ("out", "sums", "kept"):
+        for name in ("out", "sums", "coverage"):
             np.testing.assert_array_equal(results[name], expected[name], f"{language}: {name}\n{source}")
         message = f"{language}: result\n{source}"
-        np.testing.assert_array_equal(results["color"][kept], expected["color"][kept], message)
+        np.testing.assert_array_equal(results["color"][coverage], expected["color"][coverage], message)
 
 
 @program_settings(10)

@@ -81,11 +81,11 @@ def expressions(draw, depth=2, names=NAMES, calls=True):
 @st.composite
 def conditions(draw, depth=1, names=NAMES, calls=True):
     left, right = draw(expressions(depth, names, calls)), draw(expressions(max(depth - 1, 0), names, calls))
-    one = f"{left} {draw(st.sampled_from(['<', '>', '==', '!=', '<=']))} {right}"
+    comparison = f"{left} {draw(st.sampled_from(['<', '>', '==', '!=', '<=']))} {right}"
     if depth > 0 and draw(st.integers(0, 2)) == 0:
         other = draw(conditions(depth - 1, names, calls))
-        return f"({one} {draw(st.sampled_from(['and', 'or']))} {other})"
-    return one
+        return f"({comparison} {draw(st.sampled_from(['and', 'or']))} {other})"
+    return comparison
 
 
 @st.composite

@@ -5,30 +5,30 @@ import pytest
 
 from rhi.shading import from_source
 
-LEAST, MOST = -(2**31), 2**31 - 1
+INT_MIN, INT_MAX = -(2**31), 2**31 - 1
 
 RANGES = [
-    (0, MOST, 2_000_000_000),
-    (0, -MOST, -2_000_000_000),
-    (0, LEAST, -2_000_000_000),
-    (LEAST, MOST, MOST),
-    (MOST, LEAST, LEAST),
-    (MOST, LEAST, -MOST),
-    (MOST - 5, MOST, 1),
-    (LEAST + 5, LEAST, -1),
-    (MOST - 5, MOST, 3),
-    (MOST - 6, MOST, 3),
-    (LEAST + 6, LEAST, -3),
-    (LEAST + 5, LEAST, -3),
-    (MOST - 1, MOST, MOST),
+    (0, INT_MAX, 2_000_000_000),
+    (0, -INT_MAX, -2_000_000_000),
+    (0, INT_MIN, -2_000_000_000),
+    (INT_MIN, INT_MAX, INT_MAX),
+    (INT_MAX, INT_MIN, INT_MIN),
+    (INT_MAX, INT_MIN, -INT_MAX),
+    (INT_MAX - 5, INT_MAX, 1),
+    (INT_MIN + 5, INT_MIN, -1),
+    (INT_MAX - 5, INT_MAX, 3),
+    (INT_MAX - 6, INT_MAX, 3),
+    (INT_MIN + 6, INT_MIN, -3),
+    (INT_MIN + 5, INT_MIN, -3),
+    (INT_MAX - 1, INT_MAX, INT_MAX),
     (0, 10, 3),
     (0, 9, 3),
     (10, 0, -3),
     (5, 5, 7),
     (5, 4, 7),
     (5, 6, -7),
-    (MOST, LEAST, 5),
-    (LEAST, MOST, -5),
+    (INT_MAX, INT_MIN, 5),
+    (INT_MIN, INT_MAX, -5),
 ]
 
 HEAD = """
@@ -69,10 +69,10 @@ def loop(kind, which, bounds):
     return LOOP.format(bounds=KINDS[kind].format(*bounds, at=3 * which), at=3 * which)
 
 
-def wanted(start, stop, step):
+def expected_values(start, stop, step):
     values = list(range(start, stop, step)[:9]) if step else []  # a step of 0 gives no values
-    kept = [value for value in values if value != 4]
-    return [len(values), kept[-1] if kept else 0, int(np.array(sum(kept), "i8").astype("i4"))]
+    remaining = [value for value in values if value != 4]
+    return [len(values), remaining[-1] if remaining else 0, int(np.array(sum(remaining), "i8").astype("i4"))]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -80,7 +80,7 @@ def test_a_range_gives_the_values_of_python(run_everywhere, kind):
     ranges = RANGES if kind != "variables" else [*RANGES, (0, 5, 0), (5, 0, 0)]
     shader = from_source(HEAD + "".join(loop(kind, *pair) for pair in enumerate(ranges)))
     result = run_everywhere(shader, bounds=np.array(ranges, "i4").ravel(), out=3 * len(ranges))["out"]
-    assert dict(zip(ranges, result.reshape(-1, 3).tolist(), strict=True)) == {r: wanted(*r) for r in ranges}
+    assert dict(zip(ranges, result.reshape(-1, 3).tolist(), strict=True)) == {r: expected_values(*r) for r in ranges}
 
 
 VARYING = from_source("""
@@ -105,8 +105,8 @@ class Strided(Shader):
 
 
 def test_ranges_that_differ_between_lanes_end_where_each_lane_ends(run_everywhere):
-    result = run_everywhere(VARYING, stop=np.array([MOST, 200], "i4"), out=64)["out"].tolist()
+    result = run_everywhere(VARYING, stop=np.array([INT_MAX, 200], "i4"), out=64)["out"].tolist()
     assert result == [
-        len(range(2147483000 + i * 10, MOST, 320))
+        len(range(2147483000 + i * 10, INT_MAX, 320))
         + 100 * len(range(i, 100, 64)) + 10000 * len(range(i, 200, 64)) for i in range(64)
     ]  # fmt: skip

@@ -12,19 +12,19 @@ from rhi.shading.lowering.functions import lower_compute
 
 
 class Straight(Shader):
-    given: Storage[float]
-    found: StorageRW[float]
+    values: Storage[float]
+    sums: StorageRW[float]
     work_group = (64,)
 
     def compute(self) -> None:
         i = int(global_id().x)
-        value = self.given[i]
+        value = self.values[i]
         if value < 0.0:
             value = -value
         total = value
         for _ in range(4):
             total += value
-        self.found[i] = total
+        self.sums[i] = total
 
 
 class Raised(Straight):
@@ -33,11 +33,11 @@ class Raised(Straight):
     def compute(self) -> None:
         i = int(global_id().x)
         step = 1.0
-        total = self.given[i]
+        total = self.values[i]
         for _ in range(4):
             total += step
-            step = self.given[i]
-        self.found[i] = total
+            step = self.values[i]
+        self.sums[i] = total
 
 
 class RaisedTwice(Straight):
@@ -47,12 +47,12 @@ class RaisedTwice(Straight):
         i = int(global_id().x)
         first = 1.0
         second = 1.0
-        total = self.given[i]
+        total = self.values[i]
         for _ in range(4):
             total += first
             first = second
-            second = self.given[i]
-        self.found[i] = total
+            second = self.values[i]
+        self.sums[i] = total
 
 
 @pytest.mark.parametrize(("shader", "runs"), [(Straight, 1), (Raised, 2), (RaisedTwice, 3)])
@@ -61,6 +61,6 @@ def test_a_stage_is_lowered_again_only_where_a_value_rose_after_it_was_used(
 ) -> None:
     stage = stage_trees(shader)[Stage.COMPUTE]
     lowered, entry = [], functions.lower_entry
-    monkeypatch.setattr(functions, "lower_entry", lambda *given: lowered.append(given) or entry(*given))
+    monkeypatch.setattr(functions, "lower_entry", lambda *values: lowered.append(values) or entry(*values))
     lower_compute(stage, "shader", (64, 1, 1), 16)
     assert len(lowered) == runs

@@ -75,18 +75,18 @@ class Skinning(sl.Shader):
         return self.bones[joint].turn @ p + self.bones[joint].offset
 
     def vertex(self, v: Corner, n: Instance) -> Skinned:
-        place = sl.vec3(0.0)
+        position = sl.vec3(0.0)
         for k in range(2):
             joint = v.joint[k]
             if joint >= 0:
                 sl.atomic_add(self.uses[joint], 1)
             if joint == 3:
                 break
-            place += self.skin(v.position, joint) * 0.5
+            position += self.skin(v.position, joint) * 0.5
         number = float(sl.vertex_index() % 7 + 100 * sl.instance_index())
         color = sl.uvec3(v.color & sl.uint(255), (v.color >> sl.uint(8)) & sl.uint(255), v.color >> sl.uint(16))
         return Skinned(
-            clip=self.camera @ sl.vec4(place * n.scale, 1.0),
+            clip=self.camera @ sl.vec4(position * n.scale, 1.0),
             normal=sl.normalize(sl.cross(v.normal, sl.vec3(1.0, 2.0, 3.0))) + number,
             color=sl.vec3(color) / 255.0,
             bones=v.joint,
@@ -111,7 +111,7 @@ def test_vertex_stages_agree(vertex_stage):
     bones["offset"] = rng.normal(size=(5, 3))
     camera = rng.normal(size=(4, 4)).astype("f4")
     out = vertex_stage(Skinning, attributes, count, instance=0, camera=camera, bones=bones, uses=5)
-    place = np.zeros((count, 3))
+    position = np.zeros((count, 3))
     uses, ended = np.zeros(5, int), np.zeros(count, bool)
     for k in range(2):
         joint = attributes["joint"][:, k]
@@ -120,9 +120,9 @@ def test_vertex_stages_agree(vertex_stage):
         p = attributes["position"]
         moved = np.einsum("nij,nj->ni", bones["turn"][joint, :, :3], p) + bones["offset"][joint]
         moved = np.where(joint[:, None] < 0, p, moved) * 0.5
-        place += np.where(ended[:, None], 0, moved)
-    place = np.c_[place * attributes["scale"][:, None], np.ones(count)]
-    np.testing.assert_allclose(out["position"], place @ camera.T.astype("f8"), rtol=1e-4, atol=1e-5)
+        position += np.where(ended[:, None], 0, moved)
+    position = np.c_[position * attributes["scale"][:, None], np.ones(count)]
+    np.testing.assert_allclose(out["position"], position @ camera.T.astype("f8"), rtol=1e-4, atol=1e-5)
     side = np.cross(attributes["normal"], [1, 2, 3])
     side /= np.linalg.norm(side, axis=1)[:, None]
     np.testing.assert_allclose(out["normal"], side + (np.arange(count) % 7)[:, None], rtol=1e-5, atol=1e-6)
@@ -133,14 +133,14 @@ def test_vertex_stages_agree(vertex_stage):
 
 
 class Pulled(sl.Shader):
-    places: sl.Storage[sl.vec3]
+    points: sl.Storage[sl.vec3]
     words: sl.Storage[int]
     marks: sl.StorageRW[int]
 
     def vertex(self) -> sl.vec4:
         i = sl.vertex_index()
         self.marks[i] = i + 1
-        return sl.vec4(self.places[i].xy, float(self.words[i * 2 + 1] + i), float(sl.instance_index()))
+        return sl.vec4(self.points[i].xy, float(self.words[i * 2 + 1] + i), float(sl.instance_index()))
 
 
 CONSECUTIVE = np.arange(40) + 5
@@ -153,16 +153,16 @@ CONSECUTIVE = np.arange(40) + 5
 )
 def test_vertices_read_from_buffers_agree(vertex_stage, vertex):
     total = 64
-    places = np.random.default_rng(4).random((total, 4), "f4")
+    points = np.random.default_rng(4).random((total, 4), "f4")
     words = np.arange(2 * total, dtype="i4") ** 2
-    out = vertex_stage(Pulled, {}, 40, vertices=vertex, instance=2, places=places, words=words, marks=total)
-    expected = np.c_[places[vertex, :2], words[vertex * 2 + 1] + vertex, vertex * 0 + 2]
+    out = vertex_stage(Pulled, {}, 40, vertices=vertex, instance=2, points=points, words=words, marks=total)
+    expected = np.c_[points[vertex, :2], words[vertex * 2 + 1] + vertex, vertex * 0 + 2]
     np.testing.assert_array_equal(out["position"], expected)
     np.testing.assert_array_equal(out["marks"], np.where(np.isin(np.arange(total), vertex), np.arange(total) + 1, 0))
 
 
 def test_consecutive_vertices_are_read_with_vector_loads():
-    assert "rhi_load_global_4_0_of_4(places_," in sl.compile_shader(Pulled).emit("opencl16", Stage.VERTEX).text
+    assert "rhi_load_global_4_0_of_4(points_," in sl.compile_shader(Pulled).emit("opencl16", Stage.VERTEX).text
 
 
 # -- fragments ---------------------------------------------------------------------------------------------
@@ -194,12 +194,12 @@ class Lit(sl.Shader):
         return Surface(clip=sl.vec4(0.0), uv=sl.vec2(0.0), screen=sl.vec2(0.0), tint=sl.vec3(0.0), id=0)
 
     def pick(self, x: float, y: float) -> sl.vec4:
-        found = sl.vec4(0.0)
+        total = sl.vec4(0.0)
         for i in range(len(self.table)):
             if self.table[i].x > x:
                 return self.table[i]
-            found += self.table[i] * y
-        return -found
+            total += self.table[i] * y
+        return -total
 
     def fragment(self, s: Surface) -> Targets:
         at = sl.fragment_coordinate()
@@ -239,16 +239,16 @@ def lit(front, mask):
     hits = np.zeros(40, int)
     early = (ROWS + COLUMNS) % 5 == 0
     for r, c in np.ndindex(*SHAPE):
-        found = np.zeros(4)
+        total = np.zeros(4)
         for row in table:
             if row[0] > uv[r, c]:
-                found = row.copy()
+                total = row.copy()
                 break
-            found += row * screen[r, c]
+            total += row * screen[r, c]
         else:
-            found = -found
+            total = -total
         if front:
-            found[:3] = found[2::-1] * [1, 2, 3] + [0.5, 0.25, 0.125]
+            total[:3] = total[2::-1] * [1, 2, 3] + [0.5, 0.25, 0.125]
         n = 0
         while n < 6:
             n += 1
@@ -256,10 +256,10 @@ def lit(front, mask):
                 break
             if n % 2 == c % 2:
                 continue
-            found[3] += 1
+            total[3] += 1
             hits[0] += mask[r, c] and not early[r, c]
         n_of[r, c] = n
-        color[r, c] = found
+        color[r, c] = total
         if mask[r, c] and not early[r, c]:
             hits[1 + c] |= r < 6
             hits[20 + r] = max(hits[20 + r], c * 2)
@@ -289,7 +289,7 @@ def test_fragment_stages_agree(fragment_stage, front, covered):
         Lit, varyings, SHAPE, mask=mask, front=front, scale=np.array([1, 2, 3], "f4"), table=table_of_lit(), hits=40,
     )  # fmt: skip
     color, number, ids, depth, hits = lit(front, mask)
-    np.testing.assert_array_equal(out["kept"], mask)
+    np.testing.assert_array_equal(out["coverage"], mask)
     np.testing.assert_allclose(out["color"][mask], color[mask], rtol=2e-5, atol=2e-5)
     np.testing.assert_array_equal(out["id"][mask][:, 0], number[mask])
     np.testing.assert_array_equal(out["ids"][mask], ids[mask])
@@ -373,34 +373,34 @@ class Cut(sl.Shader):
 
 def cut(limit, mask):
     """(kept, total, counts) of `Cut`."""
-    kept, total, counts = np.zeros(SHAPE, bool), np.zeros(SHAPE), np.zeros(4, int)
+    coverage, total, counts = np.zeros(SHAPE, bool), np.zeros(SHAPE), np.zeros(4, int)
     for r, c in np.ndindex(*SHAPE):
         value = c + 16 * r
         if not mask[r, c] or limit > 10 or value % 11 == 3:
             continue
-        kept[r, c] = True
+        coverage[r, c] = True
         if value % 13 == 4:
             total[r, c] = -1
             continue
         for i in range(4):
             if value % 7 == i and i > 1:
-                kept[r, c] = False
+                coverage[r, c] = False
                 break
             total[r, c] += value if value % 2 == 0 else value + i
             if value % 5 == 2 and i == 2:
-                kept[r, c] = value % 3 != 1
+                coverage[r, c] = value % 3 != 1
                 break
             counts[i] += 1
-    return kept, total, counts
+    return coverage, total, counts
 
 
 @pytest.mark.parametrize(("limit", "covered"), [(0, "all"), (0, "part"), (11, "all")])
 def test_discards_agree(fragment_stage, limit, covered):
     mask = np.ones(SHAPE, bool) if covered == "all" else (ROWS > 2) & (ROWS < 9) & (COLUMNS > 4) & (COLUMNS < 11)
     out = fragment_stage(Cut, {}, SHAPE, mask=mask, limit=np.float32(limit), counts=4)
-    kept, total, counts = cut(limit, mask)
-    np.testing.assert_array_equal(out["kept"], kept)
-    np.testing.assert_array_equal(out["color"][..., 0][kept], total[kept])
+    coverage, total, counts = cut(limit, mask)
+    np.testing.assert_array_equal(out["coverage"], coverage)
+    np.testing.assert_array_equal(out["color"][..., 0][coverage], total[coverage])
     np.testing.assert_array_equal(out["counts"], counts)
 
 

@@ -51,12 +51,12 @@ class Draws(sl.Shader):
     offsets: sl.Storage[sl.vec2]
 
     def vertex(self, v: Corner, n: PerInstance) -> Surface:
-        place = v.position + self.offsets[sl.vertex_index() % len(self.offsets)]
+        shifted = v.position + self.offsets[sl.vertex_index() % len(self.offsets)]
         if v.id % 3 == 0:
-            place = -place
+            shifted = -shifted
         return Surface(
-            clip=self.camera @ sl.vec4(place, 0.5, 1.0),
-            uv=place,
+            clip=self.camera @ sl.vec4(shifted, 0.5, 1.0),
+            uv=shifted,
             unread=sl.vec3(1.0),
             turn=sl.mat2(1.0, 2.0, 3.0, float(v.id)),
             tint=sl.vec3(float(sl.instance_index()), float(sl.draw_index()), float(sl.vertex_index())),
@@ -100,11 +100,11 @@ def test_a_vertex_stage_gives_positions_and_varyings():
         first=100, instance=3, draw=2, camera=camera, offsets=offsets,
     )  # fmt: skip
     vertex = 100 + ids
-    place = position + offsets[vertex % 5]
-    place[ids % 3 == 0] *= -1
-    clip = np.concatenate([place, np.full((count, 1), 0.5), np.ones((count, 1))], axis=1) @ camera.T
+    shifted = position + offsets[vertex % 5]
+    shifted[ids % 3 == 0] *= -1
+    clip = np.concatenate([shifted, np.full((count, 1), 0.5), np.ones((count, 1))], axis=1) @ camera.T
     np.testing.assert_allclose(out["position"], clip, rtol=1e-5)
-    np.testing.assert_array_equal(out["uv"], place)
+    np.testing.assert_array_equal(out["uv"], shifted)
     np.testing.assert_array_equal(out["turn"], np.stack([ids * 0 + 1, ids * 0 + 2, ids * 0 + 3, ids], axis=1))
     np.testing.assert_array_equal(out["tint"], np.stack([ids * 0 + 3, ids * 0 + 2, vertex], axis=1))
     np.testing.assert_array_equal(out["id"][:, 0], ids + 7)
@@ -138,7 +138,7 @@ def test_a_fragment_stage_gives_all_its_outputs(front):
     assert (out["ids"] == (11, 5)).all()
     np.testing.assert_array_equal(out["level"][..., 0], COLUMNS + 0.5 + 100 * (ROWS + 0.5) + 2500)
     np.testing.assert_array_equal(out["depth"], COLUMNS / 32.0)
-    assert out["kept"].all()
+    assert out["coverage"].all()
 
 
 class Depths(sl.Shader):
@@ -161,14 +161,14 @@ class Values(sl.Struct):
     value: sl.vec2
 
 
-class PlaceValued(sl.Shader):
+class PositionValued(sl.Shader):
     """Half a shader: hands fragments their place."""
 
     def vertex(self, v: Corner) -> Values:
         return Values(clip=sl.vec4(v.position, 0.0, 1.0), value=v.position)
 
 
-class Endless(PlaceValued):
+class Endless(PositionValued):
     """A loop that ends only by a discard in a called function."""
 
     def check(self, value: float, n: float) -> None:
@@ -187,13 +187,13 @@ class Endless(PlaceValued):
 @pytest.mark.parametrize("run", [run_fragment_lanes, run_fragment_numpy])
 def test_a_loop_ends_when_its_last_lane_is_discarded(run):
     value = np.stack([COLUMNS, ROWS], axis=-1).astype("f4")
-    assert not run(Endless, {"value": value % 8}, SHAPE)["kept"].any()
+    assert not run(Endless, {"value": value % 8}, SHAPE)["coverage"].any()
     out = run(Endless, {"value": value}, SHAPE)
-    np.testing.assert_array_equal(out["kept"], COLUMNS >= 9)
-    assert (out["color"][out["kept"]] == 10).all()
+    np.testing.assert_array_equal(out["coverage"], COLUMNS >= 9)
+    assert (out["color"][out["coverage"]] == 10).all()
 
 
-class Slopes(PlaceValued):
+class Slopes(PositionValued):
     table: sl.Storage[float]
     hits: sl.StorageRW[int]
 
@@ -208,7 +208,7 @@ class Slopes(PlaceValued):
         return sl.vec4(sl.ddx(squared), sl.ddy(squared), sl.fwidth(wide + 3.0), sl.ddx(read))
 
 
-class CutSlopes(PlaceValued):
+class CutSlopes(PositionValued):
     """A discard, followed by work that helpers of discarded fragments must not do."""
 
     def fragment(self, v: Values) -> sl.vec4:
@@ -228,9 +228,9 @@ def test_helpers_leave_with_the_last_fragment_of_their_quad(run):
     value[~mask & (COLUMNS < 4), 0] = 9.0  # isn't discarded itself,
     value[~mask & (COLUMNS < 4), 1] = 1e9  # and would go round for long
     out = run(CutSlopes, {"value": value}, SHAPE, mask=mask)
-    kept = mask & (COLUMNS >= 4)
-    np.testing.assert_array_equal(out["kept"], kept)
-    np.testing.assert_array_equal(out["color"][kept][:, :2], np.broadcast_to([3.0, 0.0], (kept.sum(), 2)))
+    coverage = mask & (COLUMNS >= 4)
+    np.testing.assert_array_equal(out["coverage"], coverage)
+    np.testing.assert_array_equal(out["color"][coverage][:, :2], np.broadcast_to([3.0, 0.0], (coverage.sum(), 2)))
     text = sl.compile_shader(CutSlopes).emit("opencl16", Stage.FRAGMENT).text
     assert re.search(r"= rhi_quads\(kept_\d+\);", text)
 
@@ -246,7 +246,7 @@ def test_helper_lanes_are_read_and_never_write():
     np.testing.assert_array_equal(out["color"][:, 4, 3], table[-1] - table[16])
     assert np.flatnonzero(out["hits"]).tolist() == [0, 2, 4, 19]
     assert out["hits"][19] == mask.sum()
-    np.testing.assert_array_equal(out["kept"], mask)
+    np.testing.assert_array_equal(out["coverage"], mask)
 
 
 class NativeOnly(sl.Shader):
@@ -263,7 +263,7 @@ def test_a_stage_that_is_native_in_another_language_has_no_lanes():
         sl.compile_shader(NativeOnly).emit("opencl16", Stage.FRAGMENT)
 
 
-class Placed(sl.Struct):
+class ClipAndValue(sl.Struct):
     clip: sl.vec4
     value: float
 
@@ -276,8 +276,8 @@ class NativeLanes(sl.Shader):
     scale: sl.Uniform[sl.vec2]
 
     @sl.native("opencl16", "for (int i = 0; i < 4; i++) outputs[i] = inputs[i % 2];\noutputs[4] = inputs[2];")
-    def vertex(self, v: Corner) -> Placed:
-        return Placed(clip=sl.vec4(v.position, v.position), value=float(v.id))
+    def vertex(self, v: Corner) -> ClipAndValue:
+        return ClipAndValue(clip=sl.vec4(v.position, v.position), value=float(v.id))
 
     @sl.native("opencl16", "outputs[0] = as_uint16(twice(as_float16(inputs[0])) * as_float(scale_[1]));\nreturn mask;",
             declarations="float16 twice(float16 x) { return x + x; }")  # fmt: skip
@@ -295,7 +295,7 @@ def test_a_stage_may_be_opencl_c_in_the_same_form():
     mask = ROWS > 2
     out = run_fragment_lanes(NativeLanes, {"value": value}, SHAPE, mask=mask, scale=scale)
     np.testing.assert_array_equal(out["color"][..., 0], value * 6)
-    np.testing.assert_array_equal(out["kept"], mask)
+    np.testing.assert_array_equal(out["coverage"], mask)
 
 
 class NativeKernel(sl.Shader):
@@ -326,12 +326,12 @@ class Surface2(sl.Struct):
 class DepthPass(sl.Shader):
     camera: sl.Uniform[Camera]
 
-    def place(self, v: Corner) -> sl.vec4:
+    def clip_position(self, v: Corner) -> sl.vec4:
         position = sl.vec3(v.position, float(v.id)) * 1.7 - self.camera.eye
         return self.camera.turn @ sl.vec4(position, 1.0)
 
     def vertex(self, v: Corner) -> sl.vec4:
-        return self.place(v)
+        return self.clip_position(v)
 
 
 class ColorPass(DepthPass):
@@ -341,7 +341,7 @@ class ColorPass(DepthPass):
         position = sl.vec3(v.position, float(v.id)) * 1.7
         turn = self.camera.turn
         near = turn[0] * position.x + sl.vec4(position - self.camera.eye, turn[0].x * (position.x - self.camera.eye.x))
-        return Surface2(clip=self.place(v), near=near)
+        return Surface2(clip=self.clip_position(v), near=near)
 
     def fragment(self, s: Surface2) -> sl.vec4:
         return s.near
@@ -370,7 +370,7 @@ def test_lines_of_a_stage_lead_back_to_python(language, called):
         assert "ddy(squared)" in text.read().splitlines()[number - 1]
 
 
-class OwnArray(PlaceValued):
+class OwnArray(PositionValued):
     """A local array, read and written at an index from the inputs."""
 
     def fragment(self, v: Values) -> sl.vec4:
@@ -401,14 +401,14 @@ def test_lanes_outside_the_mask_leave_memory_alone(shader):
 class Lookup(sl.Shader):
     """A row by a varying that is the same for all covered pixels."""
 
-    rows: sl.Storage[float]
+    elements: sl.Storage[float]
 
     def vertex(self, v: Corner) -> Values:
-        return Values(clip=sl.vec4(v.position, self.rows[v.id], 1.0), value=v.position)
+        return Values(clip=sl.vec4(v.position, self.elements[v.id], 1.0), value=v.position)
 
     def fragment(self, v: Values) -> sl.vec4:
         row = sl.uniform(int(v.value.x + 0.5))
-        return sl.vec4(self.rows[row], self.rows[int(v.value.y)], sl.ddx(v.value.y), 1.0)
+        return sl.vec4(self.elements[row], self.elements[int(v.value.y)], sl.ddx(v.value.y), 1.0)
 
 
 class CheckedLookup(Lookup):
@@ -420,7 +420,7 @@ def test_helpers_have_no_say_in_what_is_uniform():
     mask = (COLUMNS % 4 != 0) & (ROWS > 0)
     value[~mask] = -1000.0
     rows = np.arange(5, dtype="f4") + 10
-    out = run_fragment_lanes(Lookup, {"value": value}, SHAPE, mask=mask, rows=rows)
+    out = run_fragment_lanes(Lookup, {"value": value}, SHAPE, mask=mask, elements=rows)
     assert (out["color"][mask][:, 0] == 13).all()
     np.testing.assert_array_equal(out["color"][mask][:, 1], 10 + ROWS[mask] % 4)
 
@@ -429,23 +429,23 @@ def test_a_checked_stage_reports_the_indices_of_covered_fragments_only():
     value = np.stack([np.full(SHAPE, 3.0), ROWS % 4], axis=-1).astype("f4")
     mask = COLUMNS > 3
     value[~mask] = -1000.0
-    run_fragment_numpy(CheckedLookup, {"value": value}, SHAPE, mask=mask, rows=5)
+    run_fragment_numpy(CheckedLookup, {"value": value}, SHAPE, mask=mask, elements=5)
     value[2, 7, 1] = 9
     with pytest.raises(ShaderError, match="index 9") as caught:
-        run_fragment_numpy(CheckedLookup, {"value": value}, SHAPE, mask=mask, rows=5)
+        run_fragment_numpy(CheckedLookup, {"value": value}, SHAPE, mask=mask, elements=5)
     assert caught.value.rule is rules.INDEX
-    run_fragment_numpy(Lookup, {"value": value}, SHAPE, mask=mask, rows=5)
+    run_fragment_numpy(Lookup, {"value": value}, SHAPE, mask=mask, elements=5)
 
 
 def test_a_checked_vertex_stage_reports_its_indices():
     position, ids = np.zeros((8, 2), "f4"), np.arange(8, dtype="i4")
-    run_vertex_numpy(CheckedLookup, {"position": position, "id": ids}, 8, rows=8)
+    run_vertex_numpy(CheckedLookup, {"position": position, "id": ids}, 8, elements=8)
     with pytest.raises(ShaderError, match="index 7") as caught:
-        run_vertex_numpy(CheckedLookup, {"position": position, "id": ids}, 8, rows=7)
+        run_vertex_numpy(CheckedLookup, {"position": position, "id": ids}, 8, elements=7)
     assert __file__ in str(caught.value)
 
 
-class PassesTextures(PlaceValued):
+class PassesTextures(PositionValued):
     first: sl.Texture2D
     second: sl.Texture2D
 
@@ -500,14 +500,14 @@ def test_a_structured_array_gives_attributes_and_varyings():
 def test_quads_have_even_rows_and_columns():
     def run(rows, columns, shader=Slopes):
         values = {"value": np.zeros((rows, columns, 2))}
-        return sl.run_fragment(shader, values, table=64, hits=20).kept.shape
+        return sl.run_fragment(shader, values, table=64, hits=20).coverage.shape
 
     assert run(2, 4) == (2, 4)
     for size in ((3, 4), (2, 5)):
         with pytest.raises(ValidationError, match=r"^\[shading-arguments\]"):
             run(*size)
     values = {"value": np.zeros((3, 5, 2))}  # no differences, no quads
-    assert sl.run_fragment(Endless, values).kept.shape == (3, 5)
+    assert sl.run_fragment(Endless, values).coverage.shape == (3, 5)
 
 
 def test_a_stage_that_a_shader_hasnt_got_doesnt_run():
@@ -526,7 +526,7 @@ def test_a_shader_of_which_both_stages_run_is_parsed_once(monkeypatch):
             return sl.vec4(0.25)
 
     parsed, parse = [], compiler.parse_stage
-    monkeypatch.setattr(compiler, "parse_stage", lambda *given: parsed.append(given[1]) or parse(*given))
+    monkeypatch.setattr(compiler, "parse_stage", lambda *arguments: parsed.append(arguments[1]) or parse(*arguments))
     for _ in range(2):
         assert sl.run_vertex(Both).position.tolist() == [0.5] * 4
         (color,) = sl.run_fragment(Both, fragment_coordinate=np.zeros((2, 2, 4))).outputs.values()

@@ -20,16 +20,16 @@ PROBES = all_probes()
 
 @cache
 def shader_of(probe, precision):
-    return probe.shader("Once", precision)
+    return probe.shader("Single", precision)
 
 
-def call(run, probe, given, precision=Precision.EXACT):
+def call(run, probe, arguments, precision=Precision.EXACT):
     """Return the results of a probe's shader; rows are padded to whole work-groups, so that a vector has lanes of all
     kinds."""
-    rows = np.concatenate([given, np.repeat(given[:1], -len(given) % WORK_GROUP, axis=0)])
-    size = probe.evaluate(given[:1], np.float32).shape[1]
-    results = run(shader_of(probe, precision), len(rows) // WORK_GROUP, given=rows.ravel(), results=len(rows) * size)
-    return probe.numbers(results["results"].reshape(len(rows), size))[: len(given)]
+    rows = np.concatenate([arguments, np.repeat(arguments[:1], -len(arguments) % WORK_GROUP, axis=0)])
+    size = probe.evaluate(arguments[:1], np.float32).shape[1]
+    results = run(shader_of(probe, precision), len(rows) // WORK_GROUP, inputs=rows.ravel(), results=len(rows) * size)
+    return probe.numbers(results["results"].reshape(len(rows), size))[: len(arguments)]
 
 
 def lanes(width, shader, groups, **values):
@@ -37,7 +37,7 @@ def lanes(width, shader, groups, **values):
 
 
 @pytest.fixture
-def ways(context):
+def runners(context):
     return {
         "glsl": ("glsl", partial(run_glsl, context), Precision.EXACT),
         "one lane": ("exact", partial(lanes, 1), Precision.EXACT),
@@ -47,51 +47,51 @@ def ways(context):
     }
 
 
-def excess(way, probe):
+def excess(runner, probe):
     """Describe the errors of a probe that exceed its bound; "" if none does."""
-    name, run, precision = way
-    if precision is Precision.FAST and not is_other_code(probe):
+    name, run, precision = runner
+    if precision is Precision.FAST and not has_fast_code(probe):
         return ""
-    given = np.concatenate([probe.sample(4096), probe.hard()])
+    inputs = np.concatenate([probe.sample(4096), probe.hard_inputs()])
     if name == "exact" and probe.name in ("sin", "cos"):  # beyond 2^50 lanes have numbers from -1 to 1
-        size = np.abs(given.view(np.float32)).ravel()
-        given = given[~((size > 2.0**50) & (size < np.inf))]
-    results = call(run, probe, given, precision)
-    units = worst_units(probe, given, results, name)
+        size = np.abs(inputs.view(np.float32)).ravel()
+        inputs = inputs[~((size > 2.0**50) & (size < np.inf))]
+    results = call(run, probe, inputs, precision)
+    units = worst_units(probe, inputs, results, name)
     worst = int(units.argmax())
     if units[worst] <= getattr(probe.error, name):
         return ""
-    arguments = {name: column[worst] for name, column in probe.columns(given).items()}
-    exact = probe.evaluate(given[worst : worst + 1], np.float64)
+    arguments = {name: column[worst] for name, column in probe.columns(inputs).items()}
+    exact = probe.evaluate(inputs[worst : worst + 1], np.float64)
     return f"{probe}: {units[worst]} units at {arguments}: {results[worst]}, not {exact[0]}"
 
 
-def is_other_code(probe):
-    texts = {opencl_kernel(probe.shader("Once", precision), 16).text.partition("\n")[2] for precision in Precision}
+def has_fast_code(probe):
+    texts = {opencl_kernel(probe.shader("Single", precision), 16).text.partition("\n")[2] for precision in Precision}
     return len(texts) == 2
 
 
 @pytest.mark.nightly_cases("16 lanes", "16 lanes, fast", reason=FEWER_CASES)
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "way", ["glsl", pytest.param("one lane", marks=pytest.mark.nightly), "16 lanes", "16 lanes, fast", "numpy"]
+    "runner", ["glsl", pytest.param("one lane", marks=pytest.mark.nightly), "16 lanes", "16 lanes, fast", "numpy"]
 )
-def test_every_builtin_and_operator_keeps_its_stated_error(ways, way):
-    with all_built(way):
-        wrong = list(filter(None, (excess(ways[way], probe) for probe in PROBES)))
+def test_every_builtin_and_operator_keeps_its_stated_error(runners, runner):
+    with all_built(runner):
+        wrong = list(filter(None, (excess(runners[runner], probe) for probe in PROBES)))
     assert not wrong, "\n".join(wrong)
 
 
 @contextmanager
-def all_built(way):
+def all_built(runner):
     """Build the kernels of all probes that an OpenCL way runs, in a few programs."""
-    precision = Precision.FAST if way.endswith("fast") else Precision.EXACT
-    probes = [probe for probe in PROBES if precision is Precision.EXACT or is_other_code(probe)]
+    precision = Precision.FAST if runner.endswith("fast") else Precision.EXACT
+    probes = [probe for probe in PROBES if precision is Precision.EXACT or has_fast_code(probe)]
     widths = {"one lane": 1, "16 lanes": 16, "16 lanes, fast": 16}
     with ExitStack() as stack:
-        if way in widths:
+        if runner in widths:
             for group in batched_by_options(shader_of(probe, precision) for probe in probes):
-                stack.enter_context(built_together(group, widths[way]))
+                stack.enter_context(built_together(group, widths[runner]))
         yield
 
 
@@ -122,9 +122,9 @@ def test_float64_agrees_with_the_standard_librarys_functions():
         "pow": math.pow,
     }.items():
         (probe,) = builtin_probes(BUILTINS[name])
-        given = probe.sample(256)
-        expected = [function(*map(float, row)) for row in zip(*probe.columns(given).values(), strict=True)]
-        np.testing.assert_allclose(probe.evaluate(given, np.float64)[:, 0], expected, rtol=1e-15)
+        inputs = probe.sample(256)
+        expected = [function(*map(float, row)) for row in zip(*probe.columns(inputs).values(), strict=True)]
+        np.testing.assert_allclose(probe.evaluate(inputs, np.float64)[:, 0], expected, rtol=1e-15)
 
 
 def words(*rows):
@@ -145,18 +145,18 @@ def test_a_unit_is_one_in_the_last_place_of_the_exact_float():
 
 
 def test_of_what_is_made_from_others_a_unit_is_also_that_of_an_argument():
-    given = words([1.0, 1.0, 0.0, 1.0, -1.0 + 1e-6, 0.0])  # two products that cancel
-    off = DOT.evaluate(given, np.float64) + 1e-7
-    assert count_units(DOT, given, off)[0, 0] < 2
-    assert count_units(DOT, given, off + 1e-5)[0, 0] > 20
+    inputs = words([1.0, 1.0, 0.0, 1.0, -1.0 + 1e-6, 0.0])  # two products that cancel
+    off = DOT.evaluate(inputs, np.float64) + 1e-7
+    assert count_units(DOT, inputs, off)[0, 0] < 2
+    assert count_units(DOT, inputs, off + 1e-5)[0, 0] > 20
 
 
 @pytest.mark.parametrize(
-    ("given", "result", "units"),
+    ("argument", "result", "units"),
     [(np.nan, np.nan, 0), (np.nan, 0.0, np.inf), (1.0, np.nan, np.inf), (1e-40, 0.0, 0), (np.inf, np.nan, 0)],
 )
-def test_what_is_not_a_number_must_not_be_one_and_denormals_may_be_zero(given, result, units):
-    assert count_units(SINE, words([given]), np.array([[result]], np.float32))[0, 0] == units
+def test_what_is_not_a_number_must_not_be_one_and_denormals_may_be_zero(argument, result, units):
+    assert count_units(SINE, words([argument]), np.array([[result]], np.float32))[0, 0] == units
 
 
 def test_a_bound_says_nothing_of_results_that_are_undefined():
@@ -182,13 +182,13 @@ def test_an_angle_does_not_depend_on_those_of_other_lanes(name, width):
     (probe,) = builtin_probes(BUILTINS[name])
     alone, beside = words(*[[6e-8]] * WORK_GROUP), words(*[[6e-8]] * WORK_GROUP)
     beside[::width] = words([1e20])
-    results = [call(partial(lanes, width), probe, given) for given in (alone, beside)]
+    results = [call(partial(lanes, width), probe, angles) for angles in (alone, beside)]
     changed = np.flatnonzero(results[0] != results[1])
     np.testing.assert_array_equal(changed, np.arange(0, WORK_GROUP, width))
 
 
 def test_fast_angles_are_never_above_one():
-    given = words(*[[x] for x in (1e9, -1e20, 3e38, 1e5, 12345.0)])
+    angles = words(*[[x] for x in (1e9, -1e20, 3e38, 1e5, 12345.0)])
     for name in ("sin", "cos"):
         (probe,) = builtin_probes(BUILTINS[name])
-        assert (np.abs(call(partial(lanes, 16), probe, given, Precision.FAST)) <= 1).all()
+        assert (np.abs(call(partial(lanes, 16), probe, angles, Precision.FAST)) <= 1).all()

@@ -9,8 +9,8 @@ from rhi.shading import run_compute
 
 @pytest.mark.parametrize("case", CASES)
 def test_numpy_has_the_results_of_devices(case):
-    shader, given, expected = CASES[case]
-    results = run_compute(shader, GROUPS, **given())
+    shader, make_values, expected = CASES[case]
+    results = run_compute(shader, GROUPS, **make_values())
     for name, values in expected().items():
         for part in values.dtype.names or ("",):
             back = results[name][part] if part else results[name]

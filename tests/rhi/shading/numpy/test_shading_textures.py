@@ -39,11 +39,11 @@ COUNT = 512
 @pytest.fixture(scope="module")
 def device() -> Iterator[Device]:
     try:
-        made = rhi.create_device("gl")
+        created = rhi.create_device("gl")
     except DeviceError as error:
         pytest.skip(f"no OpenGL: {error}")
-    with made:
-        yield made
+    with created:
+        yield created
 
 
 def name(value: Any) -> str:
@@ -52,7 +52,7 @@ def name(value: Any) -> str:
 
 class At(sl.Shader):
     work_group = (64,)
-    places: sl.Storage[sl.vec4]
+    coordinates: sl.Storage[sl.vec4]
     results: sl.StorageRW[sl.vec4]
 
 
@@ -60,7 +60,7 @@ class Sample2D(At):
     source: sl.Texture2D
 
     def compute(self) -> None:
-        at = self.places[sl.global_id().x]
+        at = self.coordinates[sl.global_id().x]
         self.results[sl.global_id().x] = self.source.sample_lod(at.xy, at.w)
 
 
@@ -69,7 +69,7 @@ def sampling(annotation: Any) -> Any:
         source: annotation
 
         def compute(self) -> None:
-            at = self.places[sl.global_id().x]
+            at = self.coordinates[sl.global_id().x]
             self.results[sl.global_id().x] = self.source.sample_lod(at.xyz, at.w)
 
     return Sample
@@ -84,15 +84,15 @@ SHAPES: dict[TextureKind, tuple[type[sl.Shader], int]] = {
 }
 
 
-def places(seed: int = 0, count: int = COUNT) -> NDArray[Any]:
+def coordinates(seed: int = 0, count: int = COUNT) -> NDArray[Any]:
     """Generate coordinates in and around the texture, and levels in and around its range."""
     rng = np.random.default_rng(seed)
     return np.c_[rng.uniform(-2, 3, (count, 2)), rng.uniform(-1, 6, count), rng.uniform(-2, 6, count)].astype("f4")
 
 
-def places_by_block(seed: int = 0) -> NDArray[Any]:
+def coordinates_by_block(seed: int = 0) -> NDArray[Any]:
     """Generate blocks of 16 whose texels all lie inside, or cross only the upper and lower edge, or lie anywhere."""
-    at, rng = places(seed), np.random.default_rng([seed, 1])
+    at, rng = coordinates(seed), np.random.default_rng([seed, 1])
     at[: COUNT // 2, :2] = rng.uniform(0.1, 0.9, (COUNT // 2, 2))
     at[COUNT // 4 : COUNT // 2, 1] = rng.uniform(-2, 3, COUNT // 4)
     return at
@@ -100,7 +100,7 @@ def places_by_block(seed: int = 0) -> NDArray[Any]:
 
 def sample(device: Device, texture: sl.HostTexture, at: NDArray[Any]) -> dict[str, NDArray[Any]]:
     shader, _ = SHAPES[texture.kind]
-    return read_everywhere(device, shader, {"source": texture}, len(at) // 64, places=at, results=len(at))
+    return read_everywhere(device, shader, {"source": texture}, len(at) // 64, coordinates=at, results=len(at))
 
 
 # -- formats, filters, edges -------------------------------------------------------------------------------
@@ -113,7 +113,7 @@ def test_every_format_is_decoded_and_filtered(device: Device, format: Format, fi
     texture = sl.HostTexture(random_levels(format, 13, 7), format, D2, SamplerDescriptor(filter, filter, None))
     slack = EIGHT_BITS if format.dtype.itemsize == 1 and filter is LINEAR else 2e-6
     slack = max(slack, 1.3e-3) if format.kind is ChannelKind.SRGB else slack
-    assert_agree(sample(device, texture, places_by_block()), slack)
+    assert_agree(sample(device, texture, coordinates_by_block()), slack)
 
 
 @pytest.mark.nightly_cases("*-NEAREST-LINEAR-*", reason=FEWER_CASES)
@@ -125,7 +125,7 @@ def test_levels_and_filters_are_chosen_by_the_level_of_detail(
 ) -> None:
     size = (8, 8) if kind is CUBE else (16, 5)
     texels = random_levels(Format.RG32F, *size, SHAPES[kind][1], kind)
-    at = places(1)
+    at = coordinates(1)
     at[:8, 3] = (-1, 0, 0.25, 0.5, 1, 1.5, 2.5, 99)
     sampler = SamplerDescriptor(minify, magnify, mip)
     assert_agree(sample(device, sl.HostTexture(texels, Format.RG32F, kind, sampler), at), 3e-6, 3e-6)
@@ -140,7 +140,7 @@ def test_edges_wrap(device: Device, kind: TextureKind, wrap: Wrap, filter: Filte
     texels = random_levels(format, 5, 6, SHAPES[kind][1], kind, levels=1)
     sampler = SamplerDescriptor(filter, filter, None, wrap, wrap, wrap, border=(0.25, -0.5, 2.0, 0.5))
     slack = EIGHT_BITS if format is Format.RGBA8 and filter is LINEAR else 3e-6
-    assert_agree(sample(device, sl.HostTexture(texels, format, kind, sampler), places_by_block(2)), slack, 3e-6)
+    assert_agree(sample(device, sl.HostTexture(texels, format, kind, sampler), coordinates_by_block(2)), slack, 3e-6)
 
 
 @pytest.mark.parametrize("wrap", list(Wrap), ids=name)
@@ -176,15 +176,15 @@ def test_coordinates_that_are_no_places_give_some_texel(wrap: Wrap, filter: Filt
     at[:, 3] = np.resize(hard, 64)
     texels = random_levels(Format.R8, 7, 3)
     sampler = SamplerDescriptor(filter, filter, LINEAR, wrap, wrap, border=(0.5, 0, 0, 0))
-    given: dict[str, Any] = {
-        "source": sl.HostTexture(texels, Format.R8, D2, sampler), "places": at, "results": 64
+    bindings: dict[str, Any] = {
+        "source": sl.HostTexture(texels, Format.R8, D2, sampler), "coordinates": at, "results": 64
     }  # fmt: skip
-    expected = sl.run_compute(Sample2D, 1, **given)["results"]
+    expected = sl.run_compute(Sample2D, 1, **bindings)["results"]
     assert np.isfinite(expected).all()
     assert expected.max() <= 1
     for width in (1, 16):
-        found = run_opencl(Sample2D, width, 1, **given)["results"]
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
+        results = run_opencl(Sample2D, width, 1, **bindings)["results"]
+        np.testing.assert_allclose(results, expected, rtol=0, atol=1e-6)
 
 
 @pytest.mark.nightly_cases("8", reason=FEWER_CASES)
@@ -192,9 +192,13 @@ def test_coordinates_that_are_no_places_give_some_texel(wrap: Wrap, filter: Filt
 def test_other_widths_give_the_same(width: int) -> None:
     for kind, (shader, layers) in SHAPES.items():
         texels = random_levels(Format.RGBA8, 8, 8, layers, kind)
-        given = {"source": sl.HostTexture(texels, Format.RGBA8, kind), "places": places(3), "results": COUNT}
-        one = run_opencl(shader, 1, COUNT // 64, **given)["results"]
-        np.testing.assert_array_equal(run_opencl(shader, width, COUNT // 64, **given)["results"], one)
+        bindings = {
+            "source": sl.HostTexture(texels, Format.RGBA8, kind),
+            "coordinates": coordinates(3),
+            "results": COUNT,
+        }
+        one_lane = run_opencl(shader, 1, COUNT // 64, **bindings)["results"]
+        np.testing.assert_array_equal(run_opencl(shader, width, COUNT // 64, **bindings)["results"], one_lane)
 
 
 @st.composite
@@ -219,7 +223,7 @@ def textures(draw: st.DrawFn) -> sl.HostTexture:
 def test_any_texture_is_the_same_everywhere(device: Device, texture: sl.HostTexture, seed: int) -> None:
     """Within 8-bit weights for each of three directions, as llvmpipe may filter, and where that rounds coordinates
     to 8 bits between texels, too; lanes within float32."""
-    at = places(seed)
+    at = coordinates(seed)
     small = texture.format.dtype.itemsize == 1
     assert_agree(sample(device, texture, at), 3 / 256 if small else 1e-5, 1e-5)
 
@@ -248,7 +252,7 @@ class Graded2D(At):
     source: sl.Texture2D
 
     def compute(self) -> None:
-        step = self.places[sl.global_id().x]
+        step = self.coordinates[sl.global_id().x]
         self.results[sl.global_id().x] = self.source.sample_grad(sl.vec2(0.3, 0.3), step.xy, step.zw)
 
 
@@ -256,7 +260,7 @@ class Graded3D(At):
     source: sl.Texture3D
 
     def compute(self) -> None:
-        step = self.places[sl.global_id().x]
+        step = self.coordinates[sl.global_id().x]
         self.results[sl.global_id().x] = self.source.sample_grad(
             sl.vec3(0.3, 0.3, 0.3), sl.vec3(step.xy, 0.0), step.zwx
         )
@@ -266,7 +270,7 @@ class GradedCube(At):
     source: sl.TextureCube
 
     def compute(self) -> None:
-        step = self.places[sl.global_id().x]
+        step = self.coordinates[sl.global_id().x]
         at = sl.vec3(0.3, -1.0, 0.5)
         self.results[sl.global_id().x] = self.source.sample_grad(at, sl.vec3(0.0, step.xy), step.zwx)
 
@@ -283,7 +287,7 @@ def test_derivatives_choose_the_level(device: Device, shader: type[sl.Shader], k
     for level, each in enumerate(texels):
         each[:] = level
     texture = sl.HostTexture(texels, Format.R32F, kind, SamplerDescriptor(LINEAR, LINEAR, LINEAR))
-    results = read_everywhere(device, shader, {"source": texture}, 1, places=steps, results=64)
+    results = read_everywhere(device, shader, {"source": texture}, 1, coordinates=steps, results=64)
     assert_agree(results, 0.045, 2e-4)
     assert len(np.unique(np.round(results["float64"][:, 0]))) > 1
 
@@ -294,10 +298,10 @@ def test_derivatives_choose_the_level(device: Device, shader: type[sl.Shader], k
 def grade(texture: sl.HostTexture, at: Any, right: Any, down: Any) -> NDArray[Any]:
     """Sample a 2D texture in float64 at places (n, 2), with steps (n, 2) to the next pixels."""
     (u, v), (ux, vx), (uy, vy) = (np.moveaxis(np.asarray(each, float), -1, 0) for each in (at, right, down))
-    return np.stack(texture.sample_across(np.float64, u, v, 0.0, ux, vx, 0.0, uy, vy, 0.0, 0.0), -1)
+    return np.stack(texture.sample_grad(np.float64, u, v, 0.0, ux, vx, 0.0, uy, vy, 0.0, 0.0), -1)
 
 
-def checkers(most: float, size: int = 64) -> sl.HostTexture:
+def checkers(max_anisotropy: float, size: int = 64) -> sl.HostTexture:
     """Return squares of 4 by 4 texels and, in green, random texels; with levels that are means."""
     y, x = np.mgrid[:size, :size] // 4
     noise = np.random.default_rng(8).uniform(0, 1, (size, size))
@@ -305,10 +309,10 @@ def checkers(most: float, size: int = 64) -> sl.HostTexture:
     while len(levels[-1]) > 1:
         half = len(levels[-1]) // 2
         levels.append(levels[-1].reshape(half, 2, half, 2, 4).mean((1, 3)))
-    return sl.HostTexture(levels, Format.RGBA32F, sampler=SamplerDescriptor(max_anisotropy=most))
+    return sl.HostTexture(levels, Format.RGBA32F, sampler=SamplerDescriptor(max_anisotropy=max_anisotropy))
 
 
-def footprints(ratio: float, count: int, seed: int) -> tuple[NDArray[Any], ...]:
+def random_ellipses(ratio: float, count: int, seed: int) -> tuple[NDArray[Any], ...]:
     """Return places and the steps of ellipses whose axes have this ratio, turned at random in both spaces."""
     rng = np.random.default_rng(seed)
     angles = rng.uniform(0, 2 * np.pi, (2, count))
@@ -319,12 +323,12 @@ def footprints(ratio: float, count: int, seed: int) -> tuple[NDArray[Any], ...]:
     return rng.uniform(0, 1, (count, 2)), steps[..., 0], steps[..., 1]
 
 
-@pytest.mark.parametrize("most", [2.0, 16.0])
+@pytest.mark.parametrize("max_anisotropy", [2.0, 16.0])
 @pytest.mark.parametrize(
     ("shader", "kind", "layers"), [(Graded2D, D2, 1), (Graded3D, D3, 16), (GradedCube, CUBE, 6)], ids=name
 )
 def test_anisotropic_averages_are_the_same_in_lanes_and_in_numpy(
-    shader: type[sl.Shader], kind: TextureKind, layers: int, most: float
+    shader: type[sl.Shader], kind: TextureKind, layers: int, max_anisotropy: float
 ) -> None:
     """Levels differ by up to 1.2e-4, neighbouring levels by up to 1. Some derivatives are 0, some parallel, some too
     large or too small for their squares."""
@@ -333,14 +337,14 @@ def test_anisotropic_averages_are_the_same_in_lanes_and_in_numpy(
     steps[:6] = np.array([0, 1e-42, 1e-22, 1e18, 3e38, 0.1])[:, None]
     steps[6:8], steps[8:10, :2], steps[10:12, 2:] = (0.1, 0, 0, 0.1), 0, 0
     steps[12:20, 2:] = 3 * steps[12:20, :2]
-    sampler = SamplerDescriptor(max_anisotropy=most)
+    sampler = SamplerDescriptor(max_anisotropy=max_anisotropy)
     texture = sl.HostTexture(random_levels(Format.RGBA8, 16, 16, layers, kind), Format.RGBA8, kind, sampler)
-    given: dict[str, Any] = {"source": texture, "places": steps, "results": 128}
-    exact = sl.run_compute(shader, 2, dtype=np.float64, **given)["results"]
+    bindings: dict[str, Any] = {"source": texture, "coordinates": steps, "results": 128}
+    exact = sl.run_compute(shader, 2, dtype=np.float64, **bindings)["results"]
     for width in (1, 16):
-        np.testing.assert_allclose(run_opencl(shader, width, 2, **given)["results"], exact, rtol=0, atol=2e-4)
+        np.testing.assert_allclose(run_opencl(shader, width, 2, **bindings)["results"], exact, rtol=0, atol=2e-4)
     plain = sl.HostTexture(texture.levels, Format.RGBA8, kind)
-    level = sl.run_compute(shader, 2, dtype=np.float64, **{**given, "source": plain})["results"]
+    level = sl.run_compute(shader, 2, dtype=np.float64, **{**bindings, "source": plain})["results"]
     assert np.abs(exact - level).max() > 0.05
 
 
@@ -348,23 +352,26 @@ def test_anisotropic_averages_are_the_same_in_lanes_and_in_numpy(
 def test_an_anisotropic_average_is_nearer_to_the_mean_of_what_a_pixel_covers(
     ratio: float, part_of_error: float
 ) -> None:
-    """And an anisotropy that doesn't reach as far as the footprint lies between that and none."""
-    at, right, down = footprints(ratio, 64, seed=2)
+    """And an anisotropy that doesn't reach as far as the sampling area lies between that and none."""
+    at, right, down = random_ellipses(ratio, 64, seed=2)
     part = ((np.arange(24) + 0.5) / 24 - 0.5)[:, None, None, None]
     inside = at + part * right + np.moveaxis(part, 0, 1) * down
     flat = sl.HostTexture(checkers(1).levels[:1], Format.RGBA32F)
     exact = grade(flat, inside, right, down).mean((0, 1))[:, :2]
-    errors = [np.sqrt(((grade(checkers(most), at, right, down)[:, :2] - exact) ** 2).mean()) for most in (1, 4, 16)]
+    errors = [
+        np.sqrt(((grade(checkers(max_anisotropy), at, right, down)[:, :2] - exact) ** 2).mean())
+        for max_anisotropy in (1, 4, 16)
+    ]
     assert errors[2] <= part_of_error * errors[0]
     assert errors[2] <= errors[1] <= errors[0]
 
 
-def test_a_round_footprint_is_sampled_once_as_without_anisotropy() -> None:
+def test_a_round_sampling_area_is_sampled_once_as_without_anisotropy() -> None:
     """As is one within a texel, where more samples would show the same texels."""
-    at, right, down = footprints(1.0, 64, seed=3)
+    at, right, down = random_ellipses(1.0, 64, seed=3)
     once = grade(checkers(1), at, right, down)
     np.testing.assert_allclose(grade(checkers(16), at, right, down), once, rtol=0, atol=1e-7)
-    at, right, down = footprints(9.0, 64, seed=4)
+    at, right, down = random_ellipses(9.0, 64, seed=4)
     within = grade(checkers(16), at, right / 30, down / 30)
     np.testing.assert_allclose(within, grade(checkers(1), at, right / 30, down / 30), rtol=0, atol=1e-9)
 
@@ -375,9 +382,9 @@ def test_nothing_jumps_where_an_anisotropic_average_takes_one_sample_more() -> N
     turned = np.array([0.6, 0.8]) / 64
     down = np.array([-0.8, 0.6]) / 64 * 1.3
     at = np.broadcast_to((0.37, 0.61), (len(ratios), 2))
-    found = grade(checkers(16), at, 1.3 * ratios * turned, np.broadcast_to(down, at.shape))
-    assert np.abs(np.diff(found, axis=0)).max() < 0.006
-    assert np.ptp(found, axis=0).min() > 0.05
+    results = grade(checkers(16), at, 1.3 * ratios * turned, np.broadcast_to(down, at.shape))
+    assert np.abs(np.diff(results, axis=0)).max() < 0.006
+    assert np.ptp(results, axis=0).min() > 0.05
 
 
 @pytest.mark.parametrize("width", [1, 16])
@@ -387,11 +394,11 @@ def test_derivatives_that_are_no_numbers_give_some_texel(width: int) -> None:
     steps[:] = np.stack(np.meshgrid(*[hard] * 4), -1).reshape(-1, 4)
     sampler = SamplerDescriptor(max_anisotropy=16)
     texture = sl.HostTexture(random_levels(Format.RGBA8, 16, 16), Format.RGBA8, sampler=sampler)
-    given: dict[str, Any] = {"source": texture, "places": steps, "results": 256}
-    for results in (sl.run_compute(Graded2D, 4, **given), run_opencl(Graded2D, width, 4, **given)):
-        found = results["results"]
-        assert np.isfinite(found).all()
-        assert 0 <= found.min() <= found.max() <= 1
+    bindings: dict[str, Any] = {"source": texture, "coordinates": steps, "results": 256}
+    for results in (sl.run_compute(Graded2D, 4, **bindings), run_opencl(Graded2D, width, 4, **bindings)):
+        texels = results["results"]
+        assert np.isfinite(texels).all()
+        assert 0 <= texels.min() <= texels.max() <= 1
 
 
 # -- error and time ----------------------------------------------------------------------------------------
@@ -411,19 +418,21 @@ def test_srgb_is_decoded_as_exactly_as_is_asked_for(width: int, filter: Filter) 
     """All 256 stored values: within 2e-6, or within 1.3e-3 and 0.35 of the step to the next one. White is white."""
     texels = np.repeat(np.arange(256, dtype="u1"), 4).reshape(1, 256, 4)
     sampler = SamplerDescriptor(filter, filter, None)
-    given: dict[str, Any] = {"source": sl.HostTexture(texels, Format.RGBA8_SRGB, sampler=sampler)}
-    given["places"] = np.zeros((256, 4), "f4")
-    given["places"][:, 0] = (np.arange(256) + 0.5) / 256
-    truth = sl.run_compute(Sample2D, 4, dtype=np.float64, results=256, **given)["results"]
-    exact, fast = (run_opencl(shader, width, 4, results=256, **given)["results"] for shader in (Sample2D, FastSample2D))
-    step = np.diff(truth[:, :3], axis=0, append=truth[-1:, :3] + 1.0)
-    np.testing.assert_allclose(exact, truth, rtol=0, atol=2e-6)
-    np.testing.assert_allclose(fast, truth, rtol=0, atol=1.3e-3)
-    assert (np.abs(fast[:, :3] - truth[:, :3]) <= 0.35 * step).all()
-    assert np.abs(fast - truth).max() > 1e-3  # what is stated is what is paid
-    for found in (exact, fast):
-        assert (found[-1] == 1).all()
-        assert (found[0] == 0).all()
+    bindings: dict[str, Any] = {"source": sl.HostTexture(texels, Format.RGBA8_SRGB, sampler=sampler)}
+    bindings["coordinates"] = np.zeros((256, 4), "f4")
+    bindings["coordinates"][:, 0] = (np.arange(256) + 0.5) / 256
+    reference = sl.run_compute(Sample2D, 4, dtype=np.float64, results=256, **bindings)["results"]
+    exact, fast = (
+        run_opencl(shader, width, 4, results=256, **bindings)["results"] for shader in (Sample2D, FastSample2D)
+    )
+    step = np.diff(reference[:, :3], axis=0, append=reference[-1:, :3] + 1.0)
+    np.testing.assert_allclose(exact, reference, rtol=0, atol=2e-6)
+    np.testing.assert_allclose(fast, reference, rtol=0, atol=1.3e-3)
+    assert (np.abs(fast[:, :3] - reference[:, :3]) <= 0.35 * step).all()
+    assert np.abs(fast - reference).max() > 1e-3  # what is stated is what is paid
+    for colors in (exact, fast):
+        assert (colors[-1] == 1).all()
+        assert (colors[0] == 0).all()
 
 
 @pytest.mark.parametrize("width", [1, 16])
@@ -434,17 +443,17 @@ def test_fast_levels_are_up_to_a_23rd_less(width: int) -> None:
     texels = random_levels(Format.R32F, 16, 16)
     for level, each in enumerate(texels):
         each[:] = level
-    given: dict[str, Any] = {"source": sl.HostTexture(texels, Format.R32F), "places": steps}
-    truth = sl.run_compute(Graded2D, 4, dtype=np.float64, results=256, **given)["results"][:, 0]
+    bindings: dict[str, Any] = {"source": sl.HostTexture(texels, Format.R32F), "coordinates": steps}
+    reference = sl.run_compute(Graded2D, 4, dtype=np.float64, results=256, **bindings)["results"][:, 0]
     exact, fast = (
-        run_opencl(shader, width, 4, results=256, **given)["results"][:, 0] for shader in (Graded2D, FastGraded2D)
+        run_opencl(shader, width, 4, results=256, **bindings)["results"][:, 0] for shader in (Graded2D, FastGraded2D)
     )
-    np.testing.assert_allclose(exact, truth, rtol=0, atol=1.2e-4)
-    less = truth - fast
+    np.testing.assert_allclose(exact, reference, rtol=0, atol=1.2e-4)
+    less = reference - fast
     assert less.min() > -1e-6
     assert 0.04 < less.max() < 0.0434
     powers = [0, 85, 170, 255]
-    np.testing.assert_allclose(fast[powers], truth[powers], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(fast[powers], reference[powers], rtol=0, atol=1e-6)
 
 
 class Surface(sl.Struct):
@@ -476,37 +485,37 @@ def test_a_fragment_finds_its_level_from_its_quad() -> None:
     rows, columns = np.mgrid[:8, :16]
     uv = np.stack([columns * 2 / 32, rows * 0.5 / 32], -1).astype("f4")
 
-    def ladder(format: Format, kind: TextureKind, layers: int) -> list[NDArray[Any]]:
+    def mip_chain(format: Format, kind: TextureKind, layers: int) -> list[NDArray[Any]]:
         levels = random_levels(format, 32, 32, layers, kind)
         for level, each in enumerate(levels):
             each[:] = level
         return levels
 
     shadow = SamplerDescriptor(NEAREST, NEAREST, NEAREST, compare=Comparison.LESS)
-    given: dict[str, Any] = {
-        "source": sl.HostTexture(ladder(Format.R32F, D2, 1), Format.R32F),
-        "around": sl.HostTexture(ladder(Format.R32F, CUBE, 6), Format.R32F, CUBE),
-        "shadow": sl.HostTexture(ladder(Format.D32F, D2, 1), Format.D32F, D2, shadow),
+    bindings: dict[str, Any] = {
+        "source": sl.HostTexture(mip_chain(Format.R32F, D2, 1), Format.R32F),
+        "around": sl.HostTexture(mip_chain(Format.R32F, CUBE, 6), Format.R32F, CUBE),
+        "shadow": sl.HostTexture(mip_chain(Format.D32F, D2, 1), Format.D32F, D2, shadow),
     }
     varyings: dict[str, Any] = {"uv": uv, "material": np.int32(0)}
-    exact = sl.run_fragment(Textured, varyings, dtype=np.float64, **given).outputs
+    exact = sl.run_fragment(Textured, varyings, dtype=np.float64, **bindings).outputs
     (output,) = exact
     expected = exact[output]
     np.testing.assert_allclose(expected[..., 0], 1, atol=1e-6)
     np.testing.assert_allclose(expected[..., 1], 2.5, atol=1e-6)
     assert (expected[..., 3] == 1).all()
     assert len(np.unique(expected[..., 2].round(3))) > 2
-    lanes = run_fragment_lanes(Textured, varyings, (8, 16), **given)[output]
+    lanes = run_fragment_lanes(Textured, varyings, (8, 16), **bindings)[output]
     np.testing.assert_allclose(lanes, expected, rtol=0, atol=3e-4)
-    flat = run_fragment_lanes(Textured, {**varyings, "material": np.int32(1)}, (8, 16), **given)[output]
+    flat = run_fragment_lanes(Textured, {**varyings, "material": np.int32(1)}, (8, 16), **bindings)[output]
     assert (flat[..., 0] == 0).all()
-    for binding in given.values():
+    for binding in bindings.values():
         binding.sampler = replace(binding.sampler, max_anisotropy=3.0)
-    narrow = sl.run_fragment(Textured, varyings, dtype=np.float64, **given).outputs[output]
+    narrow = sl.run_fragment(Textured, varyings, dtype=np.float64, **bindings).outputs[output]
     np.testing.assert_allclose(narrow[..., 0], 0, atol=1e-6)  # 2 texels long, and half a texel wide
     np.testing.assert_allclose(narrow[..., 1], 1.5, atol=1e-6)
     assert (narrow[..., 3] == 0).all()  # the comparison is with level 0 as well
-    lanes = run_fragment_lanes(Textured, varyings, (8, 16), **given)[output]
+    lanes = run_fragment_lanes(Textured, varyings, (8, 16), **bindings)[output]
     np.testing.assert_allclose(lanes, narrow, rtol=0, atol=3e-4)
 
 
@@ -525,8 +534,8 @@ def test_a_vertex_stage_reads_textures() -> None:
     at[:, :2] = np.random.default_rng(15).random((20, 2))
     attributes = {"position": at, "color": at}
     expected = sl.run_vertex(Heights, attributes, dtype=np.float64, source=texture).position
-    found = run_vertex_lanes(Heights, attributes, 20, source=texture)["position"]
-    np.testing.assert_allclose(found, expected, rtol=0, atol=3e-6)
+    positions = run_vertex_lanes(Heights, attributes, 20, source=texture)["position"]
+    np.testing.assert_allclose(positions, expected, rtol=0, atol=3e-6)
 
 
 # -- single texels -----------------------------------------------------------------------------------------
@@ -537,7 +546,7 @@ class Gather2D(At):
 
     def compute(self) -> None:
         i = sl.global_id().x
-        at = self.places[i].xy
+        at = self.coordinates[i].xy
         self.results[i] = self.source.gather(at) + 2.0 * self.source.gather(at, 2)
 
 
@@ -545,14 +554,14 @@ class GatherCube(At):
     source: sl.TextureCube
 
     def compute(self) -> None:
-        self.results[sl.global_id().x] = self.source.gather(self.places[sl.global_id().x].xyz, 1)
+        self.results[sl.global_id().x] = self.source.gather(self.coordinates[sl.global_id().x].xyz, 1)
 
 
 @pytest.mark.parametrize(("shader", "kind"), [(Gather2D, D2), (GatherCube, CUBE)], ids=name)
 def test_gather_gives_a_component_of_four_texels(device: Device, shader: type[sl.Shader], kind: TextureKind) -> None:
     texels = random_levels(Format.RGBA32F, 5, 5, SHAPES[kind][1], kind, levels=1)
     texture = sl.HostTexture(texels, Format.RGBA32F, kind, SamplerDescriptor(LINEAR, LINEAR, None))
-    results = read_everywhere(device, shader, {"source": texture}, 8, places=places(6), results=COUNT)
+    results = read_everywhere(device, shader, {"source": texture}, 8, coordinates=coordinates(6), results=COUNT)
     assert_agree(results, 1e-6, 1e-6)
 
 
@@ -562,7 +571,7 @@ class Load2D(At):
 
     def compute(self) -> None:
         i = sl.global_id().x
-        at = self.places[i]
+        at = self.coordinates[i]
         texel = sl.ivec2(int(at.x), int(at.y))
         flat = self.source.load(texel, int(at.w))
         solid = self.volume.load(sl.ivec3(texel, int(at.z)))
@@ -570,13 +579,13 @@ class Load2D(At):
 
 
 def test_loads_name_texel_and_level_and_give_zeros_outside(device: Device) -> None:
-    at = places(7)
+    at = coordinates(7)
     at[:, :3] *= 3
     textures = {
         "source": sl.HostTexture(random_levels(Format.RGBA32F, 6, 9), Format.RGBA32F),
         "volume": sl.HostTexture(random_levels(Format.RGBA32F, 5, 5, 5, D3), Format.RGBA32F, D3),
     }
-    results = read_everywhere(device, Load2D, textures, 8, places=at, results=COUNT)
+    results = read_everywhere(device, Load2D, textures, 8, coordinates=at, results=COUNT)
     assert (results["float64"] == 0).all(axis=1).any()
     assert_agree(results, 0.0, 0.0)
 
@@ -586,7 +595,7 @@ class LoadUint(At):
 
     def compute(self) -> None:
         i = sl.global_id().x
-        at = self.places[i]
+        at = self.coordinates[i]
         texel = self.source.sample_lod(at.xy, at.w)
         self.results[i] = sl.vec4(sl.vec2(texel.xy % sl.uvec4(10007).xy), sl.vec2(texel.zw // sl.uvec4(65536).zw))
 
@@ -596,7 +605,7 @@ class LoadInt(At):
 
     def compute(self) -> None:
         i = sl.global_id().x
-        at = self.places[i]
+        at = self.coordinates[i]
         texel = self.source.sample_lod(at.xy, at.w)
         self.results[i] = sl.vec4(float(texel.x // 65536), float(texel.y % 9973), float(texel.z), float(texel.w))
 
@@ -606,9 +615,9 @@ def test_integers_are_read_whole(device: Device, format: Format) -> None:
     shader = LoadUint if format.kind is ChannelKind.UINT else LoadInt
     sampler = SamplerDescriptor(NEAREST, NEAREST, NEAREST)
     texture = sl.HostTexture(random_levels(format, 7, 5), format, D2, sampler)
-    results = read_everywhere(device, shader, {"source": texture}, 8, places=places(8), results=COUNT)
+    results = read_everywhere(device, shader, {"source": texture}, 8, coordinates=coordinates(8), results=COUNT)
     if format is Format.RGBA32I:  # whose last components are beyond what a float holds
-        results = {way: found.astype("f4") for way, found in results.items()}
+        results = {way: texels.astype("f4") for way, texels in results.items()}
     assert_agree(results, 0.0, 0.0)
 
 
@@ -649,19 +658,19 @@ def test_sizes_are_those_of_each_level(device: Device) -> None:
         "around": sl.HostTexture(random_levels(Format.R8, 4, 4, 6, CUBE), Format.R8, CUBE),
     }
     at = np.zeros((64, 4), "f4")
-    assert_agree(read_everywhere(device, Sizes, textures, 1, places=at, results=64), 0.0, 0.0)
+    assert_agree(read_everywhere(device, Sizes, textures, 1, coordinates=at, results=64), 0.0, 0.0)
 
 
 def test_each_lane_may_ask_for_another_level_s_size() -> None:
     """llvmpipe returns the first lane's size in all lanes, so it isn't compared."""
-    given = {"source": sl.HostTexture(random_levels(Format.R8, 9, 8, 7, D3), Format.R8, D3)}
+    bindings = {"source": sl.HostTexture(random_levels(Format.R8, 9, 8, 7, D3), Format.R8, D3)}
     at = np.zeros((64, 4), "f4")
     expected = np.resize([(9, 8, 7, 0), (4, 4, 3, 1), (2, 2, 1, 2), (1, 1, 1, 3)], (64, 4))
     for width in (1, 16):
-        found = run_opencl(SizesOfLanes, width, 1, places=at, results=64, **given)["results"]
-        np.testing.assert_array_equal(found, expected)
-    found = sl.run_compute(SizesOfLanes, 1, places=at, results=64, **given)["results"]
-    np.testing.assert_array_equal(found, expected)
+        sizes = run_opencl(SizesOfLanes, width, 1, coordinates=at, results=64, **bindings)["results"]
+        np.testing.assert_array_equal(sizes, expected)
+    sizes = sl.run_compute(SizesOfLanes, 1, coordinates=at, results=64, **bindings)["results"]
+    np.testing.assert_array_equal(sizes, expected)
 
 
 # -- comparisons -------------------------------------------------------------------------------------------
@@ -672,7 +681,7 @@ class Compare2D(At):
 
     def compute(self) -> None:
         i = sl.global_id().x
-        at = self.places[i]
+        at = self.coordinates[i]
         four = self.source.gather_compare(at.xy, at.z)
         implicit = self.source.sample_compare(at.xy, at.z)
         level = self.source.sample_compare_lod(at.xy, at.z, at.w)
@@ -684,7 +693,7 @@ def comparing(annotation: Any) -> Any:
         source: annotation
 
         def compute(self) -> None:
-            at = self.places[sl.global_id().x]
+            at = self.coordinates[sl.global_id().x]
             self.results[sl.global_id().x] = sl.vec4(self.source.sample_compare(at.xyz, abs_half(at.w)))
 
     return Compare
@@ -703,10 +712,10 @@ def test_depths_are_compared_before_they_are_filtered(device: Device, comparison
     sampler = SamplerDescriptor(
         filter, filter, None, Wrap.BORDER, Wrap.BORDER, border=(0.5, 0, 0, 0), compare=comparison
     )
-    at = places(10)
+    at = coordinates(10)
     at[:, 2] = np.random.default_rng(11).integers(0, 5, COUNT) / 4
     texture = sl.HostTexture(depths, Format.D32F, D2, sampler)
-    results = read_everywhere(device, Compare2D, {"source": texture}, 8, places=at, results=COUNT)
+    results = read_everywhere(device, Compare2D, {"source": texture}, 8, coordinates=at, results=COUNT)
     assert_agree(results, 2e-6)
 
 
@@ -719,7 +728,7 @@ def test_references_of_fixed_point_depths_are_clamped(device: Device, format: Fo
     ]
     sampler = nearest(Wrap.CLAMP, compare=comparison)
     texture = sl.HostTexture(np.float32([[0, 1]]), format, D2, sampler)
-    assert_agree(read_everywhere(device, Compare2D, {"source": texture}, 1, places=at, results=64), 0.0, 0.0)
+    assert_agree(read_everywhere(device, Compare2D, {"source": texture}, 1, coordinates=at, results=64), 0.0, 0.0)
 
 
 @pytest.mark.parametrize(("annotation", "kind"), [(sl.DepthTexture2DArray, ARRAY), (sl.DepthTextureCube, CUBE)])
@@ -727,7 +736,9 @@ def test_layers_and_cubes_are_compared(device: Device, annotation: Any, kind: Te
     texels = random_levels(Format.D32F, 4, 4, SHAPES[kind][1], kind, levels=1)
     sampler = SamplerDescriptor(LINEAR, LINEAR, None, compare=Comparison.LESS)
     texture = sl.HostTexture(texels, Format.D32F, kind, sampler)
-    results = read_everywhere(device, comparing(annotation), {"source": texture}, 8, places=places(12), results=COUNT)
+    results = read_everywhere(
+        device, comparing(annotation), {"source": texture}, 8, coordinates=coordinates(12), results=COUNT
+    )
     assert_agree(results, 3e-6, 3e-6)
 
 
@@ -739,7 +750,7 @@ class Branches(At):
 
     def compute(self) -> None:
         i = sl.global_id().x
-        at = self.places[i]
+        at = self.coordinates[i]
         total = self.source.sample(sl.vec2(0.25, 0.75))
         if at.x > 0.0:
             total += self.source.sample_lod(at.xy, at.w)
@@ -752,21 +763,21 @@ class Branches(At):
 
 def test_textures_are_read_in_branches_and_loops_and_by_all_lanes_at_once(device: Device) -> None:
     texture = sl.HostTexture(random_levels(Format.RGBA16F, 7, 5), Format.RGBA16F)
-    results = read_everywhere(device, Branches, {"source": texture}, 8, places=places(13), results=COUNT)
+    results = read_everywhere(device, Branches, {"source": texture}, 8, coordinates=coordinates(13), results=COUNT)
     assert_agree(results, 5e-6, 5e-6)
 
 
 def test_a_kernel_holds_each_function_of_textures_once() -> None:
-    at = places(14, 64)
+    at = coordinates(14, 64)
     texture = sl.HostTexture(random_levels(Format.R8, 4, 4), Format.R8)
-    text = Kernel(Branches, 16, source=texture, places=at, results=64).text
+    text = Kernel(Branches, 16, source=texture, coordinates=at, results=64).text
     assert text.count("void rhi_walk(") == 1
-    assert "rhi_walk(" not in Kernel(NoTexture, 16, places=at, results=64).text
+    assert "rhi_walk(" not in Kernel(NoTexture, 16, coordinates=at, results=64).text
 
 
 class NoTexture(At):
     def compute(self) -> None:
-        self.results[sl.global_id().x] = self.places[sl.global_id().x]
+        self.results[sl.global_id().x] = self.coordinates[sl.global_id().x]
 
 
 # -- images ------------------------------------------------------------------------------------------------
@@ -799,10 +810,10 @@ def test_images_keep_every_bit_and_nothing_is_written_outside(format: Format) ->
                 expected[0, y - 1, x + 1] = source[0, y, x]
     # Beyond the source zeros are loaded, and beyond the target nothing is stored.
     shader = copying(format, _IMAGES.get(format.kind, sl.Image2D))
-    given = {"source": sl.HostTexture(source, format), "target": sl.HostTexture(np.zeros_like(source), format)}
+    bindings = {"source": sl.HostTexture(source, format), "target": sl.HostTexture(np.zeros_like(source), format)}
     for width in (1, 16):
-        np.testing.assert_array_equal(run_opencl(shader, width, (2, 1), **given)["target"], expected)
-    np.testing.assert_array_equal(sl.run_compute(shader, (2, 1), **given)["target"], expected)
+        np.testing.assert_array_equal(run_opencl(shader, width, (2, 1), **bindings)["target"], expected)
+    np.testing.assert_array_equal(sl.run_compute(shader, (2, 1), **bindings)["target"], expected)
 
 
 class Rounded(sl.Shader):
@@ -840,18 +851,18 @@ def test_stored_values_are_clamped_and_rounded_to_nearest() -> None:
     ]
     values = np.zeros((16, 4), "f4")
     values[:] = np.array(hard, "f4")[:, None]
-    given: dict[str, Any] = {"values": values}
+    bindings: dict[str, Any] = {"values": values}
     for field, format in (
         ("target", Format.RGBA8),
         ("signed", Format.RGBA8_SNORM),
         ("halves", Format.RGBA16F),
     ):
-        given[field] = sl.HostTexture(np.zeros((1, 16, 4), format.dtype), format)
-    expected = sl.run_compute(Rounded, 1, **given)
+        bindings[field] = sl.HostTexture(np.zeros((1, 16, 4), format.dtype), format)
+    expected = sl.run_compute(Rounded, 1, **bindings)
     for width in (1, 16):
-        found = run_opencl(Rounded, width, 1, **given)
+        results = run_opencl(Rounded, width, 1, **bindings)
         for field, texels in expected.items():
-            np.testing.assert_array_equal(found[field], texels)
+            np.testing.assert_array_equal(results[field], texels)
 
 
 class Layered(sl.Shader):
@@ -864,11 +875,11 @@ class Layered(sl.Shader):
 
 
 def test_all_layers_of_an_image_are_written() -> None:
-    given = {"target": sl.HostTexture(np.zeros((3, 4, 4, 1), "f4"), Format.R32F, D3)}
+    bindings = {"target": sl.HostTexture(np.zeros((3, 4, 4, 1), "f4"), Format.R32F, D3)}
     z, y, x = np.indices((3, 4, 4))
     for width in (1, 16):
-        found = run_opencl(Layered, width, (1, 1, 4), **given)["target"]
-        np.testing.assert_array_equal(found[..., 0], x + 10 * y + 100 * z)
+        texels = run_opencl(Layered, width, (1, 1, 4), **bindings)["target"]
+        np.testing.assert_array_equal(texels[..., 0], x + 10 * y + 100 * z)
 
 
 class Beyond(sl.Shader):
@@ -887,11 +898,11 @@ class Beyond(sl.Shader):
 
 
 @pytest.mark.parametrize(
-    ("which", "given", "line"),
+    ("which", "coordinates", "line"),
     [((7, 0, 0), "index 7", "load"), ((0, 2, 0), "index 2", "load"), ((0, 0, 3), "index 3", "store"),
      ((4, 1, 0), "index 4", "load"), ((-1, 0, 0), "index -1", "load")],
 )  # fmt: skip
-def test_a_checked_shader_reports_texels_outside(which: tuple[int, int, int], given: str, line: str) -> None:
+def test_a_checked_shader_reports_texels_outside(which: tuple[int, int, int], coordinates: str, line: str) -> None:
     bound: dict[str, Any] = {
         "target": sl.HostTexture(np.zeros((3, 4, 4, 1), "f4"), Format.R32F, D3),
         "source": sl.HostTexture(random_levels(Format.R8, 8, 7, levels=2), Format.R8),
@@ -899,7 +910,7 @@ def test_a_checked_shader_reports_texels_outside(which: tuple[int, int, int], gi
     ways = [partial(run_opencl, Beyond, 1), partial(run_opencl, Beyond, 16), partial(sl.run_compute, Beyond)]
     for run in ways:
         run(1, which=np.int32([2, 1, 2]), **bound)
-        with pytest.raises(ShaderError, match=given) as caught:
+        with pytest.raises(ShaderError, match=coordinates) as caught:
             run(1, which=np.int32(which), **bound)
         assert f".{line}(" in str(caught.value)
 
@@ -920,24 +931,24 @@ class ReadSamples(sl.Shader):
 def test_samples_are_the_layers_of_a_host_texture() -> None:
     texels = random_levels(Format.RGBA8UI, 5, 3, 4, ARRAY)[:1]
     which = np.int32([(4, 2, 3, 0), (0, 1, 2, 0), (3, 0, 0, 0)])
-    given = {"source": sl.HostTexture(texels, Format.RGBA8UI, ARRAY), "results": 3}
+    bindings = {"source": sl.HostTexture(texels, Format.RGBA8UI, ARRAY), "results": 3}
     expected = texels[0][which[:, 2], which[:, 1], which[:, 0]].astype(np.uint32) + 5
     for run in (partial(run_opencl, ReadSamples, 1), partial(run_opencl, ReadSamples, 16),
                 partial(sl.run_compute, ReadSamples)):  # fmt: skip
-        np.testing.assert_array_equal(run(3, which=which, **given)["results"], expected)
+        np.testing.assert_array_equal(run(3, which=which, **bindings)["results"], expected)
         with pytest.raises(ShaderError, match="index 4"):
-            run(3, which=np.int32([(4, 2, 4, 0)] * 3), **given)
+            run(3, which=np.int32([(4, 2, 4, 0)] * 3), **bindings)
 
 
 # -- HostTexture -------------------------------------------------------------------------------------------
 
 
 def test_a_host_texture_of_another_shape_or_format_is_refused() -> None:
-    given: dict[str, Any] = {"places": places(0, 64), "results": 64}
+    bindings: dict[str, Any] = {"coordinates": coordinates(0, 64), "results": 64}
     fitting = sl.HostTexture(np.zeros((4, 4), "u1"), Format.R8)
-    sl.run_compute(Sample2D, 1, source=fitting, **given)
+    sl.run_compute(Sample2D, 1, source=fitting, **bindings)
     with pytest.raises(ValidationError, match="shading-arguments"):
-        sl.run_compute(Sample3D, 1, source=fitting, **given)
+        sl.run_compute(Sample3D, 1, source=fitting, **bindings)
     with pytest.raises(ValidationError, match="shading-arguments"):
         sl.run_compute(ReadSamples, 1, source=fitting, which=np.zeros((1, 4), "i4"), results=1)
     with pytest.raises(ValidationError, match="shading-arguments"):
@@ -947,8 +958,8 @@ def test_a_host_texture_of_another_shape_or_format_is_refused() -> None:
 
 
 def test_images_given_stay_as_they_are() -> None:
-    given = np.zeros((3, 4, 4, 1), "f4")
-    texture = sl.HostTexture(given, Format.R32F, D3)
+    texels = np.zeros((3, 4, 4, 1), "f4")
+    texture = sl.HostTexture(texels, Format.R32F, D3)
     after = sl.run_compute(Layered, (1, 1, 3), target=texture)["target"]
     assert after[2, 3, 3, 0] == 233
     assert not texture.levels[0].any()

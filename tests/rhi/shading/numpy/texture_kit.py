@@ -79,8 +79,8 @@ def read_everywhere(
     "float64"."""
     results = {"opengl": read_opengl(device, shader, textures, count, bindings)}
     for width in (1, 16):
-        given = {**textures, **bindings}
-        results[f"{width} lane{'s' * (width > 1)}"] = run_opencl(shader, width, count, **given)["results"]
+        values = {**textures, **bindings}
+        results[f"{width} lane{'s' * (width > 1)}"] = run_opencl(shader, width, count, **values)["results"]
     for dtype in (np.float32, np.float64):
         run = sl.run_compute(shader, count, dtype=dtype, **textures, **bindings)
         results[np.dtype(dtype).name] = run["results"]
@@ -96,22 +96,22 @@ def read_opengl(
 ) -> NDArray[Any]:
     """Run on a device, creating and destroying textures and buffers (of vec4)."""
     program = device.program(shader)
-    given: dict[str, Any] = {}
-    made: list[Any] = []
+    arguments: dict[str, Any] = {}
+    resources: list[Any] = []
     for binding in sl.compile_shader(shader).bindings:
         name = binding.name
         if binding.kind is BindingKind.TEXTURE:
-            made.append(upload(device, textures[name]))
-            given[name] = made[-1].sampled(textures[name].sampler)
+            resources.append(upload(device, textures[name]))
+            arguments[name] = resources[-1].sampled(textures[name].sampler)
         elif binding.kind is BindingKind.IMAGE:
-            made.append(upload(device, textures[name]))
-            given[name] = made[-1].image()
+            resources.append(upload(device, textures[name]))
+            arguments[name] = resources[-1].image()
         else:
-            made.append(device.storage(sl.vec4, bindings[name]))
-            given[name] = made[-1]
-    device.dispatch(program, count, **given)
-    result: NDArray[Any] = given["results"].read()
-    for resource in made:
+            resources.append(device.storage(sl.vec4, bindings[name]))
+            arguments[name] = resources[-1]
+    device.dispatch(program, count, **arguments)
+    result: NDArray[Any] = arguments["results"].read()
+    for resource in resources:
         resource.destroy()
     return result
 
@@ -119,10 +119,12 @@ def read_opengl(
 def upload(device: Device, texture: sl.HostTexture) -> Any:
     """Create a device texture with the same texels; depths are drawn."""
     layers, height, width, _ = texture.levels[0].shape
-    made = device.texture((width, height), texture.format, kind=texture.kind, layers=layers, levels=len(texture.levels))
+    created = device.texture(
+        (width, height), texture.format, kind=texture.kind, layers=layers, levels=len(texture.levels)
+    )
     for level, texels in enumerate(texture.levels):
         if not texture.format.is_depth:
-            made.write(texels, level=level)
+            created.write(texels, level=level)
             continue
         shape = (texels.shape[2], texels.shape[1])
         with (
@@ -133,21 +135,21 @@ def upload(device: Device, texture: sl.HostTexture) -> Any:
             for layer in range(layers):
                 which = device.uniform(Slice(layer=layer))
                 with (
-                    device.render_pass(depth=made.at(level, layer), clear_depth=0.0),
+                    device.render_pass(depth=created.at(level, layer), clear_depth=0.0),
                     device.states(DepthTest.OFF),
                 ):
                     device.draw(device.program(WriteDepth), mesh, depths=depths, which=which)
                 which.destroy()
-    return made
+    return created
 
 
 def assert_agree(results: Results, opengl: float, lanes: float = 2e-6, reason: str = "") -> None:
     """Check that all results are within a tolerance of float64, with NaN only where float64 has it."""
     expected = results["float64"].astype(np.float64)
-    for way, found in results.items():
+    for way, texels in results.items():
         slack = opengl if way == "opengl" else lanes
         np.testing.assert_allclose(
-            found.astype(np.float64), expected, rtol=0, atol=slack, err_msg=f"{way} {reason}", equal_nan=True
+            texels.astype(np.float64), expected, rtol=0, atol=slack, err_msg=f"{way} {reason}", equal_nan=True
         )
 
 

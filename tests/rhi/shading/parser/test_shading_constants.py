@@ -63,7 +63,7 @@ K = 100.0
 
 
 @pytest.mark.parametrize(
-    ("call", "wanted"),
+    ("call", "expected"),
     [
         ("from_expression(1.0)", 7),
         ("from_expression(1.0, 2.0)", 3),
@@ -73,8 +73,8 @@ K = 100.0
         ("from_table(0)", 3),
     ],
 )
-def test_a_default_has_the_value_that_it_had_when_the_function_was_defined(call, wanted):
-    assert result_of(call, before=DEFAULTS) == wanted
+def test_a_default_has_the_value_that_it_had_when_the_function_was_defined(call, expected):
+    assert result_of(call, before=DEFAULTS) == expected
 
 
 def test_a_constant_in_a_body_has_the_value_that_it_has_when_the_shader_is_compiled():
@@ -112,11 +112,11 @@ NUMPY = [
 ]
 
 
-@pytest.mark.parametrize(("value", "expression", "wanted"), NUMPY, ids=[f"{row[0]!r}" for row in NUMPY])
-def test_a_numpy_value_is_a_constant_of_a_module_and_of_a_class(value, expression, wanted):
-    assert result_of(expression, K=value) == wanted
+@pytest.mark.parametrize(("value", "expression", "expected"), NUMPY, ids=[f"{row[0]!r}" for row in NUMPY])
+def test_a_numpy_value_is_a_constant_of_a_module_and_of_a_class(value, expression, expected):
+    assert result_of(expression, K=value) == expected
     own = re.sub(r"\bK\b", "self.K", expression)
-    assert result_of(own, fields="    K = OUTER\n", OUTER=value) == wanted
+    assert result_of(own, fields="    K = OUTER\n", OUTER=value) == expected
 
 
 REFUSED = [
@@ -144,9 +144,9 @@ def test_what_a_numpy_value_could_also_be_is_said(value, tip):
 
 
 def test_the_tips_for_arrays_can_be_written():
-    made = {"K": np.array([1.0, 2.0, 3.0]), "M": np.diag([1.0, 2.0, 3.0])}
+    constants = {"K": np.array([1.0, 2.0, 3.0]), "M": np.diag([1.0, 2.0, 3.0])}
     before = "V = vec3(*K)\nA = tuple(K.tolist())\nN = mat3(M)\nR = tuple(vec3(*row) for row in M)"
-    assert result_of("V.z + A[1] + N[2][2] + R[1].y", before=before, **made) == 3 + 2 + 3 + 2
+    assert result_of("V.z + A[1] + N[2][2] + R[1].y", before=before, **constants) == 3 + 2 + 3 + 2
 
 
 @pytest.mark.parametrize("value", [2**31, -(2**31) - 1])

@@ -10,7 +10,7 @@ from rhi.errors import ShaderError
 from rhi.shading.language.types import TextureType
 
 
-class Placed(sl.Struct):
+class ClipPosition(sl.Struct):
     clip: sl.vec4
 
 
@@ -23,7 +23,7 @@ class Offset(sl.Struct):
     offset: sl.ivec2
 
 
-class Surface(Placed):
+class Surface(ClipPosition):
     uv: sl.vec2
     screen: sl.NoPerspective[sl.vec2]
     tint: sl.Flat[sl.vec3]
@@ -55,9 +55,9 @@ class Everything(sl.Shader):
 
     def vertex(self, v: Plane, instance: Offset) -> Surface:
         n = sl.vertex_index() + sl.instance_index() + sl.draw_index()
-        place = v.position + sl.vec2(instance.offset)
+        position = v.position + sl.vec2(instance.offset)
         return Surface(
-            clip=self.camera @ sl.vec4(place, 0, 1),
+            clip=self.camera @ sl.vec4(position, 0, 1),
             uv=v.position,
             screen=v.position * float(n),
             tint=sl.vec3(1),
@@ -155,8 +155,8 @@ def test_a_fragment_depth_with_early_depth_is_refused():
 
 
 class DepthOnly(sl.Shader):
-    def vertex(self, v: Plane) -> Placed:
-        return Placed(clip=sl.vec4(v.position, 0, 1))
+    def vertex(self, v: Plane) -> ClipPosition:
+        return ClipPosition(clip=sl.vec4(v.position, 0, 1))
 
 
 def test_a_shader_may_have_a_vertex_stage_alone(link):

@@ -29,7 +29,7 @@ class Test(Shader):
 {body}
         atomic_add(self.out[0], keep)
 """
-KNOWN = [
+IN_BOUNDS = [
     ("keep += TABLE_OF_8[7]", "keep += TABLE_OF_8[k]"),
     ("keep += TABLE_OF_8[k % 8]", "keep += TABLE_OF_8[k % 9]"),
     ("keep += TABLE_OF_8[k & 7]", "keep += TABLE_OF_8[k & 8]"),
@@ -64,26 +64,26 @@ KNOWN = [
 ]  # fmt: skip
 
 
-def unknown(body: str) -> int:
+def count_bounded_indices(body: str) -> int:
     """Return how many indices of a body aren't known to be inside."""
     lines = "\n".join("        " + line for line in body.split("\n"))
     text = "TABLE = (1, 2, 3, 4)\n" + HEADER.format(body=lines)
     stage = stage_trees(from_source(text))[Stage.COMPUTE]
-    found = set()
+    indices = set()
     for function in stage.functions:
         for statement in nodes.walk(function.body):
             stack = list(tree.parts_of(statement))
             while stack:
                 node = stack.pop()
                 stack += tree.parts_of(node)
-                found |= {node} if isinstance(node, tree.Index) and not node.inside else set()
-    return len(found)
+                indices |= {node} if isinstance(node, tree.Index) and not node.inside else set()
+    return len(indices)
 
 
-@pytest.mark.parametrize(("inside", "beyond"), KNOWN)
+@pytest.mark.parametrize(("inside", "beyond"), IN_BOUNDS)
 def test_an_index_is_known_to_be_inside_only_if_it_is(inside, beyond):
-    assert unknown(inside) == 0
-    assert unknown(beyond) == 1
+    assert count_bounded_indices(inside) == 0
+    assert count_bounded_indices(beyond) == 1
 
 
 def test_a_loop_over_a_known_range_has_no_bounds_in_its_text():

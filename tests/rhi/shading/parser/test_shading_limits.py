@@ -55,8 +55,8 @@ FLAT = {
 
 @pytest.mark.parametrize("name", FLAT)
 def test_a_flat_chain_has_pythons_value_in_every_language(run_everywhere, name):
-    lines, wanted = FLAT[name]
-    assert run_everywhere(shader(*lines), 2, out=128)["out"].tolist() == np.array(wanted, "f4").tolist()
+    lines, expected = FLAT[name]
+    assert run_everywhere(shader(*lines), 2, out=128)["out"].tolist() == np.array(expected, "f4").tolist()
 
 
 LONG = {

@@ -10,7 +10,7 @@ import rhi.shading as sl
 from rhi.contract.descriptors import Interpolation, Stage
 
 
-class Place(sl.Struct):
+class PointVertex(sl.Struct):
     position: sl.vec4
     size: float
 
@@ -22,7 +22,7 @@ class Dot(sl.Struct):
 
 
 class Dots(sl.Shader):
-    def vertex(self, v: Place) -> Dot:
+    def vertex(self, v: PointVertex) -> Dot:
         return Dot(clip=v.position, color=sl.vec4(1.0), size=v.size * 2.0)
 
     def fragment(self, v: Dot) -> sl.vec4:
@@ -32,12 +32,12 @@ class Dots(sl.Shader):
 class Depths(sl.Shader):
     """Points without a fragment stage."""
 
-    def vertex(self, v: Place) -> Dot:
+    def vertex(self, v: PointVertex) -> Dot:
         return Dot(clip=v.position, color=sl.vec4(1.0), size=v.size)
 
 
 class Plain(sl.Shader):
-    def vertex(self, v: Place) -> sl.vec4:
+    def vertex(self, v: PointVertex) -> sl.vec4:
         return v.position
 
     def fragment(self) -> sl.vec4:
@@ -67,8 +67,8 @@ def test_glsl_writes_the_built_in_variables() -> None:
 def test_numpy_runs_both() -> None:
     run = sl.run_vertex(Dots, {"position": np.zeros((3, 4), "f4"), "size": np.array([1, 2, 3], "f4")})
     assert run.varyings["size"].tolist() == [2, 4, 6]
-    given = np.array([(0.25, 0.5), (0.75, 0.125)], "f4").reshape(1, 2, 2)
-    color = sl.run_fragment(Dots, {"color": np.ones(4, "f4")}, point_coordinate=given).outputs["color"]
+    coordinates = np.array([(0.25, 0.5), (0.75, 0.125)], "f4").reshape(1, 2, 2)
+    color = sl.run_fragment(Dots, {"color": np.ones(4, "f4")}, point_coordinate=coordinates).outputs["color"]
     assert color[..., :2].tolist() == [[[0.25, 5.0], [0.75, 1.25]]]
     assert sl.run_fragment(Dots, {"color": np.ones(4, "f4")}).outputs["color"][0, 0].tolist() == [0.5, 5.0, 1.0, 1.0]
 
@@ -77,11 +77,11 @@ def test_a_vertex_stage_has_one_point_size() -> None:
     class Two(sl.Struct):
         clip: sl.vec4
         size: sl.PointSize
-        other: sl.PointSize
+        second_size: sl.PointSize
 
     class Twice(sl.Shader):
         def vertex(self) -> Two:
-            return Two(clip=sl.vec4(0.0), size=1.0, other=2.0)
+            return Two(clip=sl.vec4(0.0), size=1.0, second_size=2.0)
 
     with pytest.raises(rhi.ShaderError, match="one PointSize"):
         sl.compile_shader(Twice)

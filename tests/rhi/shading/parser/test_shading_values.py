@@ -24,12 +24,14 @@ class Host:
 
     @contextmanager
     def storage(self, element, values):
-        held = SimpleNamespace(values=values)
-        held.read = lambda: held.values
-        yield held
+        buffer = SimpleNamespace(values=values)
+        buffer.read = lambda: buffer.values
+        yield buffer
 
     def dispatch(self, shader, groups, **bound):
-        for name, values in self._run(shader, groups, **{name: held.values for name, held in bound.items()}).items():
+        for name, values in self._run(
+            shader, groups, **{name: buffer.values for name, buffer in bound.items()}
+        ).items():
             bound[name].values = values
 
 
@@ -48,7 +50,7 @@ INHERITED = (1103.5, 1106.5)
         test_compute.test_a_work_group_sees_its_shared_memory_after_a_barrier,
         test_compute.test_atomics_work_in_shared_memory,
         test_compute.test_atomics_lose_nothing,
-        partial(test_compute.test_every_invocation_runs_once_and_knows_its_place, groups=(3, 2, 2)),
+        partial(test_compute.test_every_invocation_runs_once_and_reads_its_indices, groups=(3, 2, 2)),
     ],
     ids=lambda examine: getattr(examine, "__name__", "places"),
 )
@@ -153,6 +155,25 @@ class BoundsOnce(sl.Shader):
 def test_loop_bounds_are_evaluated_once_and_the_body_cannot_change_the_count(run_everywhere):
     out = run_everywhere(BoundsOnce, out=np.full(8, -1, "i4"))["out"]
     assert out[:6].tolist() == [3, 0 + 1 + 2 + 3, 10070401, 531, -1, 1]
+
+
+class NestedLoops(sl.Shader):
+    """Two loops, one in the other, count in the same variable."""
+
+    out: sl.StorageRW[int]
+
+    def compute(self) -> None:
+        total = 0
+        for m in range(3):
+            total += 100 * m
+            for m in range(2):
+                total += m + 1
+            total += 10 * m
+        self.out[0] = total
+
+
+def test_nested_loops_may_count_in_the_same_variable(run_everywhere):
+    assert run_everywhere(NestedLoops, out=1)["out"].tolist() == [3 * (1 + 2 + 10) + 300]
 
 
 WEIGHTS = (0.25, 0.5, 1)

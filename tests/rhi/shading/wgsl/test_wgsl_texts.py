@@ -14,8 +14,8 @@ import rhi.shading as sl
 from rhi.contract.descriptors import Stage
 from rhi.contract.formats import Format
 from rhi.errors import ShaderError
-from rhi.shading.wgsl.names import texel_format
-from rhi.shading.wgsl.stages import read_declarations
+from rhi.shading.wgsl.wgsl_names import texel_format
+from rhi.shading.wgsl.wgsl_stages import read_declarations
 
 ROOT = Path(__file__).parents[4]
 RECORDED_REFUSALS = 22
@@ -97,8 +97,8 @@ def test_words_are_atomic_only_in_the_memory_that_atomics_work_on(naga: Any) -> 
     assert re.search(r"struct Counted_first \{\s+start: f32,\s+count: atomic<u32>,", text)
     assert "var<storage, read_write> first: array<Counted_first>;" in text
     assert "var<storage, read> second: array<Counted>;" in text
-    one = "first[clamp(i32(1), 0, i32(arrayLength(&first)) - 1)]"
-    assert f"Counted({one}.start, atomicLoad(&{one}.count))" in text
+    plain_load = "first[clamp(i32(1), 0, i32(arrayLength(&first)) - 1)]"
+    assert f"Counted({plain_load}.start, atomicLoad(&{plain_load}.count))" in text
     assert "atomicStore(&first[i32(2)].count, whole_2.count);" in text
     naga.create_shader_module(code=text)
     assert read_declarations(text) == {(1, 0): "read_write", (1, 1): "read"}
@@ -122,11 +122,14 @@ def test_choices_with_effects_are_statements_in_the_order_of_python(naga: Any) -
     text = text_of(ChoosesEffects)
     assert "select(" not in text
     lines = [line.strip() for line in text.splitlines()]
-    kept = next(i for i, line in enumerate(lines) if line.startswith("let first = ") and "out[clamp(i32(2), " in line)
-    assert lines[kept + 2] == "if ((i > i32(3))) {"
-    assert lines[kept + 3] == "chosen = atomicAdd(&out[i32(0)], i32(1));"
+    first_line = next(
+        i for i, line in enumerate(lines) if line.startswith("let first = ") and "out[clamp(i32(2), " in line
+    )
+    assert lines[first_line + 2] == "if ((i > i32(3))) {"
+    assert lines[first_line + 3] == "selected = atomicAdd(&out[i32(0)], i32(1));"
     assert text.count("atomicCompareExchangeWeak") == 3
-    assert re.search(r"loop \{\s+let given\w* = i32\(4\);", text)  # the condition of `while` is evaluated in each turn
+    # The condition of `while` is evaluated in each turn.
+    assert re.search(r"loop \{\s+let argument\w* = i32\(4\);", text)
     naga.create_shader_module(code=text)
 
 
@@ -157,11 +160,11 @@ def test_an_image_that_is_only_stored_to_is_not_read() -> None:
 
 
 class SamplesIntegers(sl.Shader):
-    given: sl.IntTexture2D
+    source: sl.IntTexture2D
     out: sl.StorageRW[int]
 
     def compute(self) -> None:
-        self.out[0] = self.given.sample_lod(sl.vec2(0.5), 0.0).x
+        self.out[0] = self.source.sample_lod(sl.vec2(0.5), 0.0).x
 
 
 class FencesMemory(sl.Shader):
@@ -173,16 +176,16 @@ class FencesMemory(sl.Shader):
 
 
 @pytest.mark.parametrize(
-    ("shader", "given"),
+    ("shader", "construct"),
     [(SamplesIntegers, "an integer texture that is sampled"), (FencesMemory, "memory_barrier()")],
 )
-def test_what_wgsl_lacks_is_refused_at_its_python_line(shader: type[sl.Shader], given: str) -> None:
+def test_what_wgsl_lacks_is_refused_at_its_python_line(shader: type[sl.Shader], construct: str) -> None:
     with pytest.raises(ShaderError, match=r"^\[shading-native\]") as caught:
         text_of(shader)
-    assert caught.value.given == f"{given}, which WGSL lacks"
+    assert caught.value.given == f"{construct}, which WGSL lacks"
     assert caught.value.site is not None
     line = Path(__file__).read_text().splitlines()[caught.value.site.line - 1]
-    assert given.split()[-1].split("(")[0][:6] in line
+    assert construct.split()[-1].split("(")[0][:6] in line
 
 
 @sl.function
@@ -209,8 +212,8 @@ def test_each_line_knows_the_python_line_that_it_comes_from() -> None:
 def test_formats_have_their_names_in_webgpu() -> None:
     names = {format: texel_format(format) for format in Format}
     assert len(set(names.values())) == len(Format)
-    chosen = ("R8", "RGBA8_SRGB", "RG8_SNORM", "RGBA16", "RG16F", "R32I", "RGB10A2", "RGB10A2UI", "R11G11B10F")
-    assert [names[Format[name]] for name in chosen] == [
+    formats = ("R8", "RGBA8_SRGB", "RG8_SNORM", "RGBA16", "RG16F", "R32I", "RGB10A2", "RGB10A2UI", "R11G11B10F")
+    assert [names[Format[name]] for name in formats] == [
         "r8unorm", "rgba8unorm-srgb", "rg8snorm", "rgba16unorm", "rg16float", "r32sint", "rgb10a2unorm", "rgb10a2uint",
         "rg11b10ufloat",
     ]  # fmt: skip

@@ -1,13 +1,16 @@
 // Primitives that are rasterised as convex polygons: lines, and points of several samples.
 //
-// - They are few, so each is computed by itself in scalars, and twice: set-up needs its box, and each tile that it touches
-//   needs its corners. So one record suffices for any polygon, and primitives keep their order.
-// - Clipping is against the view's depth range and a guard band far outside the target, never against the target.
+// - They are few, so each is computed by itself in scalars, and twice: set-up needs its box, and each tile
+//   that it touches needs its corners. So one record suffices for any polygon, and primitives keep their
+//   order.
+// - Clipping is against the view's depth range and a guard band far outside the target, never against the
+//   target.
 
-#define MAX_POINT_SIZE 1024.0f  // texels; rhi.backends.cl.capabilities
+#define MAX_POINT_SIZE 1024.0f  // texels; rhi.backends.cl.cl_capabilities
 #define MAX_CORNERS 4
 
-// Return the signed distance of a clip position from a plane: near, far, then the four sides of the guard band.
+// Return the signed distance of a clip position from a plane: near, far, then the four sides of the guard
+// band.
 INLINE float inside_of(global const View *view, float4 p, int plane) {
     switch (plane) {
     case 0: return p.z;
@@ -24,8 +27,9 @@ INLINE float4 cut(float4 inner, float4 outer, float inner_distance, float outer_
 }
 
 INLINE int2 to_window(global const View *view, float4 p) {
-    float near_w = 1.0f / p.w;
-    float x = fma(p.x * near_w, view->scale[0], view->shift[0]), y = fma(p.y * near_w, view->scale[1], view->shift[1]);
+    float inverse_w = 1.0f / p.w;
+    float x = fma(p.x * inverse_w, view->scale[0], view->shift[0]);
+    float y = fma(p.y * inverse_w, view->scale[1], view->shift[1]);
     return (int2)(convert_int_rte((x - 0.5f) * SUBTEXELS), convert_int_rte((y - 0.5f) * SUBTEXELS));
 }
 
@@ -36,9 +40,11 @@ INLINE float load_point_size(global const Batch *batch, uint slot) {
     return size >= 1.0f ? fmin(size, MAX_POINT_SIZE) : 1.0f;
 }
 
-// Compute the corners of a line or a point in the window, in an order that makes its area positive. Return their number, or
-// 0 if nothing is left of it. `size`: that of a point, or the width of a line.
-INLINE int make_polygon(global const View *view, const float4 *clips, int primitive, float size, int2 *points) {
+// Compute the corners of a line or a point in the window, in an order that makes its area positive. Return
+// their number, or 0 if nothing is left of it. `size`: that of a point, or the width of a line.
+INLINE int make_polygon(
+    global const View *view, const float4 *clips, int primitive, float size, int2 *points
+) {
     float4 corners[2];
     for (int i = 0; i < primitive; ++i) corners[i] = clips[i];
     for (int plane = 0; plane < 6; ++plane) {
@@ -60,8 +66,9 @@ INLINE int make_polygon(global const View *view, const float4 *clips, int primit
         points[3] = start + (int2)(before, behind);
         return 4;
     }
-    // A line is a parallelogram, `size` texels high or wide, that contains its start and not its end. The fill rule includes
-    // points on the left or top edge, so a line in the opposite direction is shifted by the smallest step.
+    // A line is a parallelogram, `size` texels high or wide, that contains its start and not its end. The
+    // fill rule includes points on the left or top edge, so a line in the opposite direction is shifted by
+    // the smallest step.
     if (!(corners[1].w > 0.0f)) return 0;
     int2 end = to_window(view, corners[1]);
     int2 step = end - start;

@@ -15,10 +15,10 @@ import pytest
 from numpy.typing import NDArray
 
 import rhi
-from rhi.backends.cl import context
+from rhi.backends.cl import cl_context
 from rhi.backends.cl.memory import planes, pools
 from rhi.backends.cl.memory.in_flight import InFlight
-from rhi.backends.cl.raster import queries
+from rhi.backends.cl.raster import cl_queries
 from rhi.conformance.shaders import Colored, Corner
 from rhi.conformance.shapes import corners, rectangle
 from rhi.shading import Shader, StorageRW, Struct, Texture2D, global_id, vec2, vec4
@@ -57,26 +57,26 @@ Results: TypeAlias = list[NDArray[Any]]
 Keep: TypeAlias = Callable[[Any], Any]
 
 
-def gives_back(do: Callable[[rhi.Device, Keep], Results]) -> Callable[[rhi.Device], Results]:
+def with_cleanup(do: Callable[[rhi.Device, Keep], Results]) -> Callable[[rhi.Device], Results]:
     """`do`; what it tells to keep is destroyed in the end. Not by contextlib, whose frames would stand on the stack."""
 
     def run(device: rhi.Device) -> Results:
-        made: list[Any] = []
+        resources: list[Any] = []
 
         def keep(thing: Any) -> Any:
-            made.append(thing)
+            resources.append(thing)
             return thing
 
         try:
             return do(device, keep)
         finally:
-            for thing in reversed(made):
+            for thing in reversed(resources):
                 thing.destroy()
 
     return run
 
 
-@gives_back
+@with_cleanup
 def work(device: rhi.Device, keep: Keep) -> Results:
     """Do something of everything that allocates memory; return the results."""
     image = keep(device.texture((64, 64), rhi.Format.RGBA8, levels=None))
@@ -85,10 +85,10 @@ def work(device: rhi.Device, keep: Keep) -> Results:
     target = keep(device.texture((64, 64), rhi.Format.RGBA8))
     strip = keep(device.mesh(rectangle()[[0, 1, 2, 5]], primitive=rhi.Primitive.TRIANGLE_STRIP))
     rng = np.random.default_rng(0)
-    places = np.zeros((3000, 4))
-    places[:, :2] = np.repeat(rng.uniform(-1, 1, (1000, 2)), 3, axis=0) + rng.uniform(-0.1, 0.1, (3000, 2))
-    places[:, 2:] = 0.75, 1.0
-    many = keep(device.mesh(corners(places, (1, 0.5, 0, 1)), np.arange(3000, dtype=np.uint16)))
+    positions = np.zeros((3000, 4))
+    positions[:, :2] = np.repeat(rng.uniform(-1, 1, (1000, 2)), 3, axis=0) + rng.uniform(-0.1, 0.1, (3000, 2))
+    positions[:, 2:] = 0.75, 1.0
+    many = keep(device.mesh(corners(positions, (1, 0.5, 0, 1)), np.arange(3000, dtype=np.uint16)))
     values = keep(device.storage(float, 1000))
     query = keep(device.occlusion_query())
     colored, painted = keep(device.program(Colored)), keep(device.program(Painted))
@@ -122,18 +122,18 @@ class Allocations:
         allocations = self
 
         class Buffer(_Buffer):  # type: ignore[misc]
-            def __init__(self, context: cl.Context, flags: int, size: int = 0, hostbuf: Any = None) -> None:
+            def __init__(self, cl_context: cl.Context, flags: int, size: int = 0, hostbuf: Any = None) -> None:
                 if allocations._is_failing():
                     flags, size, hostbuf = cl.mem_flags.READ_WRITE, 1 << 60, None
-                super().__init__(context, flags, size, hostbuf)
+                super().__init__(cl_context, flags, size, hostbuf)
 
-        def allocate_pages(*given: Any) -> NDArray[np.uint8]:
+        def allocate_pages(*args: Any) -> NDArray[np.uint8]:
             if allocations._is_failing():
                 raise MemoryError
-            return context.allocate_pages(*given)
+            return cl_context.allocate_pages(*args)
 
         monkeypatch.setattr(cl, "Buffer", Buffer)
-        for module in (planes, pools, queries):
+        for module in (planes, pools, cl_queries):
             monkeypatch.setattr(module, "allocate_pages", allocate_pages)
 
     def _is_failing(self) -> bool:
@@ -185,8 +185,8 @@ def test_each_allocation_may_fail_and_the_device_goes_on(monkeypatch: pytest.Mon
             except rhi.DeviceError as error:
                 errors.append(error)
                 results = work(device)
-            for given, wanted in zip(results, expected, strict=True):
-                np.testing.assert_array_equal(given, wanted)
+            for image, expected_image in zip(results, expected, strict=True):
+                np.testing.assert_array_equal(image, expected_image)
     assert len(errors) > 24 // step
     assert {error.rule.id for error in errors} == {"device-out-of-memory"}
     assert all(error.tip for error in errors)
@@ -210,7 +210,7 @@ def test_without_memory_no_device_is_made(monkeypatch: pytest.MonkeyPatch) -> No
     assert all(error.tip for error in errors)
 
 
-@gives_back
+@with_cleanup
 def move(device: rhi.Device, keep: Keep) -> Results:
     """Do something of everything that moves memory or waits for it; return the results."""
     size, texels = (16, 16), np.arange(1024, dtype=np.uint8).reshape(16, 16, 4)
@@ -260,9 +260,9 @@ class Commands:
 
     def _call(self, command: Callable[..., Any], queue: cl.CommandQueue, *arguments: Any, **named: Any) -> Any:
         frames = [sys._getframe(depth) for depth in range(1, 5)]
-        place = tuple((frame.f_code.co_qualname, frame.f_lineno) for frame in frames)
-        if self.fail and place not in self._failed:
-            self._failed.add(place)
+        stack = tuple((frame.f_code.co_qualname, frame.f_lineno) for frame in frames)
+        if self.fail and stack not in self._failed:
+            self._failed.add(stack)
             self.fail = False
             cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, 1 << 60)  # raises what drivers do
         return command(queue, *arguments, **named)
@@ -287,8 +287,8 @@ def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.Monkey
                     errors.append(error)
                     results = do(device)
                 commands.fail = False
-                for given, wanted in zip(results, expected, strict=True):
-                    np.testing.assert_array_equal(given, wanted)
+                for image, expected_image in zip(results, expected, strict=True):
+                    np.testing.assert_array_equal(image, expected_image)
     assert {error.call for error in errors} >= {
         "Texture.write", "Texture.read", "Texture.copy_to", "Texture.generate_mipmaps",
         "Buffer.write", "Buffer.read", "Buffer.copy_to", "Buffer.clear", "device.dispatch", "device.dispatch_indirect",
@@ -317,8 +317,8 @@ def test_what_is_too_large_is_refused_and_the_device_goes_on(make: Callable[[rhi
         assert "destroy" in caught.value.tip
         assert caught.value.site is not None
         assert caught.value.site.file == __file__
-        for given, wanted in zip(work(device), expected, strict=True):
-            np.testing.assert_array_equal(given, wanted)
+        for image, expected_image in zip(work(device), expected, strict=True):
+            np.testing.assert_array_equal(image, expected_image)
 
 
 @pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")

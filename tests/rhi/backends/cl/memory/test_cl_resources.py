@@ -11,8 +11,8 @@ import pytest
 from backend_kit import SOURCES, VALUES
 from cl_kit import FILL, ClKit, describe_program
 
-from rhi.backends.cl.backend import ClBackend
-from rhi.backends.cl.memory import buffers, pools, textures
+from rhi.backends.cl.cl_backend import ClBackend
+from rhi.backends.cl.memory import cl_buffers, cl_textures, pools
 from rhi.conformance.formats import random_texels
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Region, TextureDescriptor, TextureKind
 from rhi.contract.formats import Format
@@ -46,11 +46,11 @@ def test_what_is_streamed_is_seen_by_kernels_on_both_kinds_of_device(cl_kit: ClK
 def test_what_is_written_may_change_while_the_device_is_busy(cl_kit: ClKit) -> None:
     backend, data = cl_kit.backend, np.full((4, 4, 4), 7, np.uint8)
     buffer, texture = cl_kit.buffer(bytes(64)), cl_kit.texture(TextureDescriptor((4, 4), Format.RGBA8))
-    held = cl_kit.hold()
+    gate = cl_kit.hold()
     backend.write_buffer(buffer, 0, data)
     backend.write_texture(texture, 0, Region(0, 0, 4, 4), data)
     data[:] = 99
-    cl_kit.release(held)
+    cl_kit.release(gate)
     assert backend.read_buffer(buffer, 0, 64) == b"\7" * 64
     assert (cl_kit.read(texture, 4, 4) == 7).all()
 
@@ -61,13 +61,13 @@ def test_the_memory_of_what_is_destroyed_stays_until_writes_of_it_are_executed(c
     planes = backend._buffers[buffer].cl, backend._textures[texture].levels[0].memory
     memory = [weakref.ref(plane.hostbuf) for plane in planes]
     del planes
-    held = cl_kit.hold()
+    gate = cl_kit.hold()
     backend.write_buffer(buffer, 0, data)
     backend.write_texture(texture, 0, Region(0, 0, 4, 4), data)
     backend.destroy(buffer)
     backend.destroy(texture)
     assert all(each() is not None for each in memory)
-    cl_kit.release(held)
+    cl_kit.release(gate)
     backend.signal(1)
     assert backend.wait(1, 10.0)
     assert all(each() is None for each in memory)
@@ -151,18 +151,18 @@ def test_a_texture_too_large_is_refused_and_its_id_stays_free(cl_kit: ClKit) -> 
 
 
 def test_an_allocation_that_fails_half_way_leaves_nothing(cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[weakref.ref[object]] = []
-    allocate = textures.allocate
+    allocated: list[weakref.ref[object]] = []
+    allocate = cl_textures.allocate
 
     def fail_second(context: cl.Context, size: int) -> cl.Buffer:
-        memory = allocate(context, size << 40 if made else size)
-        made.append(weakref.ref(memory.hostbuf))
+        memory = allocate(context, size << 40 if allocated else size)
+        allocated.append(weakref.ref(memory.hostbuf))
         return memory
 
-    monkeypatch.setattr(textures, "allocate", fail_second)
+    monkeypatch.setattr(cl_textures, "allocate", fail_second)
     with pytest.raises(DeviceError):
         cl_kit.backend.create_texture(1, TextureDescriptor((4, 4), Format.D24S8))
-    assert [memory() for memory in made] == [None]
+    assert [memory() for memory in allocated] == [None]
     monkeypatch.undo()
     cl_kit.backend.create_texture(1, TextureDescriptor((4, 4), Format.D24S8))
 
@@ -177,7 +177,7 @@ def test_a_range_is_bound_where_it_begins_and_knows_its_size(cl_kit: ClKit) -> N
 
 
 def test_more_ranges_than_are_kept_may_be_bound(cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(buffers, "_MAX_RANGES", 2)
+    monkeypatch.setattr(cl_buffers, "_MAX_RANGES", 2)
     grain = cl_kit.backend.capabilities.storage_alignment
     buffer, program = cl_kit.buffer(bytes(8 * grain)), cl_kit.program(describe_program(FILL))
     for part in range(1, 8):

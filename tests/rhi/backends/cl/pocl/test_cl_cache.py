@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from nightly_reasons import CHEAPER_TEST
 
-from rhi.backends.cl.pocl import binaries, cache
-from rhi.backends.cl.pocl.cache import KernelCache
+from rhi.backends.cl.pocl import binaries, kernel_cache
+from rhi.backends.cl.pocl.kernel_cache import KernelCache
 from rhi.contract import trust
 
 DRAW = """
@@ -23,14 +23,14 @@ import hashlib, os, sys, threading, warnings
 import numpy as np
 import pyopencl as cl
 import rhi
-from rhi.backends.cl import context
+from rhi.backends.cl import cl_context
 from rhi.backends.cl import builds
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 
 warnings.simplefilter("always")
 builds.HOT = int(sys.argv[1])
-build, given = context.build_again, []
+build, given = cl_context.build_again, []
 
 def note(opened, text, options):
     given.append(type(text) if text[:7] != b"poclbin" else "machine code")
@@ -38,7 +38,7 @@ def note(opened, text, options):
         raise cl.LogicError("clBuildProgram failed: INVALID_BINARY")
     return build(opened, text, options)
 
-context.build_again = note
+cl_context.build_again = note
 if "second" in sys.argv:
     os.environ["POCL_CACHE_DIR"] = sys.argv[-1]
     [platform.get_devices() for platform in cl.get_platforms()]
@@ -50,10 +50,10 @@ with rhi.create_device("cl") as device:
             device.draw(program, mesh)
         if builds.HOT == 0:
             device.prepare(program, mesh, targets=(image,)).result(120)
-    made = device.backend_as(object)._builds.built
-    print(hashlib.sha256(image.read().tobytes()).hexdigest(), made, given.count(str), given.count("machine code"))
+    programs = device.backend_as(object)._builds.built
+    print(hashlib.sha256(image.read().tobytes()).hexdigest(), programs, given.count(str), given.count("machine code"))
 """
-"""Draws, and prints a picture's checksum, the number of programs that were compiled, and how many the driver was given
+"""Draws, and prints an image's checksum, the number of programs that were compiled, and how many the driver was given
 as source code, and as machine code alone. The arguments: `HOT`, `refuse` for a driver that takes nothing else, and
 `second` for one that another library has begun, with a folder of its own."""
 
@@ -67,21 +67,21 @@ def start(folder: Path, hot: int = 1 << 30, *arguments: str, **variables: str) -
 
 
 def draw(folder: Path, hot: int = 1 << 30) -> tuple[str, int]:
-    """Draw in a new process; return the picture's checksum and the number of programs that were compiled."""
+    """Draw in a new process; return the image's checksum and the number of programs that were compiled."""
     return finish(start(folder, hot))
 
 
 def finish(process: subprocess.Popen[str]) -> tuple[str, int]:
-    picture, made, *_ = finish_counting(process)
-    return picture, made
+    image, builds, *_ = finish_counting(process)
+    return image, builds
 
 
 def finish_counting(process: subprocess.Popen[str]) -> tuple[str, int, int, int]:
     output, errors = process.communicate(timeout=300)
     assert process.returncode == 0, errors
     assert errors == ""
-    picture, made, sources, bare = output.split()
-    return picture, int(made), int(sources), int(bare)
+    image, builds, sources, bare = output.split()
+    return image, int(builds), int(sources), int(bare)
 
 
 def records(folder: Path) -> list[Path]:
@@ -95,29 +95,29 @@ def codes(folder: Path) -> list[Path]:
 
 def test_a_first_run_and_its_optimisation_print_nothing(tmp_path: Path) -> None:
     """Neither the driver's count of warnings nor Python's warnings appear, from no thread and no process."""
-    picture, made = draw(tmp_path, hot=0)
-    assert made == 3  # set-up, vertices and raster, compiled quickly
-    assert draw(tmp_path) == (picture, 0)
+    image, builds = draw(tmp_path, hot=0)
+    assert builds == 3  # set-up, vertices and raster, compiled quickly
+    assert draw(tmp_path) == (image, 0)
 
 
 @pytest.fixture(scope="module")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """A folder that a first run has filled, not to be written, and the checksum of its picture."""
+def first_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A folder that a first run has filled, not to be written, and the checksum of its image."""
     folder = tmp_path_factory.mktemp("kernels")
-    picture, made = draw(folder)
-    assert made == 3
-    return folder, picture
+    image, builds = draw(folder)
+    assert builds == 3
+    return folder, image
 
 
 @pytest.fixture
-def filled(drawn: tuple[Path, str], tmp_path: Path) -> tuple[Path, str]:
-    """A copy of the folder that a first run has filled, and the checksum of its picture."""
-    return shutil.copytree(drawn[0], tmp_path / "copy"), drawn[1]
+def filled(first_run: tuple[Path, str], tmp_path: Path) -> tuple[Path, str]:
+    """A copy of the folder that a first run has filled, and the checksum of its image."""
+    return shutil.copytree(first_run[0], tmp_path / "copy"), first_run[1]
 
 
 def test_a_folder_may_be_moved_and_shipped(filled: tuple[Path, str]) -> None:
-    folder, picture = filled
-    assert draw(folder) == (picture, 0)
+    folder, image = filled
+    assert draw(folder) == (image, 0)
 
 
 @pytest.mark.nightly_cases("of another version", "damaged", reason=CHEAPER_TEST)
@@ -130,7 +130,7 @@ def test_a_folder_may_be_moved_and_shipped(filled: tuple[Path, str]) -> None:
 def test_programs_with_machine_code_are_made_without_llvm_code(
     filled: tuple[Path, str], change: Callable[[bytes], bytes] | None, bare: int
 ) -> None:
-    folder, picture = filled
+    folder, image = filled
     (header,) = (folder / "pocl" / "rhi").glob("*.header")
     content = header.read_bytes()
     assert content[32:40] == b"poclbin\0"
@@ -138,33 +138,33 @@ def test_programs_with_machine_code_are_made_without_llvm_code(
         fresh = change(content)
         signed = trust.sign(trust.read_key(), fresh, "", ".header").encode() if fresh[:1] == b"p" else b""
         header.write_bytes(signed + fresh)
-    assert finish_counting(start(folder)) == (picture, 0, 0, bare)
+    assert finish_counting(start(folder)) == (image, 0, 0, bare)
 
 
 def test_machine_code_is_used_only_where_it_was_checked(filled: tuple[Path, str]) -> None:
-    folder, picture = filled
-    assert draw(folder) == (picture, 0)
+    folder, image = filled
+    assert draw(folder) == (image, 0)
     (link,) = (folder / "pocl" / "RH").rglob("raster.so")
     link.unlink()
     link.write_bytes(b"foreign")
-    assert finish_counting(start(folder)) == (picture, 0, 0, 3)
+    assert finish_counting(start(folder)) == (image, 0, 0, 3)
 
 
 def test_a_driver_that_another_library_has_begun_is_given_nothing_of_the_folder(
     filled: tuple[Path, str], tmp_path: Path
 ) -> None:
     """It doesn't look there, and ends the process where machine code that it is told of isn't in its own folder."""
-    folder, picture = filled
+    folder, image = filled
     (tmp_path / "its own").mkdir()
-    assert finish_counting(start(folder, 1 << 30, "second", str(tmp_path / "its own"))) == (picture, 3, 3, 0)
-    assert finish_counting(start(folder)) == (picture, 0, 0, 3)
+    assert finish_counting(start(folder, 1 << 30, "second", str(tmp_path / "its own"))) == (image, 3, 3, 0)
+    assert finish_counting(start(folder)) == (image, 0, 0, 3)
 
 
 @pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_processes_that_begin_together_share_the_work(tmp_path: Path) -> None:
-    pictures = {finish(process)[0] for process in [start(tmp_path) for _ in range(3)]}
-    assert len(pictures) == 1
-    assert draw(tmp_path) == (*pictures, 0)
+    images = {finish(process)[0] for process in [start(tmp_path) for _ in range(3)]}
+    assert len(images) == 1
+    assert draw(tmp_path) == (*images, 0)
 
 
 def seal(path: Path, code: bytes) -> bytes:
@@ -172,7 +172,7 @@ def seal(path: Path, code: bytes) -> bytes:
     return KernelCache(path.parent.parent, "driver").seal(path.stem, code)
 
 
-def cut(content: bytes) -> bytes:
+def truncate(content: bytes) -> bytes:
     return content[:100]
 
 
@@ -180,91 +180,92 @@ def empty(content: bytes) -> bytes:
     return b""
 
 
-@pytest.mark.nightly_cases("[*].so-cut", "program.bc-upper", reason=CHEAPER_TEST)
+@pytest.mark.nightly_cases("[*].so-truncate", "program.bc-upper", reason=CHEAPER_TEST)
 @pytest.mark.parametrize(("name", "damage"), [
     pytest.param(name, damage, marks=() if damage in by_day else pytest.mark.nightly)
-    for name, by_day in (("program.bc", (bytes.upper,)), ("*.so", (cut,))) for damage in (bytes.upper, cut, empty)
+    for name, by_day in (("program.bc", (bytes.upper,)), ("*.so", (truncate,)))
+    for damage in (bytes.upper, truncate, empty)
 ])  # fmt: skip
 def test_a_damaged_file_is_built_again(filled: tuple[Path, str], name: str, damage: Callable[[bytes], bytes]) -> None:
-    folder, picture = filled
+    folder, image = filled
     (kernel,) = folder.rglob("raster.so")
-    assert draw(folder) == (picture, 0)  # links to what is damaged
+    assert draw(folder) == (image, 0)  # links to what is damaged
     damaged = list(kernel.parents[2].rglob(name))
     assert damaged
     for path in damaged:
         path.write_bytes(damage(path.read_bytes()))
-    assert draw(folder) == (picture, 1)
-    assert draw(folder) == (picture, 0)
+    assert draw(folder) == (image, 1)
+    assert draw(folder) == (image, 0)
 
 
 @pytest.mark.nightly_cases("upper", "None", reason=CHEAPER_TEST)
 @pytest.mark.parametrize("damage", [
-    bytes.upper, None, *(pytest.param(each, marks=pytest.mark.nightly) for each in (cut, empty)),
+    bytes.upper, None, *(pytest.param(each, marks=pytest.mark.nightly) for each in (truncate, empty)),
 ])  # fmt: skip
 def test_damaged_or_foreign_code_is_made_again(
     filled: tuple[Path, str], damage: Callable[[bytes], bytes] | None
 ) -> None:
     """Its checksum may be right and the record's another, as that of a file from elsewhere."""
-    folder, picture = filled
+    folder, image = filled
     _, vertices, *_ = codes(folder)
     vertices.write_bytes(seal(vertices, b"other") if damage is None else damage(vertices.read_bytes()))
-    assert draw(folder) == (picture, 1)
+    assert draw(folder) == (image, 1)
     assert len(codes(folder)) == 4
-    assert draw(folder) == (picture, 0)
+    assert draw(folder) == (image, 0)
 
 
 def test_code_that_the_driver_refuses_is_made_again(filled: tuple[Path, str]) -> None:
     """Code and record agree, but it is no code. It is taken where it isn't known how to do without."""
-    folder, picture = filled
+    folder, image = filled
     next((folder / "pocl" / "rhi").glob("*.header")).unlink()
     _, vertices, *_ = codes(folder)
     vertices.write_bytes(seal(vertices, b"other"))
     record = vertices.with_suffix("")
     signed = trust.sign(trust.read_key(), b"other", record.name, ".code")
     record.write_text(json.dumps(json.loads(record.read_text()) | {"code": signed}))
-    assert draw(folder)[0] == picture
+    assert draw(folder)[0] == image
     assert len(vertices.read_bytes()) > 1000
-    assert draw(folder) == (picture, 0)
+    assert draw(folder) == (image, 0)
 
 
-def test_known_programs_are_not_given_to_the_driver_as_source(drawn: tuple[Path, str]) -> None:
-    folder, picture = drawn
-    assert finish_counting(start(folder)) == (picture, 0, 0, 3)
+def test_known_programs_are_not_given_to_the_driver_as_source(first_run: tuple[Path, str]) -> None:
+    folder, image = first_run
+    assert finish_counting(start(folder)) == (image, 0, 0, 3)
 
 
 @pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_a_driver_that_takes_no_code_is_given_source(filled: tuple[Path, str]) -> None:
-    folder, picture = filled
+    folder, image = filled
     for _ in range(2):
-        assert finish_counting(start(folder, 1 << 30, "refuse"))[::2] == (picture, 4)
+        assert finish_counting(start(folder, 1 << 30, "refuse"))[::2] == (image, 4)
     assert not codes(folder)
-    assert draw(folder) == (picture, 0)  # which another driver goes on with
+    assert draw(folder) == (image, 0)  # which another driver goes on with
 
 
 def test_code_without_a_record_is_used(filled: tuple[Path, str]) -> None:
     """As a process left it that ended before it had recorded a program."""
-    folder, picture = filled
+    folder, image = filled
     for record in records(folder):
         record.unlink()
     whole = [path.read_bytes() for path in codes(folder)]
-    assert finish_counting(start(folder)) == (picture, 3, 0, 0)
+    assert finish_counting(start(folder)) == (image, 3, 0, 0)
     assert [path.read_bytes() for path in codes(folder)] == whole
-    assert draw(folder) == (picture, 0)
+    assert draw(folder) == (image, 0)
 
 
 @pytest.mark.nightly_cases(reason=CHEAPER_TEST)
 def test_a_damaged_record_is_made_again(filled: tuple[Path, str]) -> None:
-    folder, picture = filled
+    folder, image = filled
     for path, content in zip(records(folder), [b"", b"{}", b"[1]", b'{"folder": 1, "files": 2}'], strict=False):
         path.write_bytes(content)
-    assert draw(folder)[0] == picture
-    assert draw(folder) == (picture, 0)
+    assert draw(folder)[0] == image
+    assert draw(folder) == (image, 0)
 
 
 @pytest.mark.parametrize(
-    "place", ["", ".", "..", "AB", "AB/..", "../mine", "AB/key/more", "x/AB/key", "ab/key", "{outside}"]
+    "path", ["", ".", "..", "AB", "AB/..", "../mine", "AB/key/more", "x/AB/key", "ab/key", "{outside}"]
 )
-def test_a_record_that_names_another_place_removes_nothing_there(tmp_path: Path, place: str) -> None:
+def test_a_record_that_names_another_folder_removes_nothing_there(tmp_path: Path, path: str) -> None:
     """Records may come from elsewhere, and what they name may be removed."""
     folder, outside = tmp_path / "kernels", tmp_path / "mine"
     folders = [outside, folder, *(folder / each for each in ("rhi", "AB/key", "x/AB/key", "ab/key"))]
@@ -272,8 +273,8 @@ def test_a_record_that_names_another_place_removes_nothing_there(tmp_path: Path,
         each.mkdir(parents=True, exist_ok=True)
         (each / "kept").write_bytes(b"kept")
     record = folder / "rhi" / "evil"
-    record.write_text(json.dumps({"folder": place.format(outside=outside), "files": {"kept": 0}}))
-    assert not KernelCache(folder, "driver").knows("evil")
+    record.write_text(json.dumps({"folder": path.format(outside=outside), "files": {"kept": 0}}))
+    assert not KernelCache(folder, "driver").contains("evil")
     assert not record.exists()
     for each in folders:
         assert (each / "kept").read_bytes() == b"kept"
@@ -282,9 +283,9 @@ def test_a_record_that_names_another_place_removes_nothing_there(tmp_path: Path,
 def make(folder: Path, key: str, size: int, since: float) -> None:
     """Write a program of some bytes that was last used some seconds ago, with its record."""
     kernels = KernelCache(folder, "driver")
-    place = folder / "AB" / key
-    place.mkdir(parents=True)
-    (place / "program.bc").write_bytes(f"rhi_built_{key}".encode() + bytes(size))
+    program = folder / "AB" / key
+    program.mkdir(parents=True)
+    (program / "program.bc").write_bytes(f"rhi_built_{key}".encode() + bytes(size))
     kernels.record(key)
     record = folder / "rhi" / key
     used = record.stat().st_mtime - since
@@ -298,9 +299,9 @@ def test_the_programs_used_least_recently_are_removed_beyond_the_limit(
     for number, key in enumerate(("oldest", "older", "newer", "newest")):
         make(tmp_path, key, 1000, 100.0 - number)
     kernels = KernelCache(tmp_path, "driver")
-    assert kernels.knows("oldest")  # which uses it
+    assert kernels.contains("oldest")  # which uses it
     for limit, left in ((4300, ["newer", "newest", "older", "oldest"]), (2500, ["newest", "oldest"])):
-        monkeypatch.setattr(cache, "LIMIT", limit)
+        monkeypatch.setattr(kernel_cache, "LIMIT", limit)
         kernels.record("newest")
         kernels.finish()
         for part in ("AB", "rhi"):
@@ -311,8 +312,8 @@ def test_what_nobody_needs_any_more_is_removed_after_a_day(tmp_path: Path) -> No
     """Code, locks and programs without records, and the empty files that PoCL leaves."""
     (tmp_path / "rhi").mkdir()
     make(tmp_path, "key", 10, 0.0)
-    kept = {"AB/key", "AB/new", "AB/used", binaries.name_folder("key")}
-    for name in (*kept, "AB/gone", binaries.name_folder("gone")):
+    remaining = {"AB/key", "AB/new", "AB/used", binaries.folder_name("key")}
+    for name in (*remaining, "AB/gone", binaries.folder_name("gone")):
         (tmp_path / name).mkdir(parents=True, exist_ok=True)
         if name == "AB/used":
             (tmp_path / name / "last_accessed").touch()
@@ -333,7 +334,7 @@ def test_what_nobody_needs_any_more_is_removed_after_a_day(tmp_path: Path) -> No
     kernels.record("key")
     kernels.finish()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["AB", "RH", "rhi", "tempfile_b", "tempfile_full"]
-    assert {str(path.relative_to(tmp_path)) for path in tmp_path.glob("[A-Z][A-Z]/*")} == kept
+    assert {str(path.relative_to(tmp_path)) for path in tmp_path.glob("[A-Z][A-Z]/*")} == remaining
     assert sorted(path.name for path in (tmp_path / "rhi").iterdir()) == ["key", "key.code"]
     assert kernels.find("key") == (b"code", frozenset())
 
@@ -344,7 +345,7 @@ def test_code_counts_to_the_size_of_a_program_and_goes_with_it(tmp_path: Path, m
     (tmp_path / "rhi" / "key.code").write_bytes(kernels.seal("key", bytes([1]) * 1000))
     make(tmp_path, "key", 1000, 0.0)
     for limit, left in ((2100, ["key", "key.code"]), (2000, [])):
-        monkeypatch.setattr(cache, "LIMIT", limit)
+        monkeypatch.setattr(kernel_cache, "LIMIT", limit)
         kernels.record("key")
         kernels.finish()
         assert sorted(path.name for path in (tmp_path / "rhi").iterdir()) == left
@@ -352,16 +353,14 @@ def test_code_counts_to_the_size_of_a_program_and_goes_with_it(tmp_path: Path, m
 
 def test_a_program_is_found_by_its_name_however_many_are_newer(tmp_path: Path) -> None:
     (tmp_path / "rhi").mkdir()
-    known = KernelCache(tmp_path, "driver")
-    for age, (place, key) in enumerate(
-        (("AB/newest", "b"), ("CD/beside", "c"), ("CD/wanted", "a"), ("EF/oldest", "d"))
-    ):
-        folder = tmp_path / place
+    cache = KernelCache(tmp_path, "driver")
+    for age, (name, key) in enumerate((("AB/newest", "b"), ("CD/beside", "c"), ("CD/wanted", "a"), ("EF/oldest", "d"))):
+        folder = tmp_path / name
         folder.mkdir(parents=True)
         (folder / "program.bc").write_bytes(f"rhi_built_{key}".encode())
         for path in (folder, folder.parent):
             os.utime(path, (1e9 - age, 1e9 - age))
-    known.record("a")
+    cache.record("a")
     assert json.loads((tmp_path / "rhi" / "a").read_bytes())["folder"] == "CD/wanted"
 
 
@@ -372,28 +371,28 @@ def test_another_driver_source_or_option_is_another_program(tmp_path: Path) -> N
     assert mine.request("a", ()) == requests[0]
 
 
-def test_machine_code_of_a_kernel_is_told_from_its_absence(tmp_path: Path) -> None:
+def test_missing_machine_code_of_a_kernel_is_detected(tmp_path: Path) -> None:
     (tmp_path / "rhi").mkdir()
     make(tmp_path, "key", 10, 0.0)
     kernels = KernelCache(tmp_path, "driver")
-    assert kernels.knows("key")
-    assert not kernels.knows("key", ["draw"])
+    assert kernels.contains("key")
+    assert not kernels.contains("key", ["draw"])
     (tmp_path / "AB" / "key" / "draw" / "1-1-1").mkdir(parents=True)
     (tmp_path / "AB" / "key" / "draw" / "1-1-1" / "draw.so").write_bytes(b"code")
-    assert not kernels.knows("key", ["draw"])  # it isn't known to be complete
+    assert not kernels.contains("key", ["draw"])  # it isn't known to be complete
     kernels.record("key")
-    assert kernels.knows("key", ["draw"])
+    assert kernels.contains("key", ["draw"])
 
 
 def test_a_folder_that_cannot_be_made_leaves_the_driver_s(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").touch()
     monkeypatch.delenv("POCL_CACHE_DIR", raising=False)
     monkeypatch.setenv("RHI_CACHE", str(tmp_path / "file"))
-    assert cache.choose_folder() is None
+    assert kernel_cache.choose_folder() is None
     assert "POCL_CACHE_DIR" not in os.environ
     kernels = KernelCache(None, "driver")
     assert not kernels.works
-    assert not kernels.knows("key")
+    assert not kernels.contains("key")
     with kernels.writing("key"):
         kernels.record("key")
     kernels.finish()
@@ -402,8 +401,8 @@ def test_a_folder_that_cannot_be_made_leaves_the_driver_s(tmp_path: Path, monkey
 @pytest.fixture
 def environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder for kernels, beside a cache of the user's own."""
-    monkeypatch.setattr(cache, "_replaced", {})
-    monkeypatch.setattr(trust, "LEAST", 0)
+    monkeypatch.setattr(kernel_cache, "_replaced", {})
+    monkeypatch.setattr(trust, "MIN_FREE_BYTES", 0)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "user"))
     monkeypatch.delenv("POCL_CACHE_DIR", raising=False)
     monkeypatch.setenv("RHI_CACHE", str(tmp_path / "kernels"))
@@ -411,26 +410,26 @@ def environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_what_is_made_is_for_the_user_only(environment: Path, tmp_path: Path) -> None:
-    assert cache.choose_folder() == environment
+    assert kernel_cache.choose_folder() == environment
     folders = (environment.parent, environment, environment / "rhi", tmp_path / "user" / "rhi")
     assert {folder.stat().st_mode & 0o777 for folder in folders} == {0o700}
     assert (tmp_path / "user" / "rhi" / "key").stat().st_mode & 0o777 == 0o600
-    assert cache.choose_folder() == environment
+    assert kernel_cache.choose_folder() == environment
 
 
-@pytest.mark.parametrize("place", ["", "rhi"])
+@pytest.mark.parametrize("path", ["", "rhi"])
 @pytest.mark.parametrize(("mode", "is_used"), [(0o755, True), (0o775, False), (0o707, False), (0o1777, False)])
-def test_a_folder_that_others_may_write_is_not_used(environment: Path, place: str, mode: int, is_used: bool) -> None:
+def test_a_folder_that_others_may_write_is_not_used(environment: Path, path: str, mode: int, is_used: bool) -> None:
     (environment / "rhi").mkdir(parents=True)
-    (environment / place).chmod(mode)
+    (environment / path).chmod(mode)
     if is_used:
-        assert cache.choose_folder() == environment
+        assert kernel_cache.choose_folder() == environment
         return
     with pytest.warns(RuntimeWarning, match="other users may write"):
-        instead = cache.choose_folder()
+        instead = kernel_cache.choose_folder()
     assert instead not in (None, environment)
     assert os.environ["POCL_CACHE_DIR"] == str(instead)
-    assert cache.choose_folder() == instead  # and says it once
+    assert kernel_cache.choose_folder() == instead  # and says it once
 
 
 def test_a_folder_of_another_user_is_not_used(environment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -439,22 +438,22 @@ def test_a_folder_of_another_user_is_not_used(environment: Path, monkeypatch: py
     for path in (environment, environment / "rhi"):  # which may be root's
         monkeypatch.setattr(path.__class__, "stat", _stat_of(12345))
     with pytest.warns(RuntimeWarning, match="belongs to another user"):
-        assert cache.choose_folder() != environment
+        assert kernel_cache.choose_folder() != environment
 
 
 def _stat_of(user: int) -> Callable[..., os.stat_result]:
     def stat(path: Path, **_: object) -> os.stat_result:
-        found = list(os.stat(path))
-        found[4] = user
-        return os.stat_result(found)
+        fields = list(os.stat(path))
+        fields[4] = user
+        return os.stat_result(fields)
 
     return stat
 
 
 def test_a_full_disk_is_not_used(environment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trust, "LEAST", 1 << 60)
+    monkeypatch.setattr(trust, "MIN_FREE_BYTES", 1 << 60)
     with pytest.warns(RuntimeWarning, match=r"only [\d.]+ MB are free"):
-        assert cache.choose_folder() != environment
+        assert kernel_cache.choose_folder() != environment
 
 
 def test_programs_of_another_user_are_built_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -465,24 +464,24 @@ def test_programs_of_another_user_are_built_again(tmp_path: Path, monkeypatch: p
         monkeypatch.setenv("RHI_CACHE_KEY", secret)
         make(folder, key, 10, 0.0)
     monkeypatch.setenv("RHI_CACHE_KEY", "")
-    assert KernelCache(folder, "driver").knows("mine")
-    assert not KernelCache(folder, "driver").knows("theirs")
+    assert KernelCache(folder, "driver").contains("mine")
+    assert not KernelCache(folder, "driver").contains("theirs")
     assert not (folder / "AB" / "theirs").exists()
     monkeypatch.setenv("RHI_CACHE_KEY", "program")
-    assert KernelCache(folder, "driver").knows("shipped")
+    assert KernelCache(folder, "driver").contains("shipped")
 
 
 def test_a_program_does_not_pass_for_another(tmp_path: Path) -> None:
     (tmp_path / "rhi").mkdir()
     make(tmp_path, "one", 10, 0.0)
     shutil.copy(tmp_path / "rhi" / "one", tmp_path / "rhi" / "two")
-    assert KernelCache(tmp_path, "driver").knows("one")
-    assert not KernelCache(tmp_path, "driver").knows("two")
+    assert KernelCache(tmp_path, "driver").contains("one")
+    assert not KernelCache(tmp_path, "driver").contains("two")
     assert trust.sign(b"key", b"bc", "a") != trust.sign(b"key", b"c", "ab")
 
 
 def test_a_key_that_others_can_read_is_none(environment: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert cache.choose_folder() == environment
+    assert kernel_cache.choose_folder() == environment
     key = tmp_path / "user" / "rhi" / "key"
     with monkeypatch.context() as another:
         another.setattr(os, "geteuid", lambda: key.stat().st_uid + 1)
@@ -490,7 +489,7 @@ def test_a_key_that_others_can_read_is_none(environment: Path, tmp_path: Path, m
     assert trust.read_key() == key.read_bytes()
     key.chmod(0o644)
     with pytest.warns(RuntimeWarning, match="no key can be kept"):
-        assert cache.choose_folder() != environment
+        assert kernel_cache.choose_folder() != environment
     key.chmod(0o600)
     key.write_bytes(b"short")
     assert trust.read_key() == b""
@@ -500,10 +499,10 @@ def test_a_lock_of_a_stopped_process_is_given_up(tmp_path: Path, monkeypatch: py
     """And the program is built under a name of its own, so that nothing is written that the other one writes."""
     fcntl = pytest.importorskip("fcntl")
     (tmp_path / "rhi").mkdir()
-    monkeypatch.setattr(cache, "PATIENCE", 0.05)
+    monkeypatch.setattr(kernel_cache, "PATIENCE", 0.05)
     kernels = KernelCache(tmp_path, "driver")
-    with open(kernels.find_lock("key"), "wb") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
+    with open(kernels.lock_path("key"), "wb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
         with kernels.writing("key") as is_safe:
             assert not is_safe
     with kernels.writing("key") as is_safe:
@@ -513,26 +512,26 @@ def test_a_lock_of_a_stopped_process_is_given_up(tmp_path: Path, monkeypatch: py
 @pytest.mark.nightly
 def test_locks_of_a_stopped_process_hold_nobody_up(filled: tuple[Path, str]) -> None:
     fcntl = pytest.importorskip("fcntl")
-    folder, picture = filled
+    folder, image = filled
     for record in (*records(folder), *codes(folder)):
         record.unlink()
-    held = [path.open("wb") for path in (folder / "pocl" / "rhi").glob("*.lock")]
-    assert len(held) >= 3
-    for file in held:
+    locks = [path.open("wb") for path in (folder / "pocl" / "rhi").glob("*.lock")]
+    assert len(locks) >= 3
+    for file in locks:
         fcntl.flock(file, fcntl.LOCK_EX)
     begun = time.monotonic()
-    assert draw(folder)[0] == picture
+    assert draw(folder)[0] == image
     assert 19.0 < time.monotonic() - begun < 120.0
-    for file in held:
+    for file in locks:
         file.close()
-    assert draw(folder)[0] == picture
-    assert draw(folder) == (picture, 0)
+    assert draw(folder)[0] == image
+    assert draw(folder) == (image, 0)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("left", [0, 4096, 100_000, 1_000_000])
 def test_a_full_disk_below_the_folder_means_no_cache_and_says_so(
-    drawn: tuple[Path, str], tmp_path: Path, left: int
+    first_run: tuple[Path, str], tmp_path: Path, left: int
 ) -> None:
     disk = tmp_path / "disk"
     disk.mkdir()
@@ -544,7 +543,7 @@ def test_a_full_disk_below_the_folder_means_no_cache_and_says_so(
         process = start(disk)
         output, errors = process.communicate(timeout=300)
         assert process.returncode == 0, errors
-        assert output.split()[0] == drawn[1]
+        assert output.split()[0] == first_run[1]
         assert "kernels aren't kept" in errors
         assert "free there" in errors
     finally:
@@ -554,6 +553,6 @@ def test_a_full_disk_below_the_folder_means_no_cache_and_says_so(
 def test_the_driver_s_own_variable_is_respected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("RHI_CACHE", raising=False)
     monkeypatch.setenv("POCL_CACHE_DIR", str(tmp_path))
-    assert cache.choose_folder() == tmp_path
+    assert kernel_cache.choose_folder() == tmp_path
     monkeypatch.setenv("RHI_CACHE", str(tmp_path / "mine"))
-    assert cache.choose_folder() == tmp_path / "mine" / "pocl"
+    assert kernel_cache.choose_folder() == tmp_path / "mine" / "pocl"

@@ -13,14 +13,14 @@ import pytest
 from cl_kit import ClKit, describe_program
 
 import rhi
-from rhi.backends.cl import context
-from rhi.backends.cl.context import open_context
-from rhi.backends.cl.pocl.cache import KernelCache
+from rhi.backends.cl import cl_context
+from rhi.backends.cl.cl_context import open_context
 from rhi.backends.cl.pocl.declarations import GUARD, declare, declare_function
+from rhi.backends.cl.pocl.kernel_cache import KernelCache
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 
-PLACES = ("/usr/share/pocl/include", *map(str, Path("/usr/lib").glob("llvm-*/lib/clang/*/include")))
+INCLUDE_FOLDERS = ("/usr/share/pocl/include", *map(str, Path("/usr/lib").glob("llvm-*/lib/clang/*/include")))
 EXTENSION = re.compile(r"(?<!_)half\b(?! \*)|half\d|u?int __.*\bdot\(")
 """Forms that belong to optional extensions."""
 HEADER_ONLY = "kernel void use(global uint *words, int count) { words[0] = (uint)ldexp(3.0f, count); }"
@@ -56,19 +56,19 @@ def drop_qualifiers(declaration: str) -> str:
 @pytest.fixture(scope="module")
 def header() -> dict[str, set[str]]:
     """The declarations of a driver's header, by name."""
-    place = next((Path(each) for each in PLACES if (Path(each) / "opencl-c.h").exists()), None)
-    if place is None:
+    folder = next((Path(each) for each in INCLUDE_FOLDERS if (Path(each) / "opencl-c.h").exists()), None)
+    if folder is None:
         pytest.skip("no header is installed")
-    text = (place / "opencl-c.h").read_text()
-    own = place / "_clang_opencl.h"  # PoCL's own additions
+    text = (folder / "opencl-c.h").read_text()
+    own = folder / "_clang_opencl.h"  # PoCL's own additions
     text += own.read_text() if own.exists() else ""
     text = re.sub(r"//[^\n]*|/\*.*?\*/|^ *#[^\n]*(?:\\\n[^\n]*)*", "", text, flags=re.DOTALL | re.MULTILINE)
-    found: dict[str, set[str]] = defaultdict(set)
+    forms: dict[str, set[str]] = defaultdict(set)
     form = r"(\w[\w\s]*?(?:__ovld|_CL_OVERLOADABLE)[\w\s]*?\b(\w+)\s*\([^()]*\))\s*;"
     for declaration, name in re.findall(form, text):
-        found[name].add(normalise(" ".join(declaration.split())))
-    assert len(found) > 400
-    return found
+        forms[name].add(normalise(" ".join(declaration.split())))
+    assert len(forms) > 400
+    return forms
 
 
 def test_each_declared_function_has_the_forms_of_the_header(header: dict[str, set[str]]) -> None:
@@ -78,11 +78,11 @@ def test_each_declared_function_has_the_forms_of_the_header(header: dict[str, se
         if declared:
             compared += 1
             named = any(re.search(r"(global|local|private|constant) \w+ \*", each) for each in expected)
-            wanted = {
+            forms = {
                 each for each in expected
                 if not EXTENSION.search(each) and not (named and re.search(r"[(,] ?\w+ \*", each))
             }  # fmt: skip
-            wrong |= {name: (declared - wanted, wanted - declared)} if declared != wanted else {}
+            wrong |= {name: (declared - forms, forms - declared)} if declared != forms else {}
     assert wrong == {}
     assert compared > 600
 
@@ -93,14 +93,14 @@ def test_whatever_else_the_header_has_is_left_to_it(header: dict[str, set[str]])
 
 
 def header_constants() -> Iterator[str]:
-    for place in PLACES[:1]:
-        text = (Path(place) / "opencl-c-base.h").read_text()
+    for folder in INCLUDE_FOLDERS[:1]:
+        text = (Path(folder) / "opencl-c-base.h").read_text()
         yield from re.findall(r"^\s*#define ([A-Za-z]\w*)", text, re.MULTILINE)
         types = r"^typedef [^;]*?(\w+)(?: __attribute__\(\(ext_vector_type\(\d+\)\)\))?;"
         yield from re.findall(types, text, re.MULTILINE)
 
 
-@pytest.mark.skipif(not (Path(PLACES[0]) / "opencl-c-base.h").exists(), reason="no header is installed")
+@pytest.mark.skipif(not (Path(INCLUDE_FOLDERS[0]) / "opencl-c-base.h").exists(), reason="no header is installed")
 def test_constants_and_types_are_declared_or_left_to_the_header() -> None:
     names = {name for name in header_constants() if not name.startswith(("cl_", "workDimension"))}
     assert {"INFINITY", "uint16", "CLK_NORMALIZED_COORDS_TRUE", "FLT_MAX"} < names
@@ -111,17 +111,17 @@ def test_constants_and_types_are_declared_or_left_to_the_header() -> None:
 @pytest.fixture
 def requests(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[str, ...]]]:
     """The programs that the driver is given, which the cache doesn't know."""
-    given: list[tuple[str, tuple[str, ...]]] = []
-    build = context.build_again
-    for name in ("find", "read_code", "keep_code", "record"):
+    recorded: list[tuple[str, tuple[str, ...]]] = []
+    build = cl_context.build_again
+    for name in ("find", "read_code", "store_code", "record"):
         monkeypatch.setattr(KernelCache, name, lambda *_: None)
 
     def note(opened: Any, source: str, options: tuple[str, ...]) -> Any:
-        given.append((source, options))
+        recorded.append((source, options))
         return build(opened, source, options)
 
-    monkeypatch.setattr(context, "build_again", note)
-    return given
+    monkeypatch.setattr(cl_context, "build_again", note)
+    return recorded
 
 
 @pytest.fixture
@@ -159,7 +159,7 @@ def test_a_driver_that_cannot_do_without_its_header_keeps_it(
     monkeypatch: pytest.MonkeyPatch, requests: list[tuple[str, tuple[str, ...]]]
 ) -> None:
     broken = "typedef int uint;\nthis is no declaration\n"
-    monkeypatch.setattr("rhi.backends.cl.pocl.cache.declare", lambda source: broken)
+    monkeypatch.setattr("rhi.backends.cl.pocl.kernel_cache.declare", lambda source: broken)
     opened = open_context()
     assert not opened.cache.declares
     assert [GUARD in options for _, options in requests] == [True, False]

@@ -28,16 +28,16 @@ print(sorted(sorted(os.sched_getaffinity(thread)) for thread in list_threads() -
 def threads() -> Iterator[list[int]]:
     """The ids of two idle threads."""
     done = threading.Event()
-    made = [threading.Thread(target=done.wait) for _ in range(2)]
-    for thread in made:
+    started = [threading.Thread(target=done.wait) for _ in range(2)]
+    for thread in started:
         thread.start()
-    yield [thread.native_id or 0 for thread in made]
+    yield [thread.native_id or 0 for thread in started]
     done.set()
-    for thread in made:
+    for thread in started:
         thread.join()
 
 
-def places(threads: list[int]) -> list[set[int]]:
+def affinities(threads: list[int]) -> list[set[int]]:
     return [os.sched_getaffinity(thread) for thread in threads]
 
 
@@ -48,7 +48,7 @@ def test_threads_that_began_are_found(threads: list[int]) -> None:
 def test_each_thread_stays_on_a_cpu_of_its_own(threads: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("POCL_AFFINITY", raising=False)
     spread_threads(set(threads))
-    first, second = places(threads)
+    first, second = affinities(threads)
     assert len(first) == len(second) == 1
     assert first != second
 
@@ -56,7 +56,7 @@ def test_each_thread_stays_on_a_cpu_of_its_own(threads: list[int], monkeypatch: 
 def test_the_users_own_choice_goes_before(threads: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("POCL_AFFINITY", "0")
     spread_threads(set(threads))
-    assert places(threads) == [os.sched_getaffinity(0)] * 2
+    assert affinities(threads) == [os.sched_getaffinity(0)] * 2
 
 
 def test_more_threads_than_cpus_are_left_alone(threads: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -64,7 +64,7 @@ def test_more_threads_than_cpus_are_left_alone(threads: list[int], monkeypatch: 
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
     spread_threads(set(threads))
     monkeypatch.undo()
-    assert places(threads) == [os.sched_getaffinity(0)] * 2
+    assert affinities(threads) == [os.sched_getaffinity(0)] * 2
 
 
 @pytest.mark.skipif(os.cpu_count() != len(CPUS), reason="PoCL has a worker for each CPU of the machine")

@@ -44,13 +44,15 @@ class Host:
         self.data[buffer][offset : offset + len(data)] = data
         self.assembler.write(buffer, offset, data)
 
-    def vertices(self, made: Assembly[Lists], buffer: int = 0, format: IndexFormat = IndexFormat.UINT32) -> list[int]:
+    def vertices(
+        self, assembly: Assembly[Lists], buffer: int = 0, format: IndexFormat = IndexFormat.UINT32
+    ) -> list[int]:
         """Return the vertices that a kernel would read."""
-        places = made.start + np.arange(made.count)
-        if made.indexed:
-            own = np.frombuffer(self.data[buffer], format.dtype) if made.memory is None else made.memory
-            places = own[places].astype(np.int64)
-        return (places + made.base).tolist()
+        positions = assembly.start + np.arange(assembly.count)
+        if assembly.indexed:
+            own = np.frombuffer(self.data[buffer], format.dtype) if assembly.memory is None else assembly.memory
+            positions = own[positions].astype(np.int64)
+        return (positions + assembly.base).tolist()
 
 
 def listed(primitive: Primitive, indices: list[int], restart: int) -> list[tuple[int, ...]]:
@@ -106,16 +108,16 @@ def test_indexed_draws_read_the_vertices_of_their_topology(
     count = data.draw(st.integers(0, len(indices) - first + 2))  # beyond the end, too
     host = Host()
     buffer = host.buffer(7, np.array(indices, format.dtype))
-    made = host.assembler.assemble(primitive, first, count, buffer, format)
+    assembly = host.assembler.assemble(primitive, first, count, buffer, format)
     expected = [v for corners in listed(primitive, indices[first : first + count], restart) for v in corners]
-    assert host.vertices(made, buffer, format) == expected
-    assert made.count % made.corners == 0
+    assert host.vertices(assembly, buffer, format) == expected
+    assert assembly.count % assembly.corners == 0
     if expected:
-        assert made.lowest is not None
-        assert made.highest is not None
-        assert made.lowest <= min(expected)
-        assert max(expected) <= made.highest
-        assert made.highest < 40, "a range without the restart index"
+        assert assembly.lowest is not None
+        assert assembly.highest is not None
+        assert assembly.lowest <= min(expected)
+        assert max(expected) <= assembly.highest
+        assert assembly.highest < 40, "a range without the restart index"
 
 
 @settings(max_examples=100)
@@ -124,13 +126,13 @@ def test_draws_without_indices_read_the_vertices_of_their_topology(
     primitive: Primitive, first: int, count: int
 ) -> None:
     host = Host()
-    made = host.assembler.assemble(primitive, first, count)
+    assembly = host.assembler.assemble(primitive, first, count)
     expected = [v for corners in listed(primitive, list(range(first, first + count)), -1) for v in corners]
-    assert host.vertices(made) == expected
+    assert host.vertices(assembly) == expected
     if expected:
-        assert made.lowest == min(expected) - made.base
-        assert made.highest is not None
-        assert made.highest + made.base >= max(expected)
+        assert assembly.lowest == min(expected) - assembly.base
+        assert assembly.highest is not None
+        assert assembly.highest + assembly.base >= max(expected)
 
 
 @settings(max_examples=100)
@@ -139,9 +141,9 @@ def test_a_range_is_exact_wherever_it_begins_and_ends(first: int, count: int) ->
     indices = np.random.default_rng(0).integers(0, 1 << 30, 10_000).astype(np.uint32)
     host = Host()
     buffer = host.buffer(1, indices)
-    made = host.assembler.assemble(Primitive.POINTS, first, count, buffer)
-    chosen = indices[first : first + count]
-    assert (made.lowest, made.highest) == (chosen.min(), chosen.max())
+    assembly = host.assembler.assemble(Primitive.POINTS, first, count, buffer)
+    used = indices[first : first + count]
+    assert (assembly.lowest, assembly.highest) == (used.min(), used.max())
 
 
 @settings(max_examples=100)
@@ -157,9 +159,9 @@ def test_a_range_is_exact_after_any_writes(data: st.DataObject, format: IndexFor
         written = numbers.integers(0, 1 << 14, length // 2 + 1).astype(np.uint16).tobytes()[:length]
         host.write(buffer, offset, written)
         first, count = data.draw(st.integers(0, 4000)), data.draw(st.integers(1, 5000))
-        made = host.assembler.assemble(Primitive.POINTS, first, count, buffer, format)
-        chosen = np.frombuffer(host.data[buffer], format.dtype)[first : first + count]
-        assert (made.lowest, made.highest) == (chosen.min(), chosen.max())
+        assembly = host.assembler.assemble(Primitive.POINTS, first, count, buffer, format)
+        used = np.frombuffer(host.data[buffer], format.dtype)[first : first + count]
+        assert (assembly.lowest, assembly.highest) == (used.min(), used.max())
 
 
 # -- what is kept --------------------------------------------------------------------------------------------
@@ -168,8 +170,8 @@ STRIP = np.array([0, 1, 2, 3, 0xFFFF, 4, 5, 6], np.uint16)
 
 
 def assemble_strip(host: Host, buffer: int) -> list[int]:
-    made = host.assembler.assemble(Primitive.TRIANGLE_STRIP, 0, 8, buffer, IndexFormat.UINT16)
-    return host.vertices(made, buffer)
+    assembly = host.assembler.assemble(Primitive.TRIANGLE_STRIP, 0, 8, buffer, IndexFormat.UINT16)
+    return host.vertices(assembly, buffer)
 
 
 def test_a_draw_is_assembled_once() -> None:
@@ -211,8 +213,8 @@ def test_lists_that_the_device_wrote_are_not_read_back() -> None:
     buffer = host.buffer(1, np.arange(9, dtype=np.uint32))
     assert host.assembler.assemble(Primitive.TRIANGLES, 0, 9, buffer).highest == 8
     host.assembler.change(buffer)
-    made = host.assembler.assemble(Primitive.TRIANGLES, 2, 7, buffer)
-    assert made == Assembly(3, 6, 2, indexed=True)
+    assembly = host.assembler.assemble(Primitive.TRIANGLES, 2, 7, buffer)
+    assert assembly == Assembly(3, 6, 2, indexed=True)
     assert host.reads == 1
 
 
@@ -239,17 +241,17 @@ def test_buffers_without_indices_and_destroyed_ones_are_nobody_s_business() -> N
 
 
 def test_what_is_kept_of_a_buffer_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(assembly, "_MAX_KEPT", 3)
+    monkeypatch.setattr(assembly, "_MAX_ASSEMBLIES", 3)
     host = Host()
     buffer = host.buffer(1, np.arange(100, dtype=np.uint32))
     for first in range(20):
         assert host.assembler.assemble(Primitive.POINTS, first, 5, buffer).lowest == first
-        assert len(host.assembler._buffers[buffer].kept) <= 3
+        assert len(host.assembler._buffers[buffer].assemblies) <= 3
 
 
 def test_a_restart_in_a_list_ends_its_primitive() -> None:
     host = Host()
     buffer = host.buffer(1, np.array([0, 1, 2, 3, 0xFFFFFFFF, 4, 5, 6], np.uint32))
-    made = host.assembler.assemble(Primitive.TRIANGLES, 0, 8, buffer)
-    assert host.vertices(made, buffer) == [0, 1, 2, 4, 5, 6]
-    assert (made.lowest, made.highest) == (0, 6)
+    assembly = host.assembler.assemble(Primitive.TRIANGLES, 0, 8, buffer)
+    assert host.vertices(assembly, buffer) == [0, 1, 2, 4, 5, 6]
+    assert (assembly.lowest, assembly.highest) == (0, 6)

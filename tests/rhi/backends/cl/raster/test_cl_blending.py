@@ -8,10 +8,10 @@ import pytest
 
 from rhi import AlphaToCoverage, BlendColor, BlendFactor, BlendFunction, Device, Format
 from rhi.conformance.compare import assert_near
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import blend_factor, channels_of, decode, encode
 from rhi.conformance.shaders import Colored, Shade
 from rhi.conformance.shapes import rectangle
+from rhi.conformance.single_draws import draw_once
 from rhi.shading import vec2, vec3
 
 
@@ -32,26 +32,26 @@ def test_factors_of_signed_normalised_targets_are_clamped(
             device.draw(device.program(Colored), mesh)
         back = channels_of(format, image.read())
     factors = np.clip(blend_factor(factor, np.broadcast_to(new, stored.shape), stored, constant), -1.0, 1.0)
-    wanted = encode(format, (new if of_source else stored) * factors)
-    assert_near(back, wanted, 0.51, "rounding to the nearest stored number")
+    expected = encode(format, (new if of_source else stored) * factors)
+    assert_near(back, expected, 0.51, "rounding to the nearest stored number")
 
 
-class One(Colored):
+class OneComponent(Colored):
     def fragment(self, v: Shade) -> float:  # type: ignore[override]
         return v.color.x
 
 
-class Two(Colored):
+class TwoComponents(Colored):
     def fragment(self, v: Shade) -> vec2:  # type: ignore[override]
         return v.color.xy
 
 
-class Three(Colored):
+class ThreeComponents(Colored):
     def fragment(self, v: Shade) -> vec3:  # type: ignore[override]
         return v.color.xyz
 
 
-@pytest.mark.parametrize(("shader", "components"), [(One, 1), (Two, 2), (Three, 3)])
+@pytest.mark.parametrize(("shader", "components"), [(OneComponent, 1), (TwoComponents, 2), (ThreeComponents, 3)])
 def test_components_that_a_shader_does_not_give_are_0_and_alpha_1(
     device: Device, shader: type[Colored], components: int
 ) -> None:

@@ -15,7 +15,7 @@ SIZE = (36, 20)
 Floats = NDArray[np.float32]
 
 
-class Places(sl.Struct):
+class ReadCoordinates(sl.Struct):
     """Where a pixel reads: `start + x across + y down`, in texels; the layer is the sum of products with `layers`."""
 
     start: sl.vec2
@@ -28,7 +28,7 @@ class Places(sl.Struct):
 class Reading(sl.Shader):
     """Shows bilinear samples, or texels."""
 
-    places: sl.Uniform[Places]
+    coordinates: sl.Uniform[ReadCoordinates]
     image: sl.Texture2DArray
 
     def vertex(self) -> sl.vec4:
@@ -37,36 +37,36 @@ class Reading(sl.Shader):
 
     def fragment(self) -> sl.vec4:
         pixel = sl.vec2(sl.ivec2(sl.fragment_coordinate().xy))
-        place = self.places.start + self.places.across * pixel.x + self.places.down * pixel.y
-        layer = self.places.layers.x * pixel.x + self.places.layers.y * pixel.y
-        if self.places.is_filtered == 0:
-            return self.image.load(sl.ivec3(sl.vec3(place, layer)))
-        return self.image.sample_lod(sl.vec3(place / sl.vec2(self.image.size().xy), layer), 0.0)
+        position = self.coordinates.start + self.coordinates.across * pixel.x + self.coordinates.down * pixel.y
+        layer = self.coordinates.layers.x * pixel.x + self.coordinates.layers.y * pixel.y
+        if self.coordinates.is_filtered == 0:
+            return self.image.load(sl.ivec3(sl.vec3(position, layer)))
+        return self.image.sample_lod(sl.vec3(position / sl.vec2(self.image.size().xy), layer), 0.0)
 
 
 class RowReading(sl.Shader):
     """Reads the same texels, a row of them at once."""
 
     work_group = (32,)
-    places: sl.Uniform[Places]
+    coordinates: sl.Uniform[ReadCoordinates]
     image: sl.Texture2DArray
     texels: sl.StorageRW[sl.vec4]
 
     def compute(self) -> None:
         at = sl.global_id().xy
-        place = self.places.start + self.places.across * float(at.x) + self.places.down * float(at.y)
-        layer = self.places.layers.x * float(at.x) + self.places.layers.y * float(at.y)
-        texel = self.image.load(sl.ivec3(sl.vec3(place, layer)))
+        position = self.coordinates.start + self.coordinates.across * float(at.x) + self.coordinates.down * float(at.y)
+        layer = self.coordinates.layers.x * float(at.x) + self.coordinates.layers.y * float(at.y)
+        texel = self.image.load(sl.ivec3(sl.vec3(position, layer)))
         if at.x < SIZE[0]:
             self.texels[SIZE[0] * at.y + at.x] = texel
 
 
-def show(device: Device, image: object, *, is_filtered: int, **places: tuple[float, float]) -> Floats:
+def show(device: Device, image: object, *, is_filtered: int, **coordinates: tuple[float, float]) -> Floats:
     target = device.texture(SIZE, Format.RGBA32F)
-    given = {"start": (0, 0), "across": (1, 0), "down": (0, 1), "layers": (0, 0)} | places
-    constants = device.uniform(Places(is_filtered=is_filtered, **given))
+    values = {"start": (0, 0), "across": (1, 0), "down": (0, 1), "layers": (0, 0)} | coordinates
+    constants = device.uniform(ReadCoordinates(is_filtered=is_filtered, **values))
     with device.render_pass(target, clear=(9, 9, 9, 9)), device.states(CullMode.NONE):
-        device.draw(device.program(Reading), device.mesh(3), image=image, places=constants)
+        device.draw(device.program(Reading), device.mesh(3), image=image, coordinates=constants)
     return np.asarray(target.read())
 
 
@@ -126,8 +126,10 @@ def test_a_load_is_the_texel_wherever_a_block_or_a_row_of_pixels_reads(device: D
         expected = np.zeros((*x.shape, 4), np.float32)
         expected[..., 3] = inside if format.channels < 4 else 0
         expected[inside, : format.channels] = texels[layer[inside], v[inside], u[inside]]
-        given: dict[str, tuple[float, float]] = {"start": start, "across": across, "down": down, "layers": layers}
-        read = show(device, image, is_filtered=0, **given)
-        np.testing.assert_allclose(read, expected, rtol=1e-6, err_msg=f"{given}")
-        device.dispatch(rows, (2, SIZE[1]), places=Places(is_filtered=0, **given), image=image, texels=texels_read)
-        np.testing.assert_array_equal(texels_read.read().reshape(read.shape), read, f"{given}")
+        values: dict[str, tuple[float, float]] = {"start": start, "across": across, "down": down, "layers": layers}
+        read = show(device, image, is_filtered=0, **values)
+        np.testing.assert_allclose(read, expected, rtol=1e-6, err_msg=f"{values}")
+        device.dispatch(
+            rows, (2, SIZE[1]), coordinates=ReadCoordinates(is_filtered=0, **values), image=image, texels=texels_read
+        )
+        np.testing.assert_array_equal(texels_read.read().reshape(read.shape), read, f"{values}")

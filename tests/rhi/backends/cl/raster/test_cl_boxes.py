@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 import rhi
 import rhi.shading as sl
-from rhi.backends.cl.backend import ClBackend
+from rhi.backends.cl.cl_backend import ClBackend
 from rhi.backends.cl.raster import boxes, draw_tables
-from rhi.backends.cl.raster.tables import GROUP
+from rhi.backends.cl.raster.kernel_structs import GROUP
 
 SIZE = (96, 64)
 VERTICES = 6 * GROUP
@@ -43,24 +43,24 @@ class Surface(sl.Struct):
     color: sl.vec3
 
 
-class Placed(sl.Shader):
+class InstancedThings(sl.Shader):
     view: sl.Uniform[View]
     things: sl.Storage[Thing]
 
     def vertex(self, v: Vertex) -> Surface:
-        place = self.things[sl.instance_index()].matrix @ sl.vec4(v.position, 1.0)
-        return Surface(clip=self.view.matrix @ place, color=v.color)
+        position = self.things[sl.instance_index()].matrix @ sl.vec4(v.position, 1.0)
+        return Surface(clip=self.view.matrix @ position, color=v.color)
 
     def fragment(self, v: Surface) -> sl.vec4:
         return sl.vec4(v.color, 1.0)
 
 
-class Bent(Placed):
+class Bent(InstancedThings):
     """A vertex stage that isn't affine."""
 
     def vertex(self, v: Vertex) -> Surface:
-        place = self.things[sl.instance_index()].matrix @ sl.vec4(v.position, 1.0)
-        return Surface(clip=self.view.matrix @ (place + sl.vec4(v.color.x * v.position.x * 0.0)), color=v.color)
+        position = self.things[sl.instance_index()].matrix @ sl.vec4(v.position, 1.0)
+        return Surface(clip=self.view.matrix @ (position + sl.vec4(v.color.x * v.position.x * 0.0)), color=v.color)
 
 
 class Offset(sl.Struct):
@@ -80,8 +80,8 @@ class Shifted(sl.Shader):
 @pytest.fixture
 def bounding_device(optimised_kernels: None) -> Iterator[rhi.Device]:
     """A device whose kernels keep bounds of depth."""
-    with rhi.create_device("cl") as made:
-        yield made
+    with rhi.create_device("cl") as created:
+        yield created
 
 
 def triangles(seed: int = 0, count: int = VERTICES) -> NDArray[Any]:
@@ -106,13 +106,13 @@ def translate(x: float, y: float, z: float) -> NDArray[np.float32]:
     return matrix
 
 
-class Stage:
+class MeshScene:
     """Meshes that are drawn frame by frame, each frame as one batch."""
 
-    def __init__(self, device: rhi.Device, shader: type[Placed], places: Any, view: Any = IDENTITY) -> None:
+    def __init__(self, device: rhi.Device, shader: type[InstancedThings], matrices: Any, view: Any = IDENTITY) -> None:
         self.device, self.program = device, device.program(shader)
-        things = np.zeros(len(places), device.storage(Thing, 1).dtype)
-        things["matrix"] = np.asarray(places, np.float32)
+        things = np.zeros(len(matrices), device.storage(Thing, 1).dtype)
+        things["matrix"] = np.asarray(matrices, np.float32)
         self.bindings = {
             "things": device.storage(Thing, things), "view": device.uniform(View(matrix=np.asarray(view))),
         }  # fmt: skip
@@ -138,8 +138,8 @@ class Stage:
             resource.destroy()
 
 
-def assert_same(one: list[NDArray[Any]], other: list[NDArray[Any]]) -> None:
-    for a, b in zip(one, other, strict=True):
+def assert_same(images: list[NDArray[Any]], expected: list[NDArray[Any]]) -> None:
+    for a, b in zip(images, expected, strict=True):
         np.testing.assert_array_equal(a.view(np.uint8), b.view(np.uint8))
 
 
@@ -177,23 +177,23 @@ def parts(mesh: rhi.Mesh, count: int) -> list[rhi.Mesh]:
 
 def test_a_draw_out_of_view_is_dropped_from_its_third_time_on(device: rhi.Device, launches: list[str]) -> None:
     """At its second draw a box is measured and used at once; at the first it isn't known."""
-    stage = Stage(device, Placed, [INSIDE, ASIDE])
+    stage = MeshScene(device, InstancedThings, [INSIDE, ASIDE])
     with device.mesh(triangles()) as mesh:
-        meshes, dropped, measured, pictures = parts(mesh, 2), [], [], []
+        meshes, dropped, measured, frames = parts(mesh, 2), [], [], []
         for _ in range(3):
             clean(device)
-            pictures.append(stage.frame(meshes))
+            frames.append(stage.frame(meshes))
             dropped.append(count_dropped(device))
             measured.append(launches.count("measure"))
     assert dropped == [0, 1, 1]
     assert measured == [0, 1, 1]
-    assert pictures[0][0].any()
-    assert_same(pictures[1], pictures[0])
-    assert_same(pictures[2], pictures[0])
+    assert frames[0][0].any()
+    assert_same(frames[1], frames[0])
+    assert_same(frames[2], frames[0])
 
 
 @pytest.mark.parametrize(
-    ("place", "dropped"),
+    ("transform", "dropped"),
     [
         (translate(-2.0, 0.0, 0.5), True), (translate(0.0, 2.0, 0.5), True), (translate(0.0, -2.0, 0.5), True),
         (translate(0.0, 0.0, -1.0), True), (translate(0.0, 0.0, 2.0), True),
@@ -201,9 +201,9 @@ def test_a_draw_out_of_view_is_dropped_from_its_third_time_on(device: rhi.Device
         (np.full((4, 4), np.nan), False), (np.full((4, 4), np.inf), False), (1.7e38 * translate(2.0, 0.0, 0.0), False),
     ],
 )  # fmt: skip
-def test_what_lies_beyond_one_plane_of_the_view_is_dropped(device: rhi.Device, place: Any, dropped: bool) -> None:
+def test_what_lies_beyond_one_plane_of_the_view_is_dropped(device: rhi.Device, transform: Any, dropped: bool) -> None:
     """Nothing else is culled, nor anything with numbers that overflow or aren't finite."""
-    stage = Stage(device, Placed, [INSIDE, place])
+    stage = MeshScene(device, InstancedThings, [INSIDE, transform])
     with device.mesh(triangles()) as mesh:
         meshes = parts(mesh, 2)
         for _ in range(3):
@@ -219,7 +219,7 @@ def test_what_lies_behind_a_wall_is_dropped(bounding_device: rhi.Device, nearer:
     device, flat = bounding_device, np.diag([1.0, 1.0, 0.2, 1.0])
     depths = [0.8, 0.5, 0.2] if nearer is rhi.DepthFunction.LESS else [0.2, 0.5, 0.8]
     behind, through, before = (translate(0.0, 0.0, depth) @ flat for depth in depths)
-    stage = Stage(device, Placed, [translate(0.0, 0.0, 0.5), behind, through, before])
+    stage = MeshScene(device, InstancedThings, [translate(0.0, 0.0, 0.5), behind, through, before])
 
     def draw(meshes: list[rhi.Mesh], *states: Any) -> list[NDArray[Any]]:
         stage.frame([front, front], rhi.DepthFunction.ALWAYS)
@@ -229,16 +229,16 @@ def test_what_lies_behind_a_wall_is_dropped(bounding_device: rhi.Device, nearer:
 
     with device.mesh(rectangle()) as front, device.mesh(triangles()) as mesh:
         meshes = [mesh.view(base_instance=i) for i in range(1, 4)]
-        pictures = [draw(meshes) for _ in range(3)]
+        frames = [draw(meshes) for _ in range(3)]
         assert count_dropped(device) == 1
-        assert_same(pictures[2], pictures[0])
+        assert_same(frames[2], frames[0])
         draw(meshes, rhi.DepthBias(1))
         assert count_dropped(device) == 0
 
 
 @pytest.mark.parametrize("count", [3 * GROUP, VERTICES])
 def test_draws_of_few_vertices_have_no_box(device: rhi.Device, launches: list[str], count: int) -> None:
-    stage = Stage(device, Placed, [INSIDE, ASIDE])
+    stage = MeshScene(device, InstancedThings, [INSIDE, ASIDE])
     with device.mesh(triangles(count=count)) as mesh:
         meshes = parts(mesh, 2)
         for _ in range(3):
@@ -247,7 +247,7 @@ def test_draws_of_few_vertices_have_no_box(device: rhi.Device, launches: list[st
 
 
 def test_positions_that_are_not_affine_have_no_box(device: rhi.Device, launches: list[str]) -> None:
-    stage = Stage(device, Bent, [INSIDE, ASIDE])
+    stage = MeshScene(device, Bent, [INSIDE, ASIDE])
     with device.mesh(triangles()) as mesh:
         meshes = parts(mesh, 2)
         for _ in range(3):
@@ -258,7 +258,7 @@ def test_positions_that_are_not_affine_have_no_box(device: rhi.Device, launches:
 
 
 def test_instances_have_boxes_of_their_own(device: rhi.Device) -> None:
-    stage = Stage(device, Placed, [INSIDE, ASIDE, INSIDE, ASIDE, ASIDE])
+    stage = MeshScene(device, InstancedThings, [INSIDE, ASIDE, INSIDE, ASIDE, ASIDE])
     with device.mesh(triangles()) as mesh:
         things = mesh.draws(0, VERTICES, instances=[2, 3], base_instance=[0, 2])
         for _ in range(3):
@@ -269,18 +269,18 @@ def test_instances_have_boxes_of_their_own(device: rhi.Device) -> None:
 
 def test_a_draw_without_instances_has_no_box(device: rhi.Device, launches: list[str]) -> None:
     """A draw without instances launches nothing. With instances it uses the same prepared draw."""
-    stage = Stage(device, Placed, [INSIDE, ASIDE])
+    stage = MeshScene(device, InstancedThings, [INSIDE, ASIDE])
     with device.mesh(triangles()) as mesh:
         for instances in (0, 1):
             things = mesh.draws(0, VERTICES, instances=instances, base_instance=[0, 1])
             draw = partial(device.draw_many, stage.program, mesh, things, **stage.bindings)
-            pictures = []
+            frames = []
             for _ in range(3):
                 clean(device)
-                pictures.append(stage.run(draw))
-                assert_same(pictures[-1], pictures[0])
+                frames.append(stage.run(draw))
+                assert_same(frames[-1], frames[0])
             assert launches.count("measure") == instances
-            assert pictures[0][0].any() == bool(instances)
+            assert frames[0][0].any() == bool(instances)
         assert count_dropped(device) == 1
 
 
@@ -288,15 +288,15 @@ def test_what_instances_add_is_not_part_of_a_box(device: rhi.Device) -> None:
     offsets = np.zeros(4, Offset.dtype)
     offsets["offset"] = [(0, 0), (3, 0), (0, -4), (0.5, 0)]
     program = device.program(Shifted)
-    stage = Stage(device, Placed, [INSIDE])
+    stage = MeshScene(device, InstancedThings, [INSIDE])
     with device.mesh(triangles(), instances=offsets) as mesh:
         things = mesh.draws(0, VERTICES, instances=[2, 2], base_instance=[0, 2])
-        pictures = []
+        frames = []
         for _ in range(3):
             clean(device)
-            pictures.append(stage.run(lambda: device.draw_many(program, mesh, things)))
+            frames.append(stage.run(lambda: device.draw_many(program, mesh, things)))
         assert count_dropped(device) == 2
-        assert_same(pictures[2], pictures[0])
+        assert_same(frames[2], frames[0])
 
 
 # -- what makes a box out of date ----------------------------------------------------------------------------
@@ -315,7 +315,7 @@ def copy(device: rhi.Device, mesh: rhi.Mesh, rows: NDArray[Any]) -> None:
 def test_vertices_that_come_into_view_are_seen(
     device: rhi.Device, launches: list[str], change: Callable[[rhi.Device, rhi.Mesh, NDArray[Any]], None]
 ) -> None:
-    stage = Stage(device, Placed, [INSIDE, INSIDE])
+    stage = MeshScene(device, InstancedThings, [INSIDE, INSIDE])
     rows = triangles()
     away = rows.copy()
     away["position"][:, 0] += 3.0
@@ -333,7 +333,7 @@ def test_vertices_that_come_into_view_are_seen(
 
 
 def test_other_indices_name_other_vertices(device: rhi.Device) -> None:
-    stage = Stage(device, Placed, [INSIDE, INSIDE])
+    stage = MeshScene(device, InstancedThings, [INSIDE, INSIDE])
     rows = np.concatenate([triangles(), triangles()])
     rows["position"][:VERTICES, 0] += 3.0
     with device.mesh(rows, np.arange(VERTICES, dtype="u4")) as mesh:
@@ -350,7 +350,7 @@ def test_other_indices_name_other_vertices(device: rhi.Device) -> None:
 
 def test_boxes_outlive_a_table_that_grows(device: rhi.Device) -> None:
     """Boxes are measured again at the new address."""
-    stage = Stage(device, Placed, [INSIDE, ASIDE])
+    stage = MeshScene(device, InstancedThings, [INSIDE, ASIDE])
     with device.mesh(triangles()) as mesh:
         meshes = parts(mesh, 2)
         for _ in range(3):
@@ -367,19 +367,19 @@ def test_boxes_outlive_a_table_that_grows(device: rhi.Device) -> None:
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
 def test_a_vertex_that_is_nowhere_leaves_the_others_in_view(device: rhi.Device, wrong: float) -> None:
-    stage = Stage(device, Placed, [INSIDE, ASIDE])
+    stage = MeshScene(device, InstancedThings, [INSIDE, ASIDE])
     rows = triangles()
     with device.mesh(rows) as mesh:
         meshes = parts(mesh, 2)
         rows["position"][VERTICES - 2, 1] = wrong
         mesh.data.vertices.write(rows)
-        pictures = [stage.frame(meshes) for _ in range(2)]
+        frames = [stage.frame(meshes) for _ in range(2)]
         clean(device)
-        pictures.append(stage.frame(meshes))
+        frames.append(stage.frame(meshes))
         assert count_dropped(device) == 0
-    assert pictures[0][0].any()
-    assert_same(pictures[1], pictures[0])
-    assert_same(pictures[2], pictures[0])
+    assert frames[0][0].any()
+    assert_same(frames[1], frames[0])
+    assert_same(frames[2], frames[0])
 
 
 # -- that nothing shows of it --------------------------------------------------------------------------------
@@ -415,20 +415,20 @@ def project(eye: NDArray[Any], near: float) -> NDArray[Any]:
 
 def scatter(rng: np.random.Generator, kind: dict[str, Any]) -> list[NDArray[Any]]:
     """Return random transforms: rotated, mirrored, sometimes one with a number that overflows or isn't finite."""
-    places = []
+    matrices = []
     for _ in range(64):
         scale = kind["size"] * rng.choice([-1, 1], 3) * rng.uniform(0.1, 2.0, 3)
         turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-        place = np.eye(4)
-        place[:3, :3] = turn * scale
-        place[2] *= kind["thickness"]
-        place[:3, 3] = rng.uniform(-1, 1, 3) * kind["reach"]
+        matrix = np.eye(4)
+        matrix[:3, :3] = turn * scale
+        matrix[2] *= kind["thickness"]
+        matrix[:3, 3] = rng.uniform(-1, 1, 3) * kind["reach"]
         if not kind["perspective"]:
-            place[2, 3] = rng.uniform(0.1, 0.9)
-        places.append(place)
+            matrix[2, 3] = rng.uniform(0.1, 0.9)
+        matrices.append(matrix)
     if rng.random() < 0.1:
-        places[3][rng.integers(4), rng.integers(4)] = rng.choice([np.nan, np.inf, 3e38])
-    return places
+        matrices[3][rng.integers(4), rng.integers(4)] = rng.choice([np.nan, np.inf, 3e38])
+    return matrices
 
 
 @pytest.fixture
@@ -450,7 +450,9 @@ def test_frames_are_the_same_with_and_without_boxes(
     if rng.random() < 0.1:
         rows["position"] *= rng.choice([1.0, 1e-20, 1e20, 0.0], 3)
     eye = rng.uniform(-1, 1, 3) * min(kind["reach"], 100.0)
-    stage = Stage(device, Placed, scatter(rng, kind), project(eye, 0.1) if kind["perspective"] else IDENTITY)
+    stage = MeshScene(
+        device, InstancedThings, scatter(rng, kind), project(eye, 0.1) if kind["perspective"] else IDENTITY
+    )
     count, indices = 400, None
     if kind["indexed"] is not None:
         count, indices = 600, rng.integers(0, 300, 600).astype(kind["indexed"])
@@ -460,7 +462,9 @@ def test_frames_are_the_same_with_and_without_boxes(
         rhi.Viewport(*(3, 5, 80, 50) if rng.random() < 0.3 else (0, 0, *SIZE)),
         nearer,
     )
-    wall = Stage(device, Placed, [translate(0.0, 0.0, kind["wall"] or 0.0) @ np.diag([2.0, 2.0, 0.0, 1.0])])
+    wall = MeshScene(
+        device, InstancedThings, [translate(0.0, 0.0, kind["wall"] or 0.0) @ np.diag([2.0, 2.0, 0.0, 1.0])]
+    )
     queries = device.query_set(DRAWS)
     frames: list[list[NDArray[Any]]] = []
     with device.mesh(rows, indices, primitive=kind["primitive"]) as mesh, device.mesh(rectangle()) as front:

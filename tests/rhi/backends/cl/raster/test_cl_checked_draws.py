@@ -19,16 +19,16 @@ SIZE = (32, 16)
 @pytest.fixture
 def device() -> Iterator[Device]:
     try:
-        made = rhi.create_device("cl")
+        created = rhi.create_device("cl")
     except DeviceError as error:
         pytest.skip(f"no OpenCL: {error}")
-    with made:
-        yield made
+    with created:
+        yield created
 
 
 class Corner(Struct):
     position: vec2
-    row: int
+    row_index: int
 
 
 class Varying(Struct):
@@ -42,7 +42,7 @@ class Bars(Shader):
     heights: Storage[float]
 
     def vertex(self, v: Corner) -> Varying:
-        depth = self.depths[v.row]
+        depth = self.depths[v.row_index]
         return Varying(clip=vec4(v.position, 0.0, 1.0), depth=depth, column=v.position.x * 16.0 + 16.0)
 
     def fragment(self, v: Varying) -> vec4:
@@ -58,7 +58,7 @@ class CheckedBars(Bars):
 def draw(device: Device, shader: type[Shader], rows: int, columns: int) -> rhi.Texture:
     corners = np.zeros(3, Corner.dtype)
     corners["position"] = [(-1, -1), (3, -1), (-1, 3)]
-    corners["row"] = (0, 1, 2)
+    corners["row_index"] = (0, 1, 2)
     image = device.texture(SIZE, Format.RGBA32F)
     depths, heights = (device.storage(float, np.full(count, 8.0, "f4")) for count in (rows, columns))
     program, mesh = device.program(shader), device.mesh(corners)
@@ -77,7 +77,7 @@ def test_a_checked_draw_within_bounds_is_as_any_other(device: Device) -> None:
 
 @pytest.mark.parametrize(
     ("rows", "columns", "source", "index"),
-    [(2, 32, "depth = self.depths[v.row]", 2), (3, 31, "height = self.heights[int(v.column)]", 31)],
+    [(2, 32, "depth = self.depths[v.row_index]", 2), (3, 31, "height = self.heights[int(v.column)]", 31)],
 )
 def test_an_index_outside_is_an_error_with_its_line(
     device: Device, rows: int, columns: int, source: str, index: int

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rhi
-from rhi.backends.cl.memory import buffers, planes
+from rhi.backends.cl.memory import cl_buffers, planes
 from rhi.backends.cl.memory import pools as memory
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored
@@ -30,7 +30,7 @@ def fills(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
         filled.append(pattern)
         fill(queue, memory, pattern, offset, size)
 
-    for module in (planes, buffers):
+    for module in (planes, cl_buffers):
         monkeypatch.setattr(module, "fill", count)
     return filled
 

@@ -134,8 +134,8 @@ def test_counts_of_random_triangles_are_whole_numbers(device: Device) -> None:
     turned = np.linalg.det(sides) < 0
     flat[turned] = flat[turned][:, ::-1]
     clip = np.concatenate([flat, np.full((80, 3, 1), 0.5), np.ones((80, 3, 1))], -1).astype(np.float32)
-    places = clip.astype(np.float64)
-    meshes = [device.mesh(corners(place)) for place in places]
+    triangles = clip.astype(np.float64)
+    meshes = [device.mesh(corners(triangle)) for triangle in triangles]
     wall = np.zeros(SIZE[::-1], bool)
     wall[:, : SIZE[0] // 2] = True
     with device.texture(SIZE, Format.D32F) as depth:
@@ -146,7 +146,7 @@ def test_counts_of_random_triangles_are_whole_numbers(device: Device) -> None:
         ):
             device.draw(device.program(FlatColored), nearer)
         counts = draw_counted(device, meshes, depth, waits=False)
-    assert counts == [int((cover_exactly(place) & ~wall).sum()) for place in places]
+    assert counts == [int((cover_exactly(triangle) & ~wall).sum()) for triangle in triangles]
     assert sum(count > 0 for count in counts) > 20
 
 
@@ -156,13 +156,13 @@ def test_triangles_beyond_the_target_cover_what_whole_numbers_say(device: Device
     rng = np.random.default_rng(samples)
     middle, size = rng.uniform(-1.3, 1.3, (480, 1, 2)), 2.0 ** rng.uniform(-7, 1.5, (480, 1, 1))
     flat = np.clip(middle + size * rng.uniform(-1, 1, (480, 3, 2)), -4.0, 4.0)
-    places = np.concatenate([flat, rng.uniform(0.1, 0.9, (480, 3, 1)), np.ones((480, 3, 1))], -1)
-    places *= np.where(rng.random((480, 1, 1)) < 0.5, 2.0 ** rng.uniform(-2, 2, (480, 3, 1)), 1.0)
-    places = places.astype(np.float32).astype(np.float64)
+    triangles = np.concatenate([flat, rng.uniform(0.1, 0.9, (480, 3, 1)), np.ones((480, 3, 1))], -1)
+    triangles *= np.where(rng.random((480, 1, 1)) < 0.5, 2.0 ** rng.uniform(-2, 2, (480, 3, 1)), 1.0)
+    triangles = triangles.astype(np.float32).astype(np.float64)
     with (
         device.texture(SIZE, Format.R32F, samples=samples) as image,
         device.texture(SIZE, Format.R32F) as mean,
-        device.mesh(corners(places.reshape(-1, 4))) as mesh,
+        device.mesh(corners(triangles.reshape(-1, 4))) as mesh,
     ):
         with device.render_pass(image), device.states(CullMode.NONE, BlendFunction.ADDITIVE):
             device.draw(device.program(FlatColored), mesh)
@@ -170,6 +170,8 @@ def test_triangles_beyond_the_target_cover_what_whole_numbers_say(device: Device
             image.resolve_to(mean)
         drawn = (mean if samples > 1 else image).read() * samples
     offsets = SAMPLES[samples]
-    expected = sum(cover_exactly(place, offset, back=True).astype(int) for place in places for offset in offsets)
+    expected = sum(
+        cover_exactly(triangle, offset, back=True).astype(int) for triangle in triangles for offset in offsets
+    )
     np.testing.assert_array_equal(drawn, expected)
     assert drawn.sum() > 400_000 * samples

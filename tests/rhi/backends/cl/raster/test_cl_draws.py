@@ -1,4 +1,4 @@
-"""Gathering of draws; neither pieces, slices nor lists of tiles affect the picture."""
+"""Gathering of draws; neither pieces, slices nor lists of tiles affect the image."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from nightly_reasons import FEWER_CASES
 from numpy.typing import NDArray
 
 import rhi
-from rhi.backends.cl import context
-from rhi.backends.cl.backend import ClBackend
+from rhi.backends.cl import cl_context
+from rhi.backends.cl.cl_backend import ClBackend
 from rhi.backends.cl.memory import pools as memory
 from rhi.backends.cl.raster import draw_tables, launcher
 from rhi.conformance.compare import assert_mask
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Bare, Colored, Corner, Tint, Tinted
 from rhi.conformance.shapes import corners, rectangle, window_to_clip
+from rhi.conformance.single_draws import draw_once
 from rhi.errors import DeviceError
 from rhi.shading import Shader, instance_index, vec2, vec4
 
@@ -28,21 +28,21 @@ SIZE = (200, 150)
 
 @pytest.fixture
 def device() -> Iterator[rhi.Device]:
-    with rhi.create_device("cl") as made:
-        yield made
+    with rhi.create_device("cl") as created:
+        yield created
 
 
 def random_corners(count: int, seed: int = 0) -> NDArray[Any]:
     """Return triangles of all sizes, each in another color, so that their order is visible."""
     rng = np.random.default_rng(seed)
     middle, size = rng.uniform(-1, 1, (count, 1, 2)), 2.0 ** rng.uniform(-6, 1, (count, 1, 1))
-    places = middle + size * rng.uniform(-1, 1, (count, 3, 2))
+    positions = middle + size * rng.uniform(-1, 1, (count, 3, 2))
     colors = np.repeat(rng.uniform(0, 1, (count, 4)), 3, axis=0)
-    return corners(places.reshape(-1, 2), colors)
+    return corners(positions.reshape(-1, 2), colors)
 
 
-def picture(device: rhi.Device, rows: NDArray[Any], parts: int = 1) -> NDArray[Any]:
-    """Draw all triangles in `parts` draws; return the picture."""
+def render_triangles(device: rhi.Device, rows: NDArray[Any], parts: int = 1) -> NDArray[Any]:
+    """Draw all triangles in `parts` draws; return the image."""
     with device.texture(SIZE, rhi.Format.RGBA8) as image, device.mesh(rows) as mesh:
         ends = np.linspace(0, len(rows) // 3, parts + 1).astype(int) * 3
         with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(rhi.CullMode.NONE, rhi.DepthWrite.OFF):
@@ -65,7 +65,7 @@ def count_survivors(device: rhi.Device) -> int:
 
 
 def test_draws_of_one_program_are_one_batch(device: rhi.Device, launches: list[str]) -> None:
-    picture(device, random_corners(60), parts=20)
+    render_triangles(device, random_corners(60), parts=20)
     assert launches.count("raster") == 1
 
 
@@ -140,11 +140,11 @@ def test_limits_of_memory_do_not_show(
     device: rhi.Device, monkeypatch: pytest.MonkeyPatch, launches: list[str], limits: dict[str, int]
 ) -> None:
     rows = random_corners(900)
-    usual = picture(device, rows, parts=3)
+    usual = render_triangles(device, rows, parts=3)
     before = len(launches)
     for name, value in limits.items():
         monkeypatch.setattr(draw_tables if name == "_PIECE_GROUPS" else launcher, name, value)
-    assert (picture(device, rows, parts=3) == usual).all()
+    assert (render_triangles(device, rows, parts=3) == usual).all()
     assert (usual[..., 3] > 0).mean() > 0.9
     if set(limits) & {"_SLICE_GROUPS", "_PIECE_GROUPS"}:
         assert len(launches) - before > before
@@ -165,13 +165,13 @@ def test_a_triangle_in_flight_takes_at_most_200_bytes(device: rhi.Device) -> Non
     assert sum(pool.size for pool in pools.values()) <= 200 * 2 * (grid - 1) ** 2
 
 
-class Placed(Shader):
+class SquareGrid(Shader):
     """A square for each instance, row by row from the top left, 512 per row."""
 
     def vertex(self, v: Corner) -> Bare:
         i = instance_index()
-        place = vec2(float(i % 512), float(i // 512)) / 256.0 - 1.0
-        return Bare(clip=vec4(place + (v.position.xy + 1.0) / 512.0, 0.5, 1.0))
+        position = vec2(float(i % 512), float(i // 512)) / 256.0 - 1.0
+        return Bare(clip=vec4(position + (v.position.xy + 1.0) / 512.0, 0.5, 1.0))
 
     def fragment(self, v: Bare) -> vec4:
         return vec4(1.0)
@@ -180,7 +180,7 @@ class Placed(Shader):
 @pytest.mark.parametrize("before", [0, 1], ids=["alone", "behind_another"])
 def test_many_instances_take_no_more_memory_than_many_draws(device: rhi.Device, before: int) -> None:
     """Instances are processed in pieces: at most 200 bytes per triangle, and each instance in its place."""
-    instances, program = 512 * 480, device.program(Placed)
+    instances, program = 512 * 480, device.program(SquareGrid)
     draws_of = [(512 * 500, 512 * 12), (512, instances)][1 - before :]
     queries = [device.occlusion_query() for _ in draws_of]
     with device.texture((512, 512), rhi.Format.R8) as image, device.mesh(rectangle()) as mesh:
@@ -208,21 +208,21 @@ def test_draws_split_into_pieces_are_each_instance_once(monkeypatch: pytest.Monk
 
 def test_tables_of_many_pages_draw_the_same(device: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = random_corners(200)
-    usual = picture(device, rows)
+    usual = render_triangles(device, rows)
     monkeypatch.setattr(memory, "_PAGE_BYTES", 1 << 12)
-    with rhi.create_device("cl") as made:
+    with rhi.create_device("cl") as small_pages:
         for parts in (1, 40):
-            assert (picture(made, rows, parts) == usual).all()
+            assert (render_triangles(small_pages, rows, parts) == usual).all()
 
 
 def test_a_device_that_does_not_read_host_memory_in_place_has_no_draws(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(context, "probe", lambda *_: False)
-    with rhi.create_device("cl") as made:
-        assert not made.capabilities.draws
+    monkeypatch.setattr(cl_context, "probe", lambda *_: False)
+    with rhi.create_device("cl") as device:
+        assert not device.capabilities.draws
         with pytest.raises(rhi.ValidationError, match=r"^\[device-capability\]"):
-            made.program(Colored)
+            device.program(Colored)
 
 
 # -- errors --------------------------------------------------------------------------------------------------
@@ -232,7 +232,7 @@ def test_out_of_memory_names_the_draw_and_the_device_goes_on(
     device: rhi.Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rows = random_corners(50)
-    usual = picture(device, rows)
+    usual = render_triangles(device, rows)
 
     def fail(*_: object) -> None:
         raise MemoryError
@@ -240,8 +240,8 @@ def test_out_of_memory_names_the_draw_and_the_device_goes_on(
     with monkeypatch.context() as patch:
         patch.setattr(memory.Pool, "reserve", fail)
         with pytest.raises(DeviceError, match=r"^\[device-out-of-memory\]"):
-            picture(device, random_corners(500))  # more than there is memory for
-    assert (picture(device, rows) == usual).all()
+            render_triangles(device, random_corners(500))  # more than there is memory for
+    assert (render_triangles(device, rows) == usual).all()
 
 
 # -- queries -------------------------------------------------------------------------------------------------
@@ -269,11 +269,11 @@ def bars(device: rhi.Device) -> Iterator[rhi.Mesh]:
 def test_an_array_of_draws_that_comes_again_brings_its_table(
     device: rhi.Device, bars: rhi.Mesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made: list[int] = []
+    table_rows: list[int] = []
     number = draw_tables.number_groups
 
     def note(*args: Any) -> Any:
-        made.append(len(args[0]))
+        table_rows.append(len(args[0]))
         return number(*args)
 
     monkeypatch.setattr(draw_tables, "number_groups", note)
@@ -284,7 +284,7 @@ def test_an_array_of_draws_that_comes_again_brings_its_table(
             with device.render_pass(image):
                 device.draw_counted(device.program(Colored), bars, array.copy(), queries, list(rows))
             assert queries.wait().tolist() == [4 * (rows[i] + 1) for i in range(16)]
-    assert made == [16, 16]
+    assert table_rows == [16, 16]
 
 
 @pytest.mark.parametrize("order", ["array first", "array last", "two arrays"])
@@ -328,7 +328,7 @@ def test_counters_are_used_again(device: rhi.Device) -> None:
 
 
 @pytest.mark.parametrize("primitive", [rhi.Primitive.LINES, rhi.Primitive.POINTS], ids=lambda p: p.name)
-def test_lines_and_points_keep_their_place_among_triangles(device: rhi.Device, primitive: rhi.Primitive) -> None:
+def test_lines_and_points_keep_their_order_among_triangles(device: rhi.Device, primitive: rhi.Primitive) -> None:
     """Lines and points keep their place in the order of draws."""
     rows = corners([(-0.9, 0.1), (0.9, 0.1)] if primitive is rhi.Primitive.LINES else [(0.05, 0.1)], (0, 1, 0, 1))
     below, above = rectangle(-1, -1, 1, 1), rectangle(0.5, -1, 1, 1)
@@ -404,7 +404,7 @@ def test_what_lies_behind_a_tile_s_bounds_is_what_the_test_drops(
     depths = rng.uniform(0, 1, (6000, 1)) + rng.choice([0, 0.01, 0.5], (6000, 1)) * rng.uniform(-1, 1, (6000, 3))
     depths[::7] = np.round(depths[::7, :1] * 8) / 8
     rows["position"][:, 2] = np.clip(depths, 0, 1).ravel()
-    pictures = []
+    results = []
     for stencil, form in enumerate(depth_format):
         with (
             device.texture(SIZE, rhi.Format.RGBA8) as image,
@@ -422,8 +422,8 @@ def test_what_lies_behind_a_tile_s_bounds_is_what_the_test_drops(
                 device.states(*states),
             ):
                 device.draw(device.program(Colored), mesh)
-            pictures.append((image.read(), depth.read()))
-    (image, depth_values), (plain_image, plain_depths) = pictures
+            results.append((image.read(), depth.read()))
+    (image, depth_values), (plain_image, plain_depths) = results
     assert (depth_values == plain_depths).all()
     assert (image == plain_image).all()
     assert (image > 0).any() or function in (rhi.DepthFunction.NEVER, rhi.DepthFunction.EQUAL)
@@ -445,11 +445,11 @@ def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
     count, each = 120, 24
     rng = np.random.default_rng(7)
     middle, size = rng.uniform(-1.1, 1.1, (count, 1, 1, 2)), 2.0 ** rng.uniform(-7, 0, (count, each, 1, 1))
-    places = middle + size * rng.uniform(-1, 1, (count, each, 3, 2))
+    positions = middle + size * rng.uniform(-1, 1, (count, each, 3, 2))
     colors = np.repeat(rng.uniform(0, 1, (count * each, 4)), 3, axis=0)
     away = rng.uniform(0, 1, (count, 1, 1)) + 0.05 * rng.uniform(-1, 1, (count, each, 3))
-    rows = corners(places.reshape(-1, 2), colors, np.clip(away, 0, 1).ravel())
-    pictures, survivors = [], []
+    rows = corners(positions.reshape(-1, 2), colors, np.clip(away, 0, 1).ravel())
+    results, survivors = [], []
     for form, groups in ((depth_format[1], 1 << 15), (depth_format[0], 1 << 15), (depth_format[0], 32)):
         monkeypatch.setattr(launcher, "_SLICE_GROUPS", groups)
         with (
@@ -465,11 +465,11 @@ def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
             ):
                 for part in range(count):
                     device.draw(device.program(Colored), mesh.view(first=3 * each * part, count=3 * each))
-            pictures.append((image.read(), depth.read()))
+            results.append((image.read(), depth.read()))
             survivors.append(count_survivors(device))
-    for image_values, depth_values in pictures[1:]:
-        assert (image_values == pictures[0][0]).all()
-        assert (depth_values == pictures[0][1]).all()
+    for image_values, depth_values in results[1:]:
+        assert (image_values == results[0][0]).all()
+        assert (depth_values == results[0][1]).all()
     assert survivors[0] > 0
 
 
@@ -479,9 +479,9 @@ def test_draws_that_are_hidden_or_beside_the_view_are_not_set_up(
 ) -> None:
     monkeypatch.setattr(launcher, "_SLICE_GROUPS", 1)  # each draw is a slice
     left = []
-    for place in (0.5, 5.0):  # what is drawn last lies in the view, or not
+    for x in (0.5, 5.0):  # what is drawn last lies in the view, or not
         for last in (0.25, 0.75):  # before the wall, or behind it
-            rows = np.concatenate([rectangle(depth=0.5), rectangle(place - 0.1, 0.4, place + 0.1, 0.6, depth=last)])
+            rows = np.concatenate([rectangle(depth=0.5), rectangle(x - 0.1, 0.4, x + 0.1, 0.6, depth=last)])
             with device.texture(SIZE, rhi.Format.D32F) as depth, device.mesh(rows) as mesh:
                 with device.render_pass(depth=depth, clear_depth=1.0), device.states(rhi.DepthFunction.LESS):
                     for first in (0, 6):

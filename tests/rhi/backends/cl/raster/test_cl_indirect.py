@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rhi import Buffer, Device, Format, IndirectDraws, Mesh
-from rhi.backends.cl.memory import buffers
-from rhi.backends.cl.memory.buffers import Buffers
+from rhi.backends.cl.memory import cl_buffers
+from rhi.backends.cl.memory.cl_buffers import Buffers
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.contract.descriptors import Id
@@ -30,7 +30,7 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> list[Id]:
     return asked
 
 
-class Picture:
+class IndirectScene:
     """Draws columns of an image, those that the first draw of a buffer names."""
 
     def __init__(self, device: Device) -> None:
@@ -51,22 +51,22 @@ class Picture:
 
 
 def test_arguments_that_only_the_cpu_writes_are_read_back_once(device: Device, reads: list[Id]) -> None:
-    picture = Picture(device)
-    arguments = device.buffer(picture.draws(0, 1))
+    scene = IndirectScene(device)
+    arguments = device.buffer(scene.draws(0, 1))
     drawn = []
     for first in range(4):
-        picture.draw(arguments)
-        drawn.append(picture.columns())
-        arguments.write(picture.draws(first + 1, 2))
+        scene.draw(arguments)
+        drawn.append(scene.columns())
+        arguments.write(scene.draws(first + 1, 2))
     assert drawn == [[0], [1, 2], [2, 3], [3, 4]]
     assert reads == [arguments.id]
 
 
 def test_a_recorded_array_of_draws_is_read_back_once(device: Device, reads: list[Id]) -> None:
-    picture = Picture(device)
+    scene = IndirectScene(device)
     image = device.texture((8, 1), Format.R8)
     with device.record() as commands, commands.render_pass(image):
-        commands.draw_many(device.program(Colored), picture.mesh, picture.draws(2, 3))
+        commands.draw_many(device.program(Colored), scene.mesh, scene.draws(2, 3))
     for _ in range(3):
         device.submit(commands)
     assert len(reads) == 1
@@ -74,38 +74,38 @@ def test_a_recorded_array_of_draws_is_read_back_once(device: Device, reads: list
 
 
 def test_arguments_that_the_device_writes_are_read_back_each_time(device: Device, reads: list[Id]) -> None:
-    picture = Picture(device)
-    arguments, source = device.buffer(picture.draws(0, 1)), device.buffer(picture.draws(5, 1))
-    picture.draw(arguments)
-    assert picture.columns() == [0]
+    scene = IndirectScene(device)
+    arguments, source = device.buffer(scene.draws(0, 1)), device.buffer(scene.draws(5, 1))
+    scene.draw(arguments)
+    assert scene.columns() == [0]
     source.copy_to(arguments)
-    picture.draw(arguments)
-    assert picture.columns() == [5]
-    arguments.write(picture.draws(7, 1))
-    picture.draw(arguments)
-    assert picture.columns() == [7]
+    scene.draw(arguments)
+    assert scene.columns() == [5]
+    arguments.write(scene.draws(7, 1))
+    scene.draw(arguments)
+    assert scene.columns() == [7]
     assert reads == [arguments.id] * 3
 
 
 def test_large_buffers_are_read_in_part(device: Device, reads: list[Id], monkeypatch: pytest.MonkeyPatch) -> None:
     """Their contents aren't kept."""
-    monkeypatch.setattr(buffers, "_MAX_KNOWN", 39)
-    picture = Picture(device)
-    small = np.concatenate([picture.draws(3, 1)])
+    monkeypatch.setattr(cl_buffers, "_MAX_CPU_COPY_BYTES", 39)
+    scene = IndirectScene(device)
+    small = np.concatenate([scene.draws(3, 1)])
     arguments, large = device.buffer(small), device.buffer(np.concatenate([small] * 3))
     for _ in range(2):
-        picture.draw(arguments)
-        picture.draw(large)
-    assert picture.columns() == [3]
+        scene.draw(arguments)
+        scene.draw(large)
+    assert scene.columns() == [3]
     assert reads == [arguments.id, large.id, large.id]
 
 
 def test_written_arguments_are_read_without_a_command(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     """A command that copies would wake a thread of the device."""
-    picture = Picture(device)
-    arguments = device.buffer(picture.draws(0, 1))
-    device.buffer(picture.draws(5, 1)).copy_to(arguments)
+    scene = IndirectScene(device)
+    arguments = device.buffer(scene.draws(0, 1))
+    device.buffer(scene.draws(5, 1)).copy_to(arguments)
     monkeypatch.setattr(cl, "enqueue_copy", None)
-    picture.draw(arguments)
+    scene.draw(arguments)
     monkeypatch.undo()
-    assert picture.columns() == [5]
+    assert scene.columns() == [5]

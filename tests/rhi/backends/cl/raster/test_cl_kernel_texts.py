@@ -9,18 +9,18 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from rhi.backends.cl.context import QUICK, open_context
-from rhi.backends.cl.pocl.cache import strip_comments
+from rhi.backends.cl.cl_context import QUICK, open_context
+from rhi.backends.cl.pocl.kernel_cache import strip_comments
+from rhi.backends.cl.raster.kernel_structs import BATCH_STRUCT, DRAW_STRUCT, VIEW_STRUCT
 from rhi.backends.cl.raster.kernel_text import declare_struct
 from rhi.backends.cl.raster.merger import MERGER_STRUCT
-from rhi.backends.cl.raster.tables import BATCH_STRUCT, DRAW_STRUCT, VIEW_STRUCT
 
 _STRUCTS = {"Batch": BATCH_STRUCT, "Draw": DRAW_STRUCT, "View": VIEW_STRUCT, "Merger": MERGER_STRUCT}
 
 _HEADER = re.compile(r"^(?!typedef\b|struct\b)(\w[^;{}#=]*\)) *\{", re.M)
 
 
-def find_structs_by_value(text: str) -> list[str]:
+def list_structs_by_value(text: str) -> list[str]:
     """Return the heads of functions that take or return a struct, instead of the address of one."""
     text = strip_comments(text)
     structs = "|".join(re.findall(r"^\} *(\w+);", text, re.M))
@@ -34,11 +34,11 @@ def test_kernels_give_structs_by_address() -> None:
     text = "\n".join(each.read_text() for each in kernels.iterdir() if each.name.endswith(".cl"))
     text += "".join(declare_struct(*each) for each in _STRUCTS.items())
     assert len(_HEADER.findall(text)) > 100
-    assert not find_structs_by_value(text)
+    assert not list_structs_by_value(text)
 
 
 @pytest.mark.parametrize(
-    ("head", "found"),
+    ("head", "by_value"),
     [
         ("INLINE Pair split(int a)", True),
         ("bool holds(global const int *a, const Pair pair)", True),
@@ -47,17 +47,17 @@ def test_kernels_give_structs_by_address() -> None:
         ("bool holds(global const Pair *pairs, int pair)", False),
     ],
 )
-def test_structs_by_value_are_found(head: str, found: bool) -> None:
+def test_structs_by_value_are_found(head: str, by_value: bool) -> None:
     text = f"typedef struct {{\n    int a, b;\n}} Pair;\n\n{head} {{\n    Pair c, d;\n    use(c, d);\n}}\n"
-    assert find_structs_by_value(text) == ([head] if found else [])
+    assert list_structs_by_value(text) == ([head] if by_value else [])
 
 
 @pytest.mark.parametrize("name", _STRUCTS)
 def test_declared_structs_lie_in_memory_as_their_dtypes(name: str) -> None:
     struct = _STRUCTS[name]
     offsets = "".join(
-        f"answer[{place}] = (uint)(ulong)&((global {name} *)0)->{field};"
-        for place, field in enumerate(struct.names or ())
+        f"answer[{index}] = (uint)(ulong)&((global {name} *)0)->{field};"
+        for index, field in enumerate(struct.names or ())
     )
     size = f"answer[{len(struct)}] = sizeof({name});"
     source = f"{declare_struct(name, struct)}kernel void lay_out(global uint *answer) {{ {offsets}{size} }}"

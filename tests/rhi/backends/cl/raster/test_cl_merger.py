@@ -1,6 +1,6 @@
 """The output merger in isolation: rounding of every number, keys of states, and that special kernels do the same.
 
-What states do to a picture, the kit and `test_programs_against_float64` show.
+What states do to an image, the kit and `test_programs_against_float64` show.
 """
 
 from __future__ import annotations
@@ -241,12 +241,12 @@ def test_a_kernel_for_one_combination_merges_the_same_bits(formats: list[Format]
         depths(Format.D24S8, samples),
         np.random.default_rng(4).choice(STENCILS, (samples, *SIZE)),
     )
-    given = fragments(formats, samples), depths(None, samples, 5), coverage(samples)
+    inputs = fragments(formats, samples), depths(None, samples, 5), coverage(samples)
     general, special = (
-        run(formats, Format.D24S8, states, planes, *given, special=special) for special in (False, True)
+        run(formats, Format.D24S8, states, planes, *inputs, special=special) for special in (False, True)
     )
-    for one, other in zip(general.colors, special.colors, strict=True):
-        np.testing.assert_array_equal(one.view(np.uint8), other.view(np.uint8))
+    for plane, special_plane in zip(general.colors, special.colors, strict=True):
+        np.testing.assert_array_equal(plane.view(np.uint8), special_plane.view(np.uint8))
     np.testing.assert_array_equal(general.depth, special.depth)
     np.testing.assert_array_equal(general.stencil, special.stencil)
     assert not np.array_equal(general.colors[0], planes.colors[0])

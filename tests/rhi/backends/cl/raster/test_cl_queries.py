@@ -12,8 +12,8 @@ from cl_kit import FILL, ClKit, describe_program
 
 import rhi
 from rhi.backends.cl import create_backend
-from rhi.backends.cl.fence import is_done
-from rhi.conformance.patience import PATIENCE, comes_true
+from rhi.backends.cl.cl_fence import is_done
+from rhi.conformance.waiting import TIMEOUT, wait_until
 from rhi.contract.backend import FOREVER
 from rhi.contract.descriptors import QueryKind
 from rhi.errors import DeviceError
@@ -23,27 +23,27 @@ from rhi.errors.rules import DEVICE_LOST
 def test_a_fence_behind_running_work_is_neither_passed_nor_waited_for(cl_kit: ClKit) -> None:
     backend = cl_kit.backend
     backend.signal(1)
-    assert backend.wait(1, PATIENCE)
-    held = cl_kit.hold()
+    assert backend.wait(1, TIMEOUT)
+    gate = cl_kit.hold()
     backend.signal(2)
     assert backend.completed() == 1
     assert not backend.wait(2, 0.0)
     assert not backend.wait(2, 0.001)
-    cl_kit.release(held)
-    assert backend.wait(2, PATIENCE)
+    cl_kit.release(gate)
+    assert backend.wait(2, TIMEOUT)
     assert backend.completed() == 2
 
 
 def test_a_wait_without_a_limit_ends_at_its_own_value(cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch) -> None:
     backend = cl_kit.backend
     backend.signal(1)
-    held = cl_kit.hold()
+    gate = cl_kit.hold()
     backend.signal(2)
     with monkeypatch.context() as patch:
         patch.delattr(time, "sleep")  # no naps, which are late
         assert backend.wait(1, FOREVER)
         assert backend.completed() == 1
-        cl_kit.release(held)
+        cl_kit.release(gate)
         assert backend.wait(2, FOREVER)
     assert backend.completed() == 2
 
@@ -53,13 +53,13 @@ def test_a_signal_starts_the_work_before_it(cl_kit: ClKit) -> None:
     backend.bind_storage(0, cl_kit.buffer(bytes(4)), 0, 4)
     cl_kit.dispatch(cl_kit.program(describe_program(FILL)))
     backend.signal(1)
-    assert comes_true(lambda: backend.completed() == 1)
+    assert wait_until(lambda: backend.completed() == 1)
 
 
 def test_a_fence_that_nobody_signals_is_not_waited_for(cl_kit: ClKit) -> None:
     cl_kit.backend.signal(1)
-    assert cl_kit.backend.wait(1, PATIENCE)
-    assert not cl_kit.backend.wait(2, PATIENCE)
+    assert cl_kit.backend.wait(1, TIMEOUT)
+    assert not cl_kit.backend.wait(2, TIMEOUT)
 
 
 def test_timestamps_enclose_the_time_of_the_work_between_them(cl_kit: ClKit) -> None:
@@ -68,15 +68,15 @@ def test_timestamps_enclose_the_time_of_the_work_between_them(cl_kit: ClKit) -> 
     assert backend.read_query(before) is None
     start = time.monotonic_ns()
     backend.write_query(before)
-    assert comes_true(lambda: backend.read_query(before) is not None)
+    assert wait_until(lambda: backend.read_query(before) is not None)
     held_from = time.monotonic_ns()
-    held = cl_kit.hold()
+    gate = cl_kit.hold()
     backend.write_query(after)
     assert backend.read_query(after) is None
     time.sleep(0.02)
     held_for = time.monotonic_ns() - held_from
-    cl_kit.release(held)
-    assert comes_true(lambda: backend.read_query(after) is not None)
+    cl_kit.release(gate)
+    assert wait_until(lambda: backend.read_query(after) is not None)
     whole = time.monotonic_ns() - start
     first, last = backend.read_query(before), backend.read_query(after)
     assert first is not None
@@ -88,14 +88,14 @@ def test_a_timestamp_taken_again_forgets_the_earlier_one(cl_kit: ClKit) -> None:
     backend, query = cl_kit.backend, cl_kit.query(QueryKind.TIMESTAMP)
     backend.write_query(query)
     backend.signal(1)
-    backend.wait(1, PATIENCE)
+    backend.wait(1, TIMEOUT)
     first = backend.read_query(query)
-    held = cl_kit.hold()
+    gate = cl_kit.hold()
     backend.write_query(query)
     assert backend.read_query(query) is None
-    cl_kit.release(held)
+    cl_kit.release(gate)
     backend.signal(2)
-    backend.wait(2, PATIENCE)
+    backend.wait(2, TIMEOUT)
     second = backend.read_query(query)
     assert first is not None
     assert second is not None
@@ -111,7 +111,7 @@ def test_a_command_that_failed_is_reported_and_not_waited_for() -> None:
     assert "-5" in caught.value.given
 
 
-def test_a_lost_queue_is_told_of_by_whoever_asks_and_the_device_can_be_closed(
+def test_a_lost_queue_is_reported_to_each_caller_and_the_device_can_be_closed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """PoCL 3.1 ends the process when a command fails, so the status is mocked."""

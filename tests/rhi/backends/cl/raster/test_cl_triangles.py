@@ -9,9 +9,9 @@ import pytest
 import rhi
 from rhi import CullMode, DepthBias, DepthFunction, DepthWrite, Device, Format, PolygonOffset, Scissor
 from rhi.conformance import triangles as exam
-from rhi.conformance.pictures import draw_once
 from rhi.conformance.shaders import FlatColored
 from rhi.conformance.shapes import corners, rectangle
+from rhi.conformance.single_draws import draw_once
 from rhi.conformance.triangles import CUT, WHOLE, Family, examine, make_triangles
 
 SIZE = (64, 64)

@@ -1,0 +1,385 @@
+"""The needs of a frame: the effects that its scene has and its view shows.
+
+A technique declares only the passes and shaders of these effects, so what a scene lacks costs nothing. Each effect
+comes with the reason why it is needed or not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer import rules
+from renderer.frame.plan import Target
+from renderer.frame.targets import IMAGE_FORMAT
+from renderer.frame.visible_features import VisibleFeatures
+from renderer.light_kinds.kind import LocalLightKind
+from renderer.light_kinds.table import LOCAL_LIGHT_KINDS
+from renderer.lights.frustum_culling import select_lights_in_view
+from renderer.scene import Camera, Scene
+from renderer.scene.arrays import Floats, Indices
+from renderer.scene.lights import Lights
+from renderer.visibility.boxes.volumes import select_in_view
+from rhi import Format, refuse
+
+
+class Effect(Enum):
+    """An effect that a scene may call for. Each kind of lights with a position has three: `…_LIGHTS`, `…_SPHERES` (such
+    lights with a radius) and `…_SHADOWS`."""
+
+    _ignore_ = "kind sphere_kind shadow_kind"
+
+    DIRECTIONAL_LIGHTS = "directional lights"
+    for kind in LOCAL_LIGHT_KINDS:
+        vars()[f"{kind.name.upper()}_LIGHTS"] = f"{kind.noun}s"
+    for sphere_kind in LOCAL_LIGHT_KINDS:
+        vars()[f"{sphere_kind.name.upper()}_SPHERES"] = f"{sphere_kind.noun}s with a radius"
+    IMAGES = "images"
+    EMISSION = "emission"
+    HAZE = "haze"
+    FOG = "fog"
+    BLOOM = "bloom"
+    METALS = "metals"
+    EMISSIVE_COLORS = "emissive colors"
+    NORMAL_MAPS = "normal maps"
+    ROUGHNESS_MAPS = "roughness maps"
+    OCCLUSION_MAPS = "occlusion maps"
+    EMISSIVE_MAPS = "emissive maps"
+    MASKS = "masks"
+    TWO_SIDES = "two sides"
+    VERTEX_COLORS = "vertex colors"
+    SECOND_UVS = "second uvs"
+    TEXTURE_TRANSFORMS = "texture transforms"
+    MIXED_COORDINATES = "mixed coordinates"
+    MATERIAL_SHADERS = "material shaders"
+    DIRECTIONAL_SHADOWS = "shadows of directional lights"
+    for shadow_kind in LOCAL_LIGHT_KINDS:
+        vars()[f"{shadow_kind.name.upper()}_SHADOWS"] = f"shadows of {shadow_kind.noun}s"
+    TRANSPARENCY = "transparency"
+    HEIGHT_FIELDS = "height fields"
+
+    __hash__ = object.__hash__
+
+
+_EFFECTS: Final = {effect.value: effect for effect in Effect}
+"""Effects by their values, for each frame: asking the class takes longer."""
+
+
+class LocalLightEffects(NamedTuple):
+    """The effects of a kind of lights with a position besides the lights themselves: their shadows, and those that are
+    spheres."""
+
+    kind: LocalLightKind
+    shadows: Effect
+    spheres: Effect
+
+
+LOCAL_LIGHTS: Final = {
+    Effect[f"{kind.name.upper()}_LIGHTS"]: LocalLightEffects(
+        kind, Effect[f"{kind.name.upper()}_SHADOWS"], Effect[f"{kind.name.upper()}_SPHERES"]
+    )
+    for kind in LOCAL_LIGHT_KINDS
+}
+"""The effects of the lights with a position, in the order of the table of kinds."""
+SHADOW_EFFECTS: Final = (Effect.DIRECTIONAL_SHADOWS, *(row.shadows for row in LOCAL_LIGHTS.values()))
+"""The shadows of each kind of light."""
+
+
+class Blending(Enum):
+    """The way in which transparent surfaces that cover each other are put together."""
+
+    SORTED = "sorted"
+    """Objects are drawn back to front, each over what is behind it."""
+    WEIGHTED = "weighted"
+    """Surfaces are averaged, near ones with more weight, in any order (McGuire and Bavoil 2013)."""
+
+
+LIGHT_FORMATS: Final = {11: Format.R11G11B10F, 16: Format.RGBA16F, 32: Format.RGBA32F}
+"""Formats of linear light by the bits of a channel."""
+
+
+@dataclass(frozen=True, slots=True)
+class BloomSettings:
+    """Settings of the accuracy of bloom.
+
+    Attributes:
+        levels: how often the light is halved in size; each level spreads it twice as far.
+        karis_average: whether single bright pixels count less (Karis 2013), which may flicker as things move. Otherwise
+            all light counts the same, and bloom has exactly as much light as is scattered.
+        bits: those of a channel of the image and of its levels while they hold light: 11 (10 of blue), 16 or 32.
+    """
+
+    levels: int = 6
+    karis_average: bool = False
+    bits: int = 16
+
+    def __post_init__(self) -> None:
+        rules.check_types(self, rules.BAD_BLOOM)
+        if not 1 <= self.levels <= _MAX_LEVELS:
+            refuse(rules.BAD_BLOOM, "BloomSettings(levels=...)", self.levels, f"a whole number from 1 to {_MAX_LEVELS}")
+        if self.bits not in LIGHT_FORMATS:
+            refuse(
+                rules.BAD_BLOOM, "BloomSettings(bits=...)", self.bits, f"one of {', '.join(map(str, LIGHT_FORMATS))}"
+            )
+
+
+_MAX_LEVELS: Final = 12
+_NONE: Final[Indices] = np.zeros(0, np.int64)
+EXACT_BLOOM: Final = BloomSettings()
+"""Bloom that has all of the light that is scattered."""
+
+_PLAIN_IMAGE: Final = Target("image", IMAGE_FORMAT)
+_BRIGHT_IMAGES: Final = {bits: Target("bright_image", format) for bits, format in LIGHT_FORMATS.items()}
+
+_NOUNS: Final = {
+    Effect.DIRECTIONAL_LIGHTS: ("directional light", "directional lights"),
+    Effect.IMAGES: ("image", "images"),
+    Effect.EMISSION: ("material that emits light", "materials that emit light"),
+    Effect.METALS: ("metallic-roughness material", "metallic-roughness materials"),
+    Effect.EMISSIVE_COLORS: ("material with an emissive color", "materials with an emissive color"),
+    Effect.NORMAL_MAPS: ("material with a normal map", "materials with a normal map"),
+    Effect.ROUGHNESS_MAPS: ("material with a metallic-roughness map", "materials with a metallic-roughness map"),
+    Effect.OCCLUSION_MAPS: ("material with an occlusion map", "materials with an occlusion map"),
+    Effect.EMISSIVE_MAPS: ("material with an emissive map", "materials with an emissive map"),
+    Effect.MASKS: ("material with a mask", "materials with a mask"),
+    Effect.TWO_SIDES: ("material with two sides", "materials with two sides"),
+    Effect.VERTEX_COLORS: ("mesh with colors", "meshes with colors"),
+    Effect.SECOND_UVS: ("texture with a second uv", "textures with a second uv"),
+    Effect.TEXTURE_TRANSFORMS: ("texture that is transformed or clamped", "textures that are transformed or clamped"),
+    Effect.MIXED_COORDINATES: (
+        "material with unlike texture coordinates",
+        "materials with unlike texture coordinates",
+    ),
+    Effect.MATERIAL_SHADERS: ("material with a shader of its own", "materials with shaders of their own"),
+    Effect.TRANSPARENCY: ("transparent object", "transparent objects"),
+    Effect.HEIGHT_FIELDS: ("height field", "height fields"),
+    Effect.DIRECTIONAL_SHADOWS: ("directional light that casts shadows", "directional lights that cast shadows"),
+}
+for _effect, _row in LOCAL_LIGHTS.items():
+    _noun = _row.kind.noun
+    _NOUNS[_effect] = (_noun, f"{_noun}s")
+    _NOUNS[_row.spheres] = (f"{_noun} with a radius", f"{_noun}s with a radius")
+    _NOUNS[_row.shadows] = (f"{_noun} that casts shadows", f"{_noun}s that cast shadows")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class EffectSources:
+    """What may cause effects in a scene, seen from anywhere; it is kept while the scene is in the same `state`.
+
+    Attributes:
+        counts: of each effect, how many causes there are. features: the names of those that materials and meshes have.
+        local_lights: the positions (k, 3) and ranges (k,) of the point and of the spot lights.
+        height_fields: the object indices of the height fields. shaders: those that materials have of their own.
+    """
+
+    state: tuple[object, ...]
+    counts: dict[Effect, int]
+    features: tuple[str, ...]
+    local_lights: tuple[tuple[Floats, Floats], ...]
+    height_fields: Indices
+    shaders: tuple[type[Any], ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FrameEffects:
+    """The effects that one frame needs, with their reasons.
+
+    Attributes:
+        enabled: the effects that are needed. counts: of each effect, how many of its causes the scene has.
+        material_count: the number of materials.
+        in_view: the rows of the point and of the spot lights whose light may reach something in view; as their shadows,
+            the rows of those of them that cast some, none if no object does; as spheres, those that have a radius; and
+            of the transparent objects and of the height fields in view, or that cast shadows.
+        blending: how transparent objects are put together. bloom: how bloom is made.
+        has_bloom: whether the scene has bloom, whatever shines in it.
+        shaders: those that the scene's materials have of their own.
+        sources: what of this doesn't depend on the view. visible_features: those of surfaces that shaders have.
+    """
+
+    enabled: frozenset[Effect]
+    counts: dict[Effect, int]
+    material_count: int
+    in_view: Mapping[Effect, Indices]
+    blending: Blending
+    bloom: BloomSettings
+    has_bloom: bool
+    shaders: tuple[type[Any], ...]
+    sources: EffectSources
+    visible_features: frozenset[str]
+
+    @property
+    def image(self) -> Target:
+        """The target of a technique: the image itself, or where there is bloom, linear light of any strength."""
+        return _BRIGHT_IMAGES[self.bloom.bits] if Effect.BLOOM in self.enabled else _PLAIN_IMAGE
+
+    @property
+    def local_lights_in_view(self) -> int:
+        """The number of point and spot lights whose light may reach something in view."""
+        return sum(len(self.in_view[effect]) for effect in LOCAL_LIGHTS)
+
+    @property
+    def has_single_directional_light(self) -> bool:
+        """Whether there is exactly one directional light."""
+        return self.counts[Effect.DIRECTIONAL_LIGHTS] == 1
+
+    @property
+    def has_both_models(self) -> bool:
+        """Whether some materials are of the metallic-roughness model, and others of the specular one."""
+        return Effect.METALS in self.enabled and self.counts[Effect.METALS] < self.material_count
+
+    @property
+    def has_geometric_normals(self) -> bool:
+        """Whether surfaces are told from their normals: maps bend these, and shadows fall on those."""
+        bends = not self.enabled.isdisjoint((Effect.NORMAL_MAPS, Effect.MATERIAL_SHADERS))
+        return bends and not self.enabled.isdisjoint(SHADOW_EFFECTS)
+
+    @property
+    def has_shadow_casters(self) -> bool:
+        """Whether the scene has lights that cast shadows, in view or not: their maps are kept."""
+        return any(self.counts[effect] for effect in SHADOW_EFFECTS)
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """All that a technique's declaration depends on."""
+        return (
+            self.enabled,
+            self.has_single_directional_light,
+            self.has_both_models,
+            self.has_shadow_casters,
+            self.blending,
+            self.bloom,
+        )
+
+    def explain(self, effect: Effect) -> str:
+        """Return why the effect is needed or not, such as `3 of 13 point lights reach what is in view`."""
+        count = self.counts[effect]
+        if effect in (Effect.HAZE, Effect.FOG):
+            return f"the scene has {effect.value if count else f'no {effect.value}'}"
+        if effect is Effect.BLOOM:
+            return self._explain_bloom(count)
+        noun, plural = _NOUNS[effect]
+        if not count:
+            return f"the scene has no {noun}"
+        nouns = f"{count} {plural if count > 1 else noun}"
+        if effect not in self.in_view:
+            return f"the scene has {nouns}" if effect in self.enabled else f"the scene has {nouns}, none in view"
+        count_in_view = len(self.in_view[effect])
+        if effect in (Effect.TRANSPARENCY, Effect.HEIGHT_FIELDS):
+            return f"{count_in_view or 'none'} of {nouns} {'is' if count_in_view == 1 else 'are'} in view"
+        if count == 1 and not count_in_view:
+            return f"the only {noun} doesn't reach what is in view"
+        return f"{count_in_view or 'none'} of {nouns} {'reaches' if count_in_view == 1 else 'reach'} what is in view"
+
+    def _explain_bloom(self, count: int) -> str:
+        if not self.has_bloom:
+            return "the scene has no bloom"
+        if not count:
+            return "no object emits more light than a white surface reflects"
+        out_of_view = "" if Effect.BLOOM in self.enabled else ", out of view"
+        objects = "objects emit" if count > 1 else "object emits"
+        return f"{count} {objects} more light than a white surface reflects{out_of_view}"
+
+
+def collect_frame_effects(
+    scene: Scene,
+    camera: Camera,
+    *,
+    reaches: Sequence[bool] = (True,) * len(LOCAL_LIGHT_KINDS),
+    blending: Blending = Blending.SORTED,
+    bloom: BloomSettings = EXACT_BLOOM,
+    visible_features: frozenset[str] | None = None,
+    lights: Lights | None = None,
+    last: FrameEffects | None = None,
+) -> FrameEffects:
+    """Find what `scene` needs as `camera` sees it.
+
+    Args:
+        reaches: whether any light reaches an object, for each kind of lights with a position.
+        blending: how transparent surfaces are to be put together. bloom: how bloom is to be made.
+        visible_features: those of surfaces that shaders have (`VisibleFeatures`); by default those that are in view.
+        lights: the scene's, with the ranges that count; by default as they are.
+        last: what the last frame of the scene needed: it is returned again if nothing has changed.
+    """
+    sources = _collect_effect_sources(
+        scene, scene.lights if lights is None else lights, None if last is None else last.sources
+    )
+    in_view = {Effect.TRANSPARENCY: select_in_view(scene, camera, scene.list_transparent())}
+    in_view |= {
+        effect: select_lights_in_view(camera.frustum.planes, *spheres) if reached and len(spheres[0]) else _NONE
+        for effect, spheres, reached in zip(LOCAL_LIGHTS, sources.local_lights, reaches, strict=True)
+    }
+    height_fields = sources.height_fields
+    if len(height_fields):
+        casts = scene.objects.casts_shadow[height_fields] & any(sources.counts[effect] for effect in SHADOW_EFFECTS)
+        height_fields = np.union1d(height_fields[casts], select_in_view(scene, camera, height_fields))
+    in_view[Effect.HEIGHT_FIELDS] = height_fields
+    visible_features = VisibleFeatures(scene).collect(camera) if visible_features is None else visible_features
+    same = (sources, blending, bloom, visible_features)
+    if (
+        last is not None
+        and same == (last.sources, last.blending, last.bloom, last.visible_features)
+        and all(
+            object_indices.tobytes() == last.in_view[effect].tobytes() for effect, object_indices in in_view.items()
+        )
+    ):
+        return last
+    for effect, row in LOCAL_LIGHTS.items():
+        lights_of_kind, light_indices = scene.lights.of_kind(row.kind), in_view[effect]
+        in_view[row.spheres] = light_indices[lights_of_kind["source_radius"][light_indices] > 0.0]
+        in_view[row.shadows] = (
+            light_indices[lights_of_kind["casts_shadow"][light_indices]] if sources.counts[row.shadows] else _NONE
+        )
+    hidden = {effect for effect, object_indices in in_view.items() if not len(object_indices)}
+    hidden |= {
+        _EFFECTS[name]
+        for name in (*sources.features, "bloom")
+        if name not in visible_features and name != "vertex colors"
+    }
+    enabled = frozenset(effect for effect, count in sources.counts.items() if count and effect not in hidden)
+    return FrameEffects(
+        enabled, sources.counts, len(scene.materials), in_view, blending, bloom, scene.bloom is not None,
+        sources.shaders, sources, visible_features,
+    )  # fmt: skip
+
+
+def _collect_effect_sources(scene: Scene, lights: Lights, last: EffectSources | None) -> EffectSources:
+    """Find what may cause effects, or return what was found last if the scene is as it was."""
+    lights.refresh()
+    state = (
+        scene.material_version, len(scene.materials), lights.snapshot, scene.haze > 0.0, scene.fog is None,
+        scene.bloom is None, bool(scene.objects.casts_shadow.any()), tuple(scene.height_fields),
+    )  # fmt: skip
+    if last is not None and last.state == state:
+        return last
+    features = scene.count_features()
+    height_fields = np.array([*scene.height_fields], np.int64)
+    counts = {
+        Effect.DIRECTIONAL_LIGHTS: len(lights.directional),
+        Effect.HAZE: int(scene.haze > 0.0),
+        Effect.FOG: int(scene.fog is not None),
+        Effect.BLOOM: 0 if scene.bloom is None else len(scene.list_emitters()),
+        Effect.TRANSPARENCY: len(scene.list_transparent()),
+        Effect.HEIGHT_FIELDS: len(height_fields),
+        Effect.DIRECTIONAL_SHADOWS: _count_casting(scene, lights.directional),
+        **{_EFFECTS[name]: count for name, count in features.items()},
+    }
+    local_lights = []
+    for effect, row in LOCAL_LIGHTS.items():
+        lights_of_kind = lights.of_kind(row.kind)
+        counts[effect] = len(lights_of_kind)
+        counts[row.shadows] = _count_casting(scene, lights_of_kind)
+        counts[row.spheres] = int(np.count_nonzero(lights_of_kind["source_radius"]))
+        local_lights.append((lights_of_kind["position"].copy(), lights_of_kind["range"].astype(np.float64)))
+    shaders = tuple(scene_shader.shader for scene_shader in scene.shaders)
+    return EffectSources(state, counts, tuple(features), tuple(local_lights), height_fields, shaders)
+
+
+def _count_casting(scene: Scene, lights: NDArray[Any]) -> int:
+    """Return the number of lights that cast shadows: none if no object does."""
+    count = int(np.count_nonzero(lights["casts_shadow"]))
+    return count if count and scene.objects.casts_shadow.any() else 0

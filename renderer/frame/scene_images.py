@@ -1,0 +1,260 @@
+"""The images of a scene on a device: arrays of textures, one for each size and kind of image.
+
+A shader reads all images of a scene in one draw, so images are layers of arrays, whose layers have one size. An image
+becomes a layer of the array of its size; colours (sRGB) and data (linear) have arrays of their own. So they take the
+memory of their texels and mip levels, and no more.
+
+A shader binds each array once for each sampler that reads it, at most `MAX_ARRAYS` in all. If a scene has more sizes,
+arrays are joined, those first that cost the fewest bytes; the smaller images are stretched, so that texture coordinates
+hold. If that would take more than `MAX_MEMORY_RATIO` times the memory of the images, the layers of joined arrays are
+made smaller instead, and their largest images lose detail.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import inf
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from renderer import rules
+from renderer.scene import Scene
+from renderer.shaders.structs import TextureUse
+from rhi import (
+    Device,
+    Filter,
+    Format,
+    SamplerDescriptor,
+    StorageBuffer,
+    Texture,
+    TextureKind,
+    refuse,
+)
+
+MAX_ARRAYS: Final = 8
+"""The most arrays that a shader binds: devices have 16 textures, and techniques read up to 8 of their own."""
+MAX_MEMORY_RATIO: Final = 1.15
+"""The most memory of arrays, in that of their images with their mip levels."""
+TEXEL_BYTES: Final = 4
+_MAX_BIAS: Final = 16.0
+"""The most levels of a bias: there are no more levels."""
+
+Size = tuple[int, int]
+"""Width and height in texels."""
+
+
+@dataclass(frozen=True, slots=True)
+class TextureSettings:
+    """Settings of texture filtering. A texture's own sampler may ask for less mip levels and bias, or more
+    anisotropy.
+
+    Attributes:
+        filter: whether texels are mixed with their neighbours.
+        mip: whether mip levels are mixed, or the nearest is read; None for the largest level alone.
+        anisotropy: the most samples along a pixel's longer side, where the device has that: at most its
+            `capabilities.max_anisotropy`.
+        mip_bias: what is added to the mip level, −16 to 16: a pixel is taken to cover 2^bias times as many texels in
+            each direction. Below 0 textures are sharper, and flicker.
+    """
+
+    filter: Filter = Filter.LINEAR
+    mip: Filter | None = Filter.LINEAR
+    anisotropy: float = 1.0
+    mip_bias: float = 0.0
+
+    def __post_init__(self) -> None:
+        rules.check_types(self, rules.BAD_TEXTURES)
+        if not 1.0 <= self.anisotropy < inf:
+            refuse(rules.BAD_TEXTURES, "TextureSettings(anisotropy=...)", self.anisotropy, "1 or more, finite")
+        if not -_MAX_BIAS <= self.mip_bias <= _MAX_BIAS:
+            allowed = f"{-_MAX_BIAS:g} to {_MAX_BIAS:g}"
+            refuse(rules.BAD_TEXTURES, "TextureSettings(mip_bias=...)", self.mip_bias, allowed)
+
+    def adjust(self, sampler: SamplerDescriptor, most: float) -> SamplerDescriptor:
+        """A texture's sampler with these settings, on a device with at most this anisotropy."""
+        minify, magnify, mip = sampler.minify, sampler.magnify, sampler.mip
+        if self.filter is Filter.NEAREST:
+            minify = magnify = Filter.NEAREST
+        if self.mip is None or (self.mip is Filter.NEAREST and mip is not None):
+            mip = self.mip
+        anisotropy = min(max(sampler.max_anisotropy, self.anisotropy), max(most, sampler.max_anisotropy))
+        return replace(sampler, minify=minify, magnify=magnify, mip=mip, max_anisotropy=anisotropy)
+
+
+SAMPLER_DEFAULTS: Final = TextureSettings()
+"""Textures are read as their own samplers ask for."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImageArray:
+    """An array texture: the size of its layers, whether they are colours, the images in its layers, and
+    the samplers that read it, as indices of the scene."""
+
+    size: Size
+    is_color: bool
+    images: tuple[int, ...]
+    samplers: frozenset[int]
+
+    @property
+    def bytes(self) -> int:
+        """The memory of all layers with their levels."""
+        return len(self.images) * count_bytes(self.size)
+
+
+def count_bytes(size: Size) -> int:
+    """Bytes of an image with its mip levels."""
+    width, height = size
+    total = 0
+    while True:
+        total += width * height * TEXEL_BYTES
+        if width == height == 1:
+            return total
+        width, height = max(width // 2, 1), max(height // 2, 1)
+
+
+def plan_arrays(
+    sizes: Sequence[Size], uses: Sequence[tuple[int, bool, int]], max_bindings: int = MAX_ARRAYS
+) -> list[ImageArray]:
+    """The array textures that hold images of these sizes.
+
+    Args:
+        uses: image, whether it holds colours, and sampler, of each texture.
+        most: the most pairs of an array and a sampler. There must not be more samplers of colours and data than that.
+    """
+    groups: dict[tuple[Size, bool], tuple[dict[int, None], set[int]]] = {}
+    for image, is_color, sampler in uses:
+        images, samplers = groups.setdefault((sizes[image], is_color), ({}, set()))
+        images[image] = None
+        samplers.add(sampler)
+    arrays = [
+        ImageArray(size, is_color, tuple(images), frozenset(samplers))
+        for (size, is_color), (images, samplers) in groups.items()
+    ]
+    limit = MAX_MEMORY_RATIO * sum(array.bytes for array in arrays)
+    while sum(len(array.samplers) for array in arrays) > max_bindings:
+        pairs = [
+            (_join(first, other), i, j)
+            for i, first in enumerate(arrays)
+            for j, other in enumerate(arrays[:i])
+            if first.is_color == other.is_color
+        ]
+        joined, i, j = min(pairs, key=lambda pair: pair[0].bytes - arrays[pair[1]].bytes - arrays[pair[2]].bytes)
+        arrays[j] = joined
+        del arrays[i]
+    return _shrink(arrays, sizes, limit)
+
+
+def _join(first: ImageArray, second: ImageArray) -> ImageArray:
+    size = max(first.size[0], second.size[0]), max(first.size[1], second.size[1])
+    images = tuple(dict.fromkeys((*second.images, *first.images)))
+    return ImageArray(size, first.is_color, images, first.samplers | second.samplers)
+
+
+def _shrink(arrays: list[ImageArray], sizes: Sequence[Size], limit: float) -> list[ImageArray]:
+    """Reduce the layers' size until all arrays take at most `limit` bytes, starting with the array that
+    wastes the most."""
+    while sum(array.bytes for array in arrays) > limit:
+        waste = [array.bytes - sum(count_bytes(sizes[image]) for image in array.images) for array in arrays]
+        worst = int(np.argmax(waste))
+        width, height = (max(side * 15 // 16, 1) for side in arrays[worst].size)
+        arrays[worst] = replace(arrays[worst], size=(width, height))
+    return arrays
+
+
+class SceneImages:
+    """The images that a scene's textures refer to, on a device.
+
+    Attributes:
+        textures: the arrays. arrays: what a shader binds: each array with a sampler. samplers: those.
+        colors, data: the arrays of colours, which come first, and of data. A texture's row of the table has its place
+            among those of its kind: a shader compares it with no others.
+        table: (t,) of `TextureUse`, how each texture of the scene is read. None if the row of a texture is its layer,
+            and texture coordinates are read as they are.
+        gradient_scale: the factor of texture gradients, 2^`mip_bias`.
+        bytes: the memory of the arrays. image_bytes: that of the images, each by itself.
+    """
+
+    def __init__(self, device: Device, scene: Scene, settings: TextureSettings = SAMPLER_DEFAULTS) -> None:
+        self.gradient_scale = 2.0**settings.mip_bias
+        textures, limit = scene.textures, device.capabilities.max_texture_size
+        sizes = [(min(image.shape[1], limit), min(image.shape[0], limit)) for image in scene.images]
+        samplers = _limit_samplers(textures["sampler"].tolist(), textures["is_color"].tolist())
+        uses = [
+            (int(row["image"]), bool(row["is_color"]), sampler) for row, sampler in zip(textures, samplers, strict=True)
+        ]
+        planned = sorted(plan_arrays(sizes, uses), key=lambda array: not array.is_color)
+        self.bytes = sum(array.bytes for array in planned)
+        self.image_bytes = sum(count_bytes(sizes[image]) for image, _ in {use[:2] for use in uses})
+        self.textures = tuple(_make_array(device, scene, array) for array in planned)
+        bound = [(array, sampler) for array in range(len(planned)) for sampler in sorted(planned[array].samplers)]
+        most = device.capabilities.max_anisotropy
+        self.samplers = tuple(settings.adjust(scene.samplers[sampler], most) for _, sampler in bound)
+        self.arrays = tuple(
+            self.textures[array].sampled(sampler) for (array, _), sampler in zip(bound, self.samplers, strict=True)
+        )
+        color_count = sum(planned[array].is_color for array, _ in bound)
+        self.colors, self.data = self.arrays[:color_count], self.arrays[color_count:]
+        table: NDArray[Any] = np.zeros(len(textures), TextureUse.dtype)
+        for row, (image, is_color, sampler) in enumerate(uses):
+            array = next(
+                number
+                for number, plan in enumerate(planned)
+                if plan.is_color == is_color and image in plan.images and sampler in plan.samplers
+            )
+            table["array"][row] = bound.index((array, sampler)) - (0 if is_color else color_count)
+            table["layer"][row] = planned[array].images.index(image)
+        table["u"], table["v"] = textures["transform"][:, 0], textures["transform"][:, 1]
+        table["uv_set"] = textures["uv_set"]
+        is_plain = (
+            len(self.arrays) == 1
+            and (table["layer"] == np.arange(len(table))).all()
+            and (textures["transform"] == np.eye(2, 3)).all()
+            and not textures["uv_set"].any()
+        )
+        self.table: StorageBuffer[TextureUse] | None = (
+            None if is_plain else device.storage(TextureUse, table, label="textures")
+        )
+
+    def destroy(self) -> None:
+        """Destroy the textures and the table."""
+        for texture in self.textures:
+            texture.destroy()
+        if self.table is not None:
+            self.table.destroy()
+
+
+def _limit_samplers(samplers: list[int], is_color: list[int]) -> list[int]:
+    """Sampler of each texture, with rare ones replaced by the most frequent: at most half of the arrays
+    for colours, and half for data."""
+    frequent: dict[int, list[int]] = {}
+    for kind in (0, 1):
+        counts = Counter(sampler for sampler, of in zip(samplers, is_color, strict=True) if of == kind)
+        frequent[kind] = [sampler for sampler, _ in counts.most_common(MAX_ARRAYS // 2)]
+    return [
+        sampler if sampler in frequent[kind] else frequent[kind][0]
+        for sampler, kind in zip(samplers, is_color, strict=True)
+    ]
+
+
+def _make_array(device: Device, scene: Scene, array: ImageArray) -> Texture:
+    nearest = all(scene.samplers[sampler].magnify is Filter.NEAREST for sampler in array.samplers)
+    layers = np.stack([_resize(scene.images[image], array.size, nearest=nearest) for image in array.images])
+    return device.texture(
+        layers,
+        Format.RGBA8_SRGB if array.is_color else Format.RGBA8,
+        kind=TextureKind.D2_ARRAY,
+        levels=None,
+        label="images" if array.is_color else "maps",
+    )
+
+
+def _resize(image: NDArray[np.uint8], size: Size, *, nearest: bool) -> NDArray[np.uint8]:
+    if (image.shape[1], image.shape[0]) == size:
+        return image
+    filter = Image.Resampling.NEAREST if nearest else Image.Resampling.LANCZOS
+    return np.asarray(Image.fromarray(image).resize(size, filter))

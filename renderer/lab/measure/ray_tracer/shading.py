@@ -1,0 +1,175 @@
+"""Shading: the light that surfaces send to the eye, and how fog dims it. All formulas are written again from
+the documents that the renderer's own refer to, in another form where there is one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.lab.measure.ray_tracer.surfaces import Geometry, Surfaces, normalize
+from renderer.lab.measure.ray_tracer.triangle_tree import Floats, TriangleTree
+from renderer.scene import Fog, Scene, ShadingModel
+
+_AWAY: Final = 1e-6
+"""Metres from a surface at which a ray to a light begins; also relative to the position's distance from the
+origin, by which float64 rounds."""
+_SMOOTHEST: Final = 0.1
+"""The roughness below which the metallic-roughness model uses this value."""
+_RINGS: Final = 24
+"""Rings of directions to a sphere light, each with twice as many directions."""
+
+
+class LitSurfaces:
+    """The lights of a scene, and the shadows that its geometry casts."""
+
+    def __init__(self, scene: Scene, geometry: Geometry, tree: TriangleTree, *, has_shadows: bool = True) -> None:
+        self._scene, self._geometry, self._tree, self._has_shadows = scene, geometry, tree, has_shadows
+
+    def light(self, surfaces: Surfaces) -> Floats:
+        """The light (k, 3) that surfaces send to the eye, before fog."""
+        color = self._reflect_surroundings(surfaces) + surfaces.emitted
+        lights = self._scene.lights
+        for sun in lights.directional:
+            to_light = np.broadcast_to(-sun["direction"].astype(np.float64), surfaces.normal.shape)
+            strength = np.full(len(to_light), float(sun["intensity"]))
+            color += self._reflect(surfaces, to_light, strength, np.inf, sun)
+        for local_light in (*lights.point, *lights.spot):
+            color += self._reflect_local_light(surfaces, local_light)
+        return color
+
+    def _reflect_local_light(self, seen: Surfaces, local_light: Any) -> Floats:
+        away = local_light["position"] - seen.position
+        distance = np.linalg.norm(away, axis=1)
+        reach = float(local_light["range"])
+        to_light = normalize(away)
+        window = np.clip(1.0 - (distance / max(reach, 1e-10)) ** 4, 0.0, 1.0)
+        strength = (
+            float(local_light["intensity"])
+            * window**2
+            / np.maximum(distance, max(0.01, local_light["source_radius"])) ** 2
+        )
+        if "outer" in local_light.dtype.names:
+            cosine = -to_light @ local_light["direction"].astype(np.float64)
+            outer, inner = (np.cos(float(local_light[name])) for name in ("outer", "inner"))
+            strength *= np.clip((cosine - outer) / max(inner - outer, 1e-4), 0.0, 1.0) ** 2
+        return self._reflect(seen, to_light, np.where(distance < reach, strength, 0.0), distance, local_light)
+
+    def _reflect(self, seen: Surfaces, to_light: Floats, strength: Floats, distance: Any, light: Any) -> Floats:
+        """The light of one light, in the direction `to_light` at a distance, that surfaces reflect. Shadows
+        of a sphere light are those of its centre."""
+        radius = float(light["source_radius"]) if "source_radius" in light.dtype.names else 0.0
+        sine = np.minimum(radius / np.broadcast_to(np.maximum(distance, 1e-9), strength.shape), 1.0)
+        lit = np.flatnonzero((_dot(seen.normal, to_light) > -sine) & (strength > 0.0))
+        color = np.zeros(seen.normal.shape)
+        if len(lit) and light["casts_shadow"] and self._has_shadows:
+            far = np.broadcast_to(distance, strength.shape)[lit]
+            lit = lit[~self._are_dark(seen.position[lit], seen.geometric_normal[lit], to_light[lit], far)]
+        if len(lit):
+            lit_surfaces = _take(seen, lit)
+            arriving = light["color"].astype(np.float64) * strength[lit, None]
+            for direction, share in _list_directions(to_light[lit], sine[lit]):
+                facing = np.maximum(_dot(lit_surfaces.normal, direction), 0.0)
+                color[lit] += reflect(lit_surfaces, direction) * arriving * (share * facing)[:, None]
+        return color
+
+    def _are_dark(
+        self, position: Floats, geometric_normal: Floats, to_light: Floats, distance: Floats
+    ) -> NDArray[np.bool_]:
+        start = _AWAY + 1e-13 * np.abs(position).max(axis=1)
+        origins = position + geometric_normal * start[:, None]
+        return self._tree.are_occluded(
+            origins, to_light, distance - start, lambda hits: self._geometry.block_light(hits, to_light)
+        )
+
+    def _reflect_surroundings(self, seen: Surfaces) -> Floats:
+        """The reflected light of the sky and the ground, diffuse and specular."""
+        lights = self._scene.lights
+        sky, ground = (np.asarray(color, np.float64) for color in (lights.sky, lights.ground))
+
+        def arrive(direction: Floats) -> Floats:
+            height = 0.5 * (direction[:, 1:2] + 1.0)
+            return np.asarray(sky * height + ground * (1.0 - height))
+
+        material, along = seen.material, _dot(seen.normal, seen.to_eye)
+        beyond = 2.0 * along[:, None] * seen.normal - seen.to_eye
+        is_metal, diffuse, mirror, rough = _select_shading_model(seen)
+        clipped = np.clip(along, 0.0, 1.0)
+        rim = material["rim_strength"] * (1.0 - clipped) ** material["rim_power"].astype(np.float64)
+        mirrored = material["specular_color"] + rim[:, None]
+        # Karis's fit of the metallic-roughness model over all directions (Physically Based Shading on Mobile, 2014).
+        share = np.minimum((1.0 - rough) ** 2, 2.0 ** (-9.28 * clipped)) * (1.0 - rough) + 0.0425 - 0.0275 * rough
+        scale = -1.04 * share + 1.04 - 0.572 * rough
+        offset = 1.04 * share + 0.022 * rough - 0.04
+        mirrored = np.where(is_metal[:, None], mirror * scale[:, None] + offset[:, None], mirrored)
+        blunt = np.where(is_metal, rough**2, 0.0)[:, None]
+        beyond = beyond * (1.0 - blunt) + seen.normal * blunt
+        return np.asarray((diffuse * arrive(seen.normal) + mirrored * arrive(beyond)) * seen.occlusion[:, None])
+
+
+def _list_directions(to_light: Floats, sine: Floats) -> Iterator[tuple[Floats, Any]]:
+    """Yield directions (k, 3) that stand for equal solid angles of spheres with centres in the directions
+    `to_light`, and the weights of their light: a part of the sphere's radiance, which is 1 / (π sine²) of a
+    point light's."""
+    if not sine.any():
+        yield to_light, 1.0
+        return
+    cosine = np.sqrt(1.0 - sine**2)
+    aside = normalize(np.cross(to_light, np.eye(3)[np.abs(to_light).argmin(axis=1)]))
+    up = np.cross(to_light, aside)
+    for i, turn in np.ndindex(_RINGS, 2 * _RINGS):
+        along = (1.0 - (1.0 - cosine) * (i + 0.5) / _RINGS)[:, None]
+        angle = np.pi * (turn + 0.5) / _RINGS
+        around = aside * np.cos(angle) + up * np.sin(angle)
+        yield to_light * along + around * np.sqrt(1.0 - along**2), 1.0 / (1.0 + cosine) / _RINGS**2
+
+
+def reflect(surfaces: Surfaces, to_light: Floats) -> Floats:
+    """The fraction (k, 3) of a light's illuminance that surfaces send to the eye: Blinn and Phong's model
+    with an energy-conserving highlight, or that of glTF 2.0, appendix B."""
+    half = normalize(to_light + surfaces.to_eye)
+    towards = _dot(surfaces.normal, half)
+    is_metal, _, mirror, rough = _select_shading_model(surfaces)
+    shininess = surfaces.material["shininess"].astype(np.float64)
+    with np.errstate(under="ignore"):
+        lobe = np.clip(towards, 0.0, 1.0) ** shininess * (shininess + 8.0) / 8.0
+    specular = surfaces.base + surfaces.material["specular_color"] * lobe[:, None]
+    # D, V and F of glTF; (n·h)² (α² - 1) + 1 is the same as sin² + α² cos² of the angle between n and h.
+    square = rough**4
+    sine = np.linalg.norm(np.cross(surfaces.normal, half), axis=1)
+    spread = square / np.maximum(sine**2 + square * towards**2, square) ** 2
+    lit, viewed = np.clip(_dot(surfaces.normal, to_light), 0.0, 1.0), np.abs(_dot(surfaces.normal, surfaces.to_eye))
+    masks = [cosine + np.sqrt(square + (1.0 - square) * cosine**2) for cosine in (lit, viewed)]
+    fresnel = mirror + (1.0 - mirror) * ((1.0 - np.clip(_dot(surfaces.to_eye, half), 0.0, 1.0)) ** 5)[:, None]
+    scattered = surfaces.base * (1.0 - surfaces.metallic)[:, None] * (1.0 - fresnel)
+    metal = scattered + fresnel * (spread / (masks[0] * masks[1]))[:, None]
+    return np.where(is_metal[:, None], metal, specular)
+
+
+def _select_shading_model(seen: Surfaces) -> tuple[NDArray[np.bool_], Floats, Floats, Floats]:
+    """Which surfaces have the metallic-roughness model, the diffuse colour of all, and the specular colour at
+    normal incidence and the roughness of those of that model."""
+    is_metal = np.asarray(seen.material["model"] == ShadingModel.METALLIC_ROUGHNESS)
+    mirror = 0.04 + seen.metallic[:, None] * (seen.base - 0.04)
+    diffuse = np.where(is_metal[:, None], seen.base * (1.0 - seen.metallic)[:, None] * (1.0 - mirror), seen.base)
+    return is_metal, diffuse, mirror, np.maximum(seen.roughness, _SMOOTHEST)
+
+
+def optical_depth(fog: Fog, eye: float, height: Floats, length: Floats) -> Floats:
+    """The integral of a fog's density along rays (k,) from the height `eye` that rise by `height` on their
+    `length`, which may be infinite."""
+    thins = fog.falloff * height
+    here = fog.density * np.exp(np.minimum(-fog.falloff * (eye - fog.base), 60.0))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        share = np.where(np.abs(thins) < 1e-12, 1.0, -np.expm1(-thins) / thins)
+        return np.asarray(here * length * share)
+
+
+def _take(seen: Surfaces, rows: NDArray[Any]) -> Surfaces:
+    return Surfaces(*(getattr(seen, name)[rows] for name in seen.__slots__))
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.einsum("ij,ij->i", a, b))

@@ -1,0 +1,187 @@
+"""Ray-traced images: rays through pixels, surfaces in the order in which a ray meets them, tone mapping and
+sRGB."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from renderer.lab.measure.ray_tracer.shading import LitSurfaces, optical_depth
+from renderer.lab.measure.ray_tracer.surfaces import Geometry, encode_srgb
+from renderer.lab.measure.ray_tracer.triangle_tree import Floats, Hits, TriangleTree
+from renderer.scene import Camera, Scene
+
+_CHUNK: Final = 1 << 15
+"""Rays that are traced together."""
+_DISTANCE_SHELLS: Final = 4.0 ** np.arange(-5, 1)
+"""Distances, relative to the scene's size, to which rays are traced in turn; only rays that met nothing
+opaque continue."""
+_EXPOSURE: Final = 0.6
+
+
+class RayTracer:
+    """Renders a scene as it stands, in float64; see the package.
+
+    Attributes:
+        has_shadows: whether lights that cast shadows do.
+    """
+
+    def __init__(self, scene: Scene, *, has_shadows: bool = True) -> None:
+        """Raises ValueError for a scene with bloom, or with material shaders."""
+        if scene.bloom is not None:
+            raise ValueError("bloom can't be rendered by single rays")
+        if scene.shaders:
+            raise ValueError("what materials' own shaders say isn't known here")
+        self._scene, self._geometry = scene, Geometry(scene)
+        self._tree = TriangleTree(self._geometry.corners)
+        self._lighting = LitSurfaces(scene, self._geometry, self._tree, has_shadows=has_shadows)
+
+    def draw(
+        self, camera: Camera, size: tuple[int, int], rays: int = 1, every: int = 1,
+        at: tuple[float, float] = (0.5, 0.5),
+    ) -> Floats:  # fmt: skip
+        """Render an image (h, w, 3) in levels of 255, not rounded.
+
+        Args:
+            camera: a perspective or a parallel one, or an eye's.
+            size: width and height.
+            rays: rays along each side of a pixel, each at a random position in its part.
+            every: one in so many pixels along each axis is traced; the others are NaN.
+            at: where in a pixel a single ray is, from its top left corner.
+        """
+        width, height = size
+        x, y = (
+            coordinates.reshape(-1)
+            for coordinates in np.meshgrid(*(np.arange(side)[every // 2 :: every] for side in size))
+        )
+        pixel_positions = np.stack([x, y], axis=1)
+        light = np.zeros((len(pixel_positions), 3))
+        rng = np.random.default_rng(0)
+        for row in range(rays):
+            for column in range(rays):
+                part = rng.uniform(size=pixel_positions.shape) if rays > 1 else at
+                light += self.trace(camera, size, pixel_positions + (np.array([column, row]) + part) / rays)
+        image = np.full((height, width, 3), np.nan)
+        image[y, x] = 255.0 * encode_srgb(light / rays**2)
+        return image
+
+    def trace(self, camera: Camera, size: tuple[int, int], pixel_positions: Floats) -> Floats:
+        """The linear colours (k, 3) from 0 to 1 at positions (k, 2) of an image, in pixels from its top left
+        corner."""
+        origins, directions, first, last = aim(camera, size, pixel_positions)
+        colors = np.zeros((len(pixel_positions), 3))
+        for begin in range(0, len(pixel_positions), _CHUNK):
+            part = slice(begin, begin + _CHUNK)
+            colors[part] = self._follow(camera, origins[part], directions[part], first, last)
+        return colors
+
+    def _collect_surfaces(self, origins: Floats, directions: Floats, first: float, last: float) -> Hits:
+        """All hits that are visible along rays, the nearest first: glass, and at the end an opaque surface."""
+        corners = self._geometry.corners.reshape(-1, 3)
+        size = np.linalg.norm(np.ptp(corners, axis=0)) / np.linalg.norm(directions, axis=1).min()
+        farthest = float(np.abs(corners - origins[:1]).max()) * 2.0 + size
+        open_rays, hit_batches = np.arange(len(origins)), []
+        begin = first
+        for end in (*(first + size * _DISTANCE_SHELLS), first + farthest + size):
+            if end <= begin or not len(open_rays):
+                continue
+            far = np.full(len(origins), min(end, last))
+            hits = self._tree.intersect(origins[open_rays], directions[open_rays], np.full(len(origins), begin), far)
+            hits = Hits(open_rays[hits.ray], hits.triangle, hits.distance, hits.second, hits.third)
+            hits = hits.take(self._geometry.are_visible(hits, directions))
+            hits = hits.take(np.lexsort([hits.distance, hits.ray]))
+            is_solid = ~self._geometry.is_glass[self._geometry.objects[hits.triangle]]
+            stop = np.full(len(origins), np.inf)
+            np.minimum.at(stop, hits.ray[is_solid], hits.distance[is_solid])
+            hit_batches.append(hits.take(hits.distance <= stop[hits.ray]))
+            open_rays, begin = open_rays[np.isinf(stop[open_rays])], min(end, last)
+        hits = Hits(*(np.concatenate([getattr(batch, name) for batch in hit_batches]) for name in Hits.__slots__))
+        hits = hits.take(np.lexsort([hits.distance, hits.ray]))
+        return hits.take(~self._are_repeated(hits))
+
+    def _are_repeated(self, hits: Hits) -> Any:
+        """Which hits repeat the one before them, on an edge that two triangles of an object share."""
+        objects = self._geometry.objects[hits.triangle]
+        again = (hits.ray[1:] == hits.ray[:-1]) & (objects[1:] == objects[:-1])
+        again &= hits.distance[1:] - hits.distance[:-1] <= 1e-9 * np.abs(hits.distance[1:])
+        return np.concatenate([[False], again])[: len(hits.ray)]
+
+    def _follow(self, camera: Camera, origins: Floats, directions: Floats, first: float, last: float) -> Floats:
+        hits = self._collect_surfaces(origins, directions, first, last)
+        seen = self._geometry.surfaces_at(hits, origins, directions)
+        color = tone_map(self._pass_fog(camera, self._lighting.light(seen), seen.position))
+        color = self._pass_haze(color, np.linalg.norm(seen.position - camera.position, axis=1))
+        # Glass lets through what it doesn't cover: each surface is seen through all before it of the same ray.
+        clear = 1.0 - seen.alpha
+        total = self._draw_background(camera, directions)
+        order = np.arange(len(hits.ray))
+        begins = np.searchsorted(hits.ray, np.arange(len(origins)), side="left")
+        depth = order - begins[hits.ray]
+        through, color_sum = np.ones(len(origins)), np.zeros((len(origins), 3))
+        for layer in range(int(depth.max(initial=-1)) + 1):
+            selected = np.flatnonzero(depth == layer)
+            ray = hits.ray[selected]
+            color_sum[ray] += (through[ray] * seen.alpha[selected])[:, None] * color[selected]
+            through[ray] *= clear[selected]
+        return color_sum + through[:, None] * total
+
+    def _pass_fog(self, camera: Camera, light: Floats, position: Floats) -> Floats:
+        fog = self._scene.fog
+        if fog is None:
+            return light
+        away = position - camera.position
+        thickness = optical_depth(fog, camera.position[1], away[:, 1], np.linalg.norm(away, axis=1))
+        passes = np.exp(-thickness)[:, None]
+        return light * passes + inverse_tone_map(np.asarray(fog.color)) * (1.0 - passes)
+
+    def _pass_haze(self, color: Floats, length: Floats) -> Floats:
+        passes = np.exp(-self._scene.haze * length)[:, None]
+        return color * passes + np.asarray(self._scene.background) * (1.0 - passes)
+
+    def _draw_background(self, camera: Camera, directions: Floats) -> Floats:
+        """The background's colours, seen through all of the fog."""
+        background = np.broadcast_to(np.asarray(self._scene.background, np.float64), directions.shape)
+        fog = self._scene.fog
+        if fog is None:
+            return background
+        rises = fog.falloff * directions[:, 1] / np.linalg.norm(directions, axis=1)
+        here = fog.density * np.exp(np.minimum(-fog.falloff * (camera.position[1] - fog.base), 60.0))
+        with np.errstate(divide="ignore"):
+            thickness = np.where(rises > 0.0, here / np.maximum(rises, 1e-300), np.inf)
+        passes = np.exp(-thickness)[:, None]
+        light = inverse_tone_map(background) * passes + inverse_tone_map(np.asarray(fog.color)) * (1.0 - passes)
+        return tone_map(light)
+
+
+def aim(camera: Camera, size: tuple[int, int], pixel_positions: Floats) -> tuple[Floats, Floats, float, float]:
+    """The origins and the directions (k, 3) of the rays through positions (k, 2) of an image, and the
+    distances at which they begin and end. A direction advances 1 metre along the view."""
+    projection: Any = camera.projection
+    skew, projection = getattr(projection, "skew", 0.0), getattr(projection, "projection", projection)
+    right, up, back = camera.rotation
+    x = (pixel_positions[:, 0] / size[0] * 2.0 - 1.0)[:, None] * projection.aspect
+    y = (1.0 - pixel_positions[:, 1] / size[1] * 2.0)[:, None]
+    origins = np.broadcast_to(camera.position, (len(pixel_positions), 3))
+    if hasattr(projection, "fov"):
+        half = np.tan(0.5 * projection.fov)
+        return origins, (x * half + skew) * right + y * half * up - back, projection.near, projection.far
+    half = 0.5 * projection.height
+    directions = np.zeros((len(pixel_positions), 3)) + skew * right - back
+    return origins + x * half * right + y * half * up, directions, projection.near, projection.far
+
+
+def tone_map(light: Floats) -> Floats:
+    """Map light to colours from 0 to 1 by Narkowicz's curve (ACES Filmic Tone Mapping Curve, 2016)."""
+    x = np.minimum(light * _EXPOSURE, 1e4)
+    return np.clip(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14), 0.0, 1.0)
+
+
+def inverse_tone_map(color: Floats) -> Floats:
+    """The light that is mapped to a colour from 0 to 1, found by bisection."""
+    low, high = np.zeros(color.shape), np.full(color.shape, 1e4)
+    for _ in range(200):
+        median_of = 0.5 * (low + high)
+        is_less = tone_map(median_of) < color
+        low, high = np.where(is_less, median_of, low), np.where(is_less, high, median_of)
+    return np.asarray(0.5 * (low + high))

@@ -1,0 +1,132 @@
+"""Rays and triangles: a tree of boxes, and the triangles that many rays meet, computed together.
+
+Triangles are put in an order in which each half, quarter and so on is on one side of the other. Four neighbours make a
+leaf and eight nodes the next one above, so that the tree is nothing but an array of boxes for each level. Pairs of a
+ray and a node go down it level by level, all rays together; those whose ray misses the box are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_LEAF: Final = 4
+_WIDTH: Final = 8
+_CHUNK: Final = 1 << 13
+"""Rays that traverse the tree together: some hundred pairs each fit into a cache."""
+_EDGE: Final = 1e-12
+"""The fraction by which triangles are enlarged, so that no ray falls between two."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Hits:
+    """Hits of rays with triangles, all (k,): the indices of both, the distance in lengths of the ray's
+    direction, and the weights of the second and the third corner."""
+
+    ray: Indices
+    triangle: Indices
+    distance: Floats
+    second: Floats
+    third: Floats
+
+    def take(self, selection: NDArray[np.bool_] | Indices) -> Hits:
+        """The selected hits."""
+        return Hits(*(getattr(self, name)[selection] for name in self.__slots__))
+
+
+class TriangleTree:
+    """Triangles in a tree; `corners` are (m, 3, 3)."""
+
+    def __init__(self, corners: Floats) -> None:
+        self._order = _sort(corners.mean(axis=1))
+        self._origin = corners[self._order, 0]
+        self._copy_sides = corners[self._order, 1:] - corners[self._order, :1]
+        lower, upper = corners[self._order].min(axis=1), corners[self._order].max(axis=1)
+        self._levels = [_group(lower.T, upper.T, _LEAF)]
+        while self._levels[-1][0].shape[1] > _WIDTH:
+            self._levels.append(_group(*self._levels[-1], _WIDTH))
+
+    def intersect(self, origins: Floats, directions: Floats, first: Floats, last: Floats) -> Hits:
+        """All hits of rays (n, 3) with triangles at distances from `first` to `last` (n,)."""
+        hit_batches = [
+            self._traverse(np.arange(begin, min(begin + _CHUNK, len(origins))), origins, directions, first, last)
+            for begin in range(0, max(len(origins), 1), _CHUNK)
+        ]
+        return Hits(*(np.concatenate([getattr(batch, name) for batch in hit_batches]) for name in Hits.__slots__))
+
+    def _traverse(self, rays: Indices, origins: Floats, directions: Floats, first: Floats, last: Floats) -> Hits:
+        starts = origins.T.copy()
+        inverse = 1.0 / np.where(directions == 0.0, 1e-290, directions).T.copy()
+        top = self._levels[-1][0].shape[1]
+        ray, node = np.repeat(rays, top), np.tile(np.arange(top), len(rays))
+        for level, (lower, upper) in enumerate(reversed(self._levels), 1):
+            enters, leaves = first[ray], last[ray]
+            for axis in range(3):
+                start, slope = starts[axis][ray], inverse[axis][ray]
+                to_lower, to_upper = (lower[axis][node] - start) * slope, (upper[axis][node] - start) * slope
+                np.maximum(enters, np.minimum(to_lower, to_upper), out=enters)
+                np.minimum(leaves, np.maximum(to_lower, to_upper), out=leaves)
+            entered = np.flatnonzero(enters <= leaves + _EDGE * np.abs(leaves))
+            width = _LEAF if level == len(self._levels) else _WIDTH
+            count = len(self._origin) if level == len(self._levels) else self._levels[-level - 1][0].shape[1]
+            ray = np.repeat(ray[entered], width)
+            node = (node[entered][:, None] * width + np.arange(width)).reshape(-1)
+            if len(node) and node.max() >= count:
+                ray, node = ray[node < count], node[node < count]
+        return self._intersect(ray, node, origins, directions, first, last)
+
+    def _intersect(
+        self, ray: Indices, triangle: Indices, origins: Floats, directions: Floats, first: Floats, last: Floats
+    ) -> Hits:
+        """Which pairs of a ray and a triangle meet (Möller and Trumbore 1997)."""
+        side_a, side_b = self._copy_sides[triangle, 0], self._copy_sides[triangle, 1]
+        across = np.cross(directions[ray], side_b)
+        volume = _dot(side_a, across)
+        away = origins[ray] - self._origin[triangle]
+        turned = np.cross(away, side_a)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            second, third = _dot(away, across) / volume, _dot(directions[ray], turned) / volume
+            distance = _dot(side_b, turned) / volume
+            met = (second >= -_EDGE) & (third >= -_EDGE) & (second + third <= 1.0 + _EDGE)
+            met &= (distance >= first[ray]) & (distance <= last[ray])
+        return Hits(ray[met], self._order[triangle[met]], distance[met], second[met], third[met])
+
+    def are_occluded(
+        self, origins: Floats, directions: Floats, last: Floats, blocks: Callable[[Hits], NDArray[np.bool_]]
+    ) -> NDArray[np.bool_]:
+        """Whether rays (n, 3) meet a triangle before `last` (n,) that stops light, as `blocks` tells."""
+        hits = self.intersect(origins, directions, np.zeros(len(origins)), last)
+        blocked = np.zeros(len(origins), bool)
+        blocked[hits.ray[blocks(hits)]] = True
+        return blocked
+
+
+def _group(lower: Floats, upper: Floats, width: int) -> tuple[Floats, Floats]:
+    """The boxes (3, k) around each `width` boxes (3, n)."""
+    begins = np.arange(0, lower.shape[1], width)
+    return np.minimum.reduceat(lower, begins, axis=1), np.maximum.reduceat(upper, begins, axis=1)
+
+
+def _sort(median_of: Floats) -> Indices:
+    """An order of points (m, 3): halves, quarters and so on, each divided along its longest side."""
+    order = np.arange(len(median_of))
+    size = _LEAF << max(int(np.ceil(np.log2(max(len(median_of) / _LEAF, 1.0)))), 0)
+    while size > _LEAF:
+        points, group = median_of[order], np.arange(len(median_of)) // size
+        begins = np.arange(0, len(median_of), size)
+        sides = np.maximum.reduceat(points, begins, axis=0) - np.minimum.reduceat(points, begins, axis=0)
+        along = points[np.arange(len(median_of)), sides.argmax(axis=1)[group]]
+        order = order[np.lexsort([along, group])]
+        size //= 2
+    return order
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.einsum("ij,ij->i", a, b))

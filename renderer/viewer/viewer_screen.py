@@ -1,0 +1,168 @@
+"""A viewer on a screen: in a window, a notebook, a browser page.
+
+Frames are drawn only while something moves, and after each event. While lines may come over a socket, ten a second
+are drawn at least.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from renderer import rules
+from renderer.content import load_scene
+from renderer.scene import Camera, Scene
+from renderer.settings import RenderSettings
+from renderer.viewer.display_settings import DisplaySettings
+from renderer.viewer.viewer import Viewer
+from rhi import Reloader, RhiError
+from rhi_screen import Screen, open_screen
+from rhi_screen.canvases import get_loop
+from rhi_screen.gestures import Event
+
+_LISTENING: Final = 10.0  # frames a second
+
+
+class ViewerScreen:
+    """A viewer and the screen that shows it.
+
+    Attributes:
+        viewer, screen: these. frames: how many frames were shown. end_after: how many there are to be, None for no end.
+    """
+
+    def __init__(self, viewer: Viewer, screen: Screen) -> None:
+        """Draw `viewer` to `screen`, which has the same device, and pass it the events of the screen's
+        canvas."""
+        self.viewer = viewer
+        self.screen = screen
+        self.frames = 0
+        self.end_after: int | None = None
+        self._is_closed = False
+        viewer.session.renderer.show = screen.show
+        viewer.set_size = self._set_size
+        loop = get_loop(screen.canvas)
+        if loop is not None:
+
+            def wake() -> None:
+                with suppress(AttributeError, RuntimeError):  # of a loop that has ended by now
+                    loop.call_soon_threadsafe(screen.canvas.request_draw)
+
+            viewer.file_reloader.wake = wake
+        screen.canvas.add_event_handler(self._handle, "*")
+        screen.canvas.request_draw(self.draw)
+
+    def run(self) -> None:
+        """Run the screen's loop until its canvas is closed."""
+        self.screen.run(self.draw)
+
+    def listen(self, port: int, folder: Path | None = None) -> int:
+        """Run the lines that come over a socket (`Viewer.listen`); return the port."""
+        port = self.viewer.listen(port, folder)
+        self.screen.canvas.set_update_mode("ondemand", min_fps=_LISTENING)
+        return port
+
+    def draw(self) -> None:
+        """Draw and show a frame; the canvas calls this."""
+        viewer, canvas = self.viewer, self.screen.canvas
+        viewer.resize(self.screen.size, canvas.get_pixel_ratio())
+        viewer.draw()
+        self.frames += 1
+        if viewer.is_over or self.frames == self.end_after:
+            canvas.close()
+        elif viewer.is_moving or self.end_after is not None:
+            canvas.request_draw()
+
+    def _set_size(self, size: tuple[int, int]) -> None:
+        """Request so many physical pixels from the canvas. The next frames have the size that it grants."""
+        ratio = self.screen.canvas.get_pixel_ratio()
+        self.screen.canvas.set_logical_size(*(side / ratio for side in size))
+
+    def close(self) -> None:
+        """Destroy the viewer and close the screen. A second call does nothing."""
+        if not self._is_closed:
+            self._is_closed = True
+            self.viewer.close()
+            self.screen.close()
+
+    def _handle(self, event: Event) -> None:
+        self.viewer.handle(event)
+        if event["event_type"] not in _SILENT:
+            self.screen.canvas.request_draw()
+
+
+_SILENT: Final = frozenset({"before_draw", "animate", "close", "pointer_enter"})
+
+
+def open_viewer(
+    scene: Scene | str,
+    backend: str | None = None,
+    *,
+    canvas: str | None = None,
+    size: tuple[int, int] = (960, 540),
+    display: DisplaySettings | None = None,
+    camera: Camera | None = None,
+    settings: str | Path | None = None,
+    reload: bool = True,
+    **options: Any,
+) -> ViewerScreen:
+    """Open a screen that shows a scene.
+
+    Args:
+        scene: a scene, or the text that names one.
+        backend: by default `RHI_BACKEND`, or `gl`.
+        canvas: one of `rhi_screen.CANVASES`; by default a widget in a notebook, and else a window.
+        size: in logical pixels. display, camera: the initial display settings and camera.
+        settings: a file of settings instead of the display's (`RenderSettings.load`).
+        reload: whether shaders, a scene that was loaded from files, and settings are exchanged when these are saved,
+            and shaders that can't be drawn with at the beginning are as they were when a viewer has drawn last.
+        options: those of `rhi_screen.open_screen`.
+
+    Raises:
+        DeviceError: what is missing, and what to install.
+    """
+    if isinstance(scene, str):
+        scene = load_scene(scene)
+    display = display or DisplaySettings()
+    if settings is not None:
+        display = display.change(settings=RenderSettings.load(Path(settings)))
+    backend = backend or os.environ.get("RHI_BACKEND") or "gl"
+    screen = open_screen(backend, canvas=canvas, title=f"{scene.name} - $fps frames/s", size=size, **options)
+    try:
+        begin = partial(Viewer, screen.device, scene, size=screen.size, display=display, camera=camera)
+        try:
+            viewer = begin()
+        except Exception as error:  # maybe of a shader
+            if not reload or not Reloader(screen.device).roll_back(error):
+                raise
+            viewer = begin()
+        if settings is not None:
+            viewer.file_reloader.note_settings(Path(settings))
+        if reload:
+            try:
+                viewer.file_reloader.watch(True)
+            except RhiError as error:  # the image is shown without it
+                viewer.show_message(rules.describe(error))
+    except BaseException:
+        screen.close()
+        raise
+    return ViewerScreen(viewer, screen)
+
+
+def view(scene: Scene | str, backend: str | None = None, **options: Any) -> Any:
+    """Show a scene: in a notebook return the widget, else open a window and return when it is closed.
+
+    The arguments are those of `open_viewer`. The device lives as long as the widget.
+    """
+    viewer_screen = open_viewer(scene, backend, **options)
+    canvas = viewer_screen.screen.canvas
+    if type(canvas).__name__ == "JupyterRenderCanvas":
+        canvas.add_event_handler(lambda _: viewer_screen.close(), "close")
+        return canvas
+    try:
+        viewer_screen.run()
+    finally:
+        viewer_screen.close()
+    return None

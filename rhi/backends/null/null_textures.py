@@ -1,0 +1,168 @@
+"""Textures in host memory and the commands that change them, and the descriptors of samplers.
+
+- A texture is one array (layers, height, width, channels) per level, as stored. Depth is kept as float32 with the
+  values that the format can represent; stencil is in arrays of its own.
+- Multi-sampled textures keep one sample per texel: without rasterisation all samples of a texel are equal.
+- The methods named like commands are called when the queue reaches the command (`backend`), never earlier.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.contract.descriptors import (
+    Attachment,
+    DepthAttachment,
+    Id,
+    PassDescriptor,
+    Region,
+    TextureDescriptor,
+)
+from rhi.contract.formats import Format
+from rhi.contract.texels import encode, halve
+from rhi.errors import DeviceError
+from rhi.errors.rules import DEVICE_MEMORY
+
+
+class TextureMemory:
+    """The contents of a texture.
+
+    Attributes:
+        levels: the texels of each level: (layers, height, width, channels).
+        stencil: the stencil values of each level: (layers, height, width, 1); empty without stencil.
+    """
+
+    __slots__ = ("descriptor", "levels", "stencil")
+
+    def __init__(self, descriptor: TextureDescriptor) -> None:
+        self.descriptor = descriptor
+        format = descriptor.format
+        self.levels: list[NDArray[np.generic]] = []
+        self.stencil: list[NDArray[np.uint8]] = []
+        for level in range(descriptor.levels):
+            width, height = descriptor.level_size(level)
+            texels = descriptor.level_layers(level), height, width
+            self.levels.append(np.zeros((*texels, format.components), format.dtype))
+            if format.has_stencil:
+                self.stencil.append(np.zeros((*texels, 1), np.uint8))
+
+
+def _box(region: Region) -> tuple[slice, slice, slice]:
+    """Return a region as an index into a level's array."""
+    return (
+        slice(region.layer, region.layer + region.layers),
+        slice(region.y, region.y + region.height),
+        slice(region.x, region.x + region.width),
+    )
+
+
+@lru_cache(maxsize=64)
+def _encode_once(format: Format, values: bytes) -> NDArray[np.generic]:
+    """`encode` of one texel (float64), cached: most clears use the same few colors."""
+    return encode(format, np.frombuffer(values))
+
+
+def _fill(layer: NDArray[np.generic], value: NDArray[np.generic]) -> None:
+    """Fill a layer (height, width, channels) with a texel."""
+    layer[0] = value
+    layer[1:] = layer[0]  # row by row: NumPy repeats a few bytes much more slowly than a row
+
+
+class Textures:
+    """The textures and samplers of a device, by id."""
+
+    def __init__(self) -> None:
+        self.textures: dict[Id, TextureMemory] = {}
+
+    def clear(self) -> None:
+        """Release all textures."""
+        self.textures.clear()
+
+    # -- immediate -----------------------------------------------------------------------------------------
+
+    def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
+        try:
+            self.textures[texture] = TextureMemory(descriptor)
+        except (MemoryError, ValueError) as error:
+            raise DeviceError(DEVICE_MEMORY, "create_texture", repr(descriptor)) from error
+
+    def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
+        source = self.textures[texture]
+        if stencil:
+            return source.stencil[level][_box(region)].copy()
+        return source.levels[level][_box(region)].copy()
+
+    def copy_rows(self, texture: Id, level: int, region: Region) -> NDArray[np.uint8]:
+        """Return a copy of a region's rows as bytes: (rows of all layers, bytes of a row)."""
+        texels = np.ascontiguousarray(self.textures[texture].levels[level][_box(region)])
+        return texels.view(np.uint8).reshape(region.layers * region.height, -1)
+
+    # -- commands ----------------------------------------------------------------------------------------
+
+    def destroy(self, resource: Id) -> None:
+        self.textures.pop(resource, None)
+
+    def write_texture(self, texture: Id, level: int, region: Region, data: bytes) -> None:
+        target = self.textures[texture].levels[level]
+        box = target[_box(region)]
+        box[:] = np.frombuffer(data, target.dtype).reshape(box.shape)
+
+    def copy_texture(
+        self,
+        source: Id,
+        source_level: int,
+        source_region: Region,
+        target: Id,
+        target_level: int,
+        x: int,
+        y: int,
+        layer: int,
+    ) -> None:
+        region, box = source_region, _box(source_region)
+        end = layer + region.layers, y + region.height, x + region.width
+        target_box = slice(layer, end[0]), slice(y, end[1]), slice(x, end[2])
+        read, written = self.textures[source], self.textures[target]
+        written.levels[target_level][target_box] = read.levels[source_level][box]
+        if read.stencil:
+            written.stencil[target_level][target_box] = read.stencil[source_level][box]
+
+    def resolve_texture(self, source: Id, target: Id) -> None:
+        self.textures[target].levels[0][:] = self.textures[source].levels[0]
+
+    def generate_mipmaps(self, texture: Id) -> None:
+        levels, format = self.textures[texture].levels, self.textures[texture].descriptor.format
+        for index in range(1, len(levels)):
+            levels[index][:] = halve(format, levels[index - 1], len(levels[index]))
+
+    def begin_pass(self, descriptor: PassDescriptor) -> None:
+        """Clear the attachments of a pass."""
+        for attachment in descriptor.colors:
+            if attachment.clear is not None:
+                self._clear_color(attachment)
+        if descriptor.depth is not None:
+            self._clear_depth(descriptor.depth)
+
+    def end_pass(self, descriptor: PassDescriptor) -> None:
+        """Resolve the attachments of a pass."""
+        for attachment in descriptor.colors:
+            if attachment.resolve:
+                source = self.textures[attachment.texture].levels[attachment.level]
+                self.textures[attachment.resolve].levels[0][0] = source[attachment.layer]
+
+    def _clear_color(self, attachment: Attachment) -> None:
+        texture = self.textures[attachment.texture]
+        format = texture.descriptor.format
+        values = np.array(attachment.clear, np.float64)[: format.channels]
+        _fill(texture.levels[attachment.level][attachment.layer], _encode_once(format, values.tobytes()))
+
+    def _clear_depth(self, attachment: DepthAttachment) -> None:
+        texture = self.textures[attachment.texture]
+        level, layer = attachment.level, attachment.layer
+        if attachment.clear is not None:
+            value = np.array([attachment.clear], np.float64)
+            _fill(texture.levels[level][layer], _encode_once(texture.descriptor.format, value.tobytes()))
+        if attachment.clear_stencil is not None and texture.stencil:
+            texture.stencil[level][layer] = attachment.clear_stencil & 0xFF

@@ -1,0 +1,113 @@
+"""Adapters, and the device that is opened on one of them.
+
+Features are requested if the adapter has them. `RHI_WGPU_ADAPTER` names an adapter by a part of its description;
+`RHI_WGPU_PROFILE=core` opens a device with the limits of the WebGPU specification and without features of this
+implementation.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import wgpu
+
+from rhi.backends.wgpu.native import GpuObject, check_version, retain_callbacks
+from rhi.errors import DeviceError
+from rhi.errors.rules import DEVICE_DRIVER
+
+_PLATFORMS: Final = ("Vulkan", "Metal", "D3D12")
+_RANKS: Final = {"DiscreteGPU": 0, "IntegratedGPU": 1, "VirtualGPU": 2}
+_USED: Final = frozenset(
+    [
+        "depth-clip-control",
+        "depth32float-stencil8",
+        "timestamp-query",
+        "indirect-first-instance",
+        "rg11b10ufloat-renderable",
+        "float32-filterable",
+        "float32-blendable",
+        "texture-compression-bc",
+        "primitive-index",
+        "texture-formats-tier1",
+        "texture-formats-tier2",
+        "texture-adapter-specific-format-features",
+        "texture-format16bit-norm",
+        "vertex-writable-storage",
+        "polygon-mode-line",
+        "multi-draw-indirect-count",
+        "shader-draw-index",
+        "shader-early-depth-test",
+        "timestamp-query-inside-encoders",
+        "timestamp-query-inside-passes",
+        "address-mode-clamp-to-border",
+        "clear-texture",
+    ]
+)
+"""Features to request: of the WebGPU specification, and of wgpu's native implementation."""
+_CORE_LIMITS: Final = {
+    "max-texture-dimension-1d": 8192, "max-texture-dimension-2d": 8192, "max-texture-dimension-3d": 2048,
+    "max-texture-array-layers": 256, "max-bind-groups": 4, "max-bindings-per-bind-group": 1000,
+    "max-dynamic-uniform-buffers-per-pipeline-layout": 8, "max-dynamic-storage-buffers-per-pipeline-layout": 4,
+    "max-sampled-textures-per-shader-stage": 16, "max-samplers-per-shader-stage": 16,
+    "max-storage-buffers-per-shader-stage": 8, "max-storage-textures-per-shader-stage": 4,
+    "max-uniform-buffers-per-shader-stage": 12, "max-uniform-buffer-binding-size": 1 << 16,
+    "max-storage-buffer-binding-size": 1 << 27, "min-uniform-buffer-offset-alignment": 256,
+    "min-storage-buffer-offset-alignment": 256, "max-vertex-buffers": 8, "max-buffer-size": 1 << 28,
+    "max-vertex-attributes": 16, "max-vertex-buffer-array-stride": 2048, "max-inter-stage-shader-variables": 16,
+    "max-color-attachments": 8, "max-color-attachment-bytes-per-sample": 32,
+    "max-compute-workgroup-storage-size": 16384, "max-compute-invocations-per-workgroup": 256,
+    "max-compute-workgroup-size-x": 256, "max-compute-workgroup-size-y": 256, "max-compute-workgroup-size-z": 64,
+    "max-compute-workgroups-per-dimension": 65535,
+}  # fmt: skip
+"""The limits that every implementation of WebGPU has."""
+_TIP: Final = "a Vulkan driver: on Debian, apt install mesa-vulkan-drivers"
+
+
+@dataclass(frozen=True)
+class Host:
+    """An open device, with the information, features and limits of its adapter."""
+
+    device: GpuObject
+    info: Mapping[str, str]
+    features: frozenset[str]
+    limits: Mapping[str, int]
+    rejected_devices: tuple[str, ...] = ()
+
+
+def open_host() -> Host:
+    """Open a device on the best adapter.
+
+    Raises:
+        DeviceError: `device-driver` if there is no adapter, or none that can be opened.
+    """
+    call = "rhi.create_device('wgpu')"
+    check_version()
+    try:
+        adapters = list(wgpu.gpu.enumerate_adapters_sync())
+    except RuntimeError as error:
+        raise DeviceError(DEVICE_DRIVER, call, str(error), tip=_TIP) from error
+    name = os.environ.get("RHI_WGPU_ADAPTER", "").lower()
+    matching = [a for a in adapters if a.info["backend_type"] in _PLATFORMS and name in str(dict(a.info)).lower()]
+    if not matching:
+        available = ", ".join(a.info["device"] for a in adapters) or "none"
+        given = f"no adapter of {', '.join(_PLATFORMS)}" + (f" named {name!r}" if name else "")
+        raise DeviceError(DEVICE_DRIVER, call, f"{given} (adapters: {available})", tip=_TIP)
+    reasons: list[str] = []
+    for adapter in sorted(matching, key=lambda a: _RANKS.get(a.info["adapter_type"], len(_RANKS))):
+        try:
+            return _open(adapter, reasons)
+        except (wgpu.GPUError, RuntimeError) as error:
+            reasons.append(f"{adapter.info['device']}: {error}")
+    raise DeviceError(DEVICE_DRIVER, call, "\n".join(reasons), tip=_TIP)
+
+
+def _open(adapter: GpuObject, rejected_devices: Sequence[str]) -> Host:
+    core = os.environ.get("RHI_WGPU_PROFILE") == "core"
+    features = frozenset() if core else frozenset(adapter.features) & _USED
+    limits = _CORE_LIMITS if core else dict(adapter.limits)
+    device = adapter.request_device_sync(required_features=sorted(features), required_limits=limits)
+    retain_callbacks(device)
+    return Host(device, dict(adapter.info), features, dict(device.limits), tuple(rejected_devices))

@@ -1,0 +1,258 @@
+"""The command encoder of a device, its open pass, and submissions.
+
+- A pass of the contract is one or more render passes of WebGPU, its segments: whatever WebGPU forbids inside a pass
+  ends the segment, and the next draw begins another, which loads the contents. Clears happen in the first one only.
+- Writes of the queue happen before the whole next submission, so what the open encoder uses is submitted before it is
+  written. Resources note the number of the encoder that uses them (`serial`).
+- A compute pass stays open from one dispatch to the next: WebGPU orders dispatches of a pass.
+- WebGPU can't draw to a slice of a 3D texture. A 2D texture stands in for it during a segment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import wgpu
+import wgpu.backends.wgpu_native
+
+from rhi.backends.wgpu.native import NEVER_SLICED, NULL, Fence, GpuObject, Handle, ffi, lib
+from rhi.backends.wgpu.wgpu_errors import translate_errors
+from rhi.contract.descriptors import Attachment, DepthAttachment, Id, PassDescriptor
+
+
+class PassTargets(Protocol):
+    """The methods of `Textures` that a `Stream` uses."""
+
+    def attach(self, encoder: GpuObject, texture: Id, level: int, layer: int, loads: bool) -> GpuObject:
+        """Return the view of a texture, or of its stand-in, as a target."""
+
+    def detach(self, encoder: GpuObject) -> None:
+        """Copy the stand-ins that were drawn to back to their textures."""
+
+    def has_stencil(self, texture: Id) -> bool:
+        """Whether a texture has stencil."""
+
+    def dummy(self, size: tuple[int, int], samples: int) -> GpuObject:
+        """Return the view of a dummy target, for passes without targets."""
+
+
+class Stream:
+    """The commands of a device.
+
+    Attributes:
+        serial: the number of the open encoder.
+        render: the handle of the open render pass, or None.
+        pass_: the pass of the contract that is open, or None.
+        before_submit, after_submit: called around submissions; the latter with the submission's number.
+        on_begin, on_end: called when a segment begins and before it ends.
+    """
+
+    def __init__(self, device: GpuObject, fence: Fence) -> None:
+        self.device = device
+        self.fence = fence
+        self.serial = 1
+        self.render: Handle | None = None
+        self.pass_: PassDescriptor | None = None
+        self.targets: PassTargets
+        self.before_submit: list[Callable[[], None]] = []
+        self.after_submit: list[Callable[[int], None]] = []
+        self.on_begin: list[Callable[[], None]] = []
+        self.on_end: list[Callable[[], None]] = []
+        self.query_set: Callable[[], Handle] = lambda: NULL
+        self.segments = 0
+        self._labels: list[str] = []
+        self._encoder: GpuObject | None = None
+        self._render_object: GpuObject | None = None
+        self._compute_object: GpuObject | None = None
+        self._compute: Handle | None = None
+        self._begun = False  # whether the pass has a segment
+        self._latest = 0
+
+    # -- encoders ----------------------------------------------------------------------------------------
+
+    def encoder(self) -> GpuObject:
+        """Return the open encoder; it may be inside a pass."""
+        if self._encoder is None:
+            with translate_errors("device"):
+                self._encoder = self.device.create_command_encoder()
+            for label in self._labels:
+                self._encoder.push_debug_group(label)
+        return self._encoder
+
+    def outside(self) -> GpuObject:
+        """Return the open encoder, outside of any pass. The clears of an open pass are done first."""
+        self._end_compute()
+        if self.render is not None:
+            self.end_segment()
+        self.settle()
+        return self.encoder()
+
+    def settle(self) -> None:
+        """Do the clears of the open pass, if they are still to come."""
+        if self.pass_ is not None and not self._begun and _clears(self.pass_):
+            self.begin_segment()
+            self.end_segment()
+
+    def submit(self) -> int:
+        """Submit the encoded commands; return the number of the latest submission.
+
+        Raises:
+            DeviceError: `device-driver` if wgpu refuses the commands; they are dropped. `device-lost`.
+        """
+        if self._encoder is None and not self.before_submit:
+            return self._latest
+        self.outside()
+        for call in self.before_submit:
+            call()
+        encoder, self._encoder = self._encoder, None
+        self.serial += 1
+        if encoder is not None:
+            with translate_errors("submit"):
+                for _ in self._labels:
+                    encoder.pop_debug_group()
+                self._latest = self.fence.submit(encoder.finish())
+                for after in self.after_submit:
+                    after(self._latest)
+        return self._latest
+
+    def signal(self, value: int) -> None:
+        """Submit; the fence reaches `value` once all commands are done."""
+        self.encoder()
+        submission = self.submit()
+        with translate_errors("signal"):
+            self.fence.signal(value, submission)
+
+    def abandon(self) -> None:
+        """Drop the encoded commands."""
+        self._end_compute()
+        if self.render is not None:
+            self._drop_segment()
+        self.pass_ = None
+        self._encoder = None
+
+    def push_label(self, text: str) -> None:
+        """Begin a group of commands."""
+        encoder = self.outside()
+        self._labels.append(text)
+        encoder.push_debug_group(text)
+
+    def pop_label(self) -> None:
+        """End the innermost group."""
+        encoder = self.outside()
+        self._labels.pop()
+        encoder.pop_debug_group()
+
+    # -- compute -----------------------------------------------------------------------------------------
+
+    def compute(self) -> Handle:
+        """Return the handle of the open compute pass."""
+        if self._compute is None:
+            self._compute_object = self.outside().begin_compute_pass()
+            self._compute = self._compute_object._internal
+        return self._compute
+
+    def _end_compute(self) -> None:
+        if self._compute_object is not None:
+            ended = self._compute_object
+            self._compute_object = None
+            self._compute = None
+            ended.end()
+
+    # -- render passes -----------------------------------------------------------------------------------
+
+    def begin_pass(self, descriptor: PassDescriptor) -> None:
+        """Begin a pass of the contract. Its first segment begins with the first command that needs one."""
+        self._end_compute()
+        self.pass_, self._begun = descriptor, False
+
+    def end_pass(self) -> None:
+        """End the pass and resolve its targets."""
+        assert self.pass_ is not None
+        resolves = any(color.resolve for color in self.pass_.colors)
+        if self.render is None and ((not self._begun and _clears(self.pass_)) or resolves):
+            self.begin_segment()
+        if self.render is not None:
+            self.end_segment()
+        self.pass_ = None
+
+    def begin_segment(self) -> None:
+        """Begin a render pass with the targets of the pass."""
+        assert self.pass_ is not None
+        self._end_compute()
+        descriptor = self.pass_
+        first = not self._begun
+        encoder = self.encoder()
+        views: list[GpuObject] = []  # handles don't keep them alive
+        colors = ffi.new("WGPURenderPassColorAttachment[]", max(1, len(descriptor.colors)))
+        for color, target in zip(colors, descriptor.colors, strict=False):
+            self._attach_color(color, target, first, encoder, views)
+        info = ffi.new("WGPURenderPassDescriptor *")
+        info.colorAttachmentCount, info.colorAttachments = len(descriptor.colors), colors
+        depth = ffi.new("WGPURenderPassDepthStencilAttachment *")
+        if descriptor.depth is not None:
+            self._attach_depth(depth, descriptor.depth, first, encoder, views)
+            info.depthStencilAttachment = depth
+        elif not descriptor.colors:
+            views.append(self.targets.dummy(descriptor.size, descriptor.samples))
+            colors[0].view, colors[0].depthSlice = views[-1]._internal, NEVER_SLICED
+            colors[0].loadOp, colors[0].storeOp = lib.WGPULoadOp_Clear, lib.WGPUStoreOp_Discard
+            info.colorAttachmentCount = 1
+        info.occlusionQuerySet = self.query_set()
+        handle = lib.wgpuCommandEncoderBeginRenderPass(encoder._internal, info)
+        self._render_object = wgpu.backends.wgpu_native.GPURenderPassEncoder("", handle, self.device)
+        self.render, self._begun = handle, True
+        self.segments += 1
+        for call in self.on_begin:
+            call()
+
+    def _attach_color(
+        self, color: Handle, target: Attachment, first: bool, encoder: GpuObject, views: list[GpuObject]
+    ) -> None:
+        clear = target.clear if first else None
+        views.append(self.targets.attach(encoder, target.texture, target.level, target.layer, clear is None))
+        color.view, color.depthSlice = views[-1]._internal, NEVER_SLICED
+        color.loadOp = lib.WGPULoadOp_Load if clear is None else lib.WGPULoadOp_Clear
+        color.storeOp = lib.WGPUStoreOp_Store
+        if clear is not None:
+            color.clearValue.r, color.clearValue.g, color.clearValue.b, color.clearValue.a = clear
+        if target.resolve:
+            views.append(self.targets.attach(encoder, target.resolve, 0, 0, False))
+            color.resolveTarget = views[-1]._internal
+
+    def _attach_depth(
+        self, depth: Handle, target: DepthAttachment, first: bool, encoder: GpuObject, views: list[GpuObject]
+    ) -> None:
+        views.append(self.targets.attach(encoder, target.texture, target.level, target.layer, True))
+        depth.view = views[-1]._internal
+        clear, clear_stencil = (target.clear, target.clear_stencil) if first else (None, None)
+        depth.depthLoadOp = lib.WGPULoadOp_Load if clear is None else lib.WGPULoadOp_Clear
+        depth.depthStoreOp = lib.WGPUStoreOp_Store
+        depth.depthClearValue = clear or 0.0
+        if self.targets.has_stencil(target.texture):
+            depth.stencilLoadOp = lib.WGPULoadOp_Load if clear_stencil is None else lib.WGPULoadOp_Clear
+            depth.stencilStoreOp = lib.WGPUStoreOp_Store
+            depth.stencilClearValue = clear_stencil or 0
+
+    def end_segment(self) -> None:
+        """End the open render pass."""
+        for call in self.on_end:
+            call()
+        self._drop_segment()
+        self.targets.detach(self.encoder())
+
+    def _drop_segment(self) -> None:
+        ended = self._render_object
+        self._render_object = None
+        self.render = None
+        assert ended is not None
+        with translate_errors("end_pass"):
+            ended.end()
+
+
+def _clears(descriptor: PassDescriptor) -> bool:
+    """Whether a pass without draws changes its targets."""
+    depth = descriptor.depth
+    return any(color.clear is not None for color in descriptor.colors) or (
+        depth is not None and (depth.clear is not None or depth.clear_stencil is not None)
+    )

@@ -1,0 +1,207 @@
+"""Buffers.
+
+- Sizes are rounded up to 16 bytes. A write of other than whole words reads the words around it first.
+- STREAM buffers have a copy on the CPU; what was written of it is uploaded before each submission.
+- READBACK buffers are mapped to be read.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import wgpu
+from typing_extensions import Buffer as BytesLike
+
+from rhi.backends.wgpu.command_encoder import Stream
+from rhi.backends.wgpu.native import GpuObject, Mappings, write_queue
+from rhi.backends.wgpu.wgpu_errors import translate_errors
+from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
+
+_USAGE: Final = wgpu.BufferUsage
+ALL_USES: Final = (
+    _USAGE.COPY_SRC | _USAGE.COPY_DST | _USAGE.VERTEX | _USAGE.INDEX | _USAGE.UNIFORM | _USAGE.STORAGE | _USAGE.INDIRECT
+)
+READ: Final = _USAGE.COPY_DST | _USAGE.MAP_READ
+_GAP: Final = 256
+"""Ranges of a STREAM buffer closer than this many bytes are uploaded together."""
+_MAX_STAGING: Final = 1 << 22
+"""Read buffers of more bytes than this aren't kept for reuse."""
+
+
+class GpuBuffer:
+    """A buffer: its object, its handle, the encoder that uses it, and the copy of a STREAM buffer. `version` counts the
+    commands that may have changed it."""
+
+    __slots__ = ("descriptor", "dirty", "handle", "object", "serial", "shadow", "size", "version")
+
+    def __init__(self, gpu_buffer: GpuObject, descriptor: BufferDescriptor, size: int) -> None:
+        self.object = gpu_buffer
+        self.handle = gpu_buffer._internal
+        self.descriptor = descriptor
+        self.size = size
+        self.serial = self.version = 0
+        self.shadow = bytearray(size) if descriptor.usage is BufferUsage.STREAM else None
+        self.dirty: list[list[int]] = []  # [start, stop] of the written bytes of the copy
+
+
+class Buffers:
+    """The buffers of a device, by id."""
+
+    def __init__(self, device: GpuObject, stream: Stream, mappings: Mappings) -> None:
+        self.objects: dict[Id, GpuBuffer] = {}
+        self._device = device
+        self._stream = stream
+        self._mappings = mappings
+        self._dirty: dict[int, GpuBuffer] = {}
+        self._staging: dict[int, list[GpuObject]] = {}
+        stream.before_submit.append(self.upload)
+
+    def __getitem__(self, buffer: Id) -> GpuBuffer:
+        return self.objects[buffer]
+
+    def create(self, buffer: Id, descriptor: BufferDescriptor) -> None:
+        size = max(16, -(-descriptor.size // 16) * 16)
+        usage = READ if descriptor.usage is BufferUsage.READBACK else ALL_USES
+        with translate_errors(f"device.buffer({descriptor.size} bytes)", memory=True):
+            created = self._device.create_buffer(label=descriptor.label, size=size, usage=usage)
+        self.objects[buffer] = GpuBuffer(created, descriptor, size)
+
+    def destroy(self, buffer: Id) -> None:
+        gone = self.objects.pop(buffer)
+        self._dirty.pop(id(gone), None)
+        gone.object.destroy()
+
+    def use(self, buffer: Id) -> GpuBuffer:
+        """Return a buffer that the open encoder will use."""
+        gpu_buffer = self.objects[buffer]
+        gpu_buffer.serial = self._stream.serial
+        return gpu_buffer
+
+    def temporary(self, size: int, usage: int = ALL_USES) -> GpuObject:
+        """Create a buffer that lives as long as its object or the commands that use it."""
+        with translate_errors(f"{size} bytes for a copy", memory=True):
+            return self._device.create_buffer(size=max(16, -(-size // 16) * 16), usage=usage)
+
+    def filled(self, data: np.ndarray, usage: int) -> GpuObject:
+        """Return a new buffer with these contents."""
+        data = np.ascontiguousarray(data)
+        size = max(16, -(-data.nbytes // 16) * 16)
+        with translate_errors(f"{size} bytes for a command", memory=True):
+            created = self._device.create_buffer(size=size, usage=usage, mapped_at_creation=True)
+            created.write_mapped(data)
+            created.unmap()
+        return created
+
+    # -- writes ------------------------------------------------------------------------------------------
+
+    def write(self, buffer: Id, offset: int, data: BytesLike) -> None:
+        target, view = self.objects[buffer], memoryview(data)
+        size = view.nbytes
+        target.version += 1
+        if not size:
+            return
+        if target.shadow is not None:
+            self._write_shadow(target, offset, view.cast("B") if view.format != "B" or view.ndim != 1 else view)
+            return
+        bytes_ = view.tobytes() if not view.contiguous else view
+        if offset % 4 or size % 4:
+            start, stop = offset // 4 * 4, -(-(offset + size) // 4) * 4
+            around = bytearray(stop - start)
+            around[:4] = self.read(buffer, start, 4)
+            around[-4:] = self.read(buffer, stop - 4, 4)
+            around[offset - start : offset - start + size] = view.tobytes()
+            offset, size, bytes_ = start, stop - start, around  # type: ignore[assignment]
+        self.before_write(target)
+        with translate_errors("write_buffer"):
+            write_queue(self._device, target.handle, offset, bytes_, 0, size)
+
+    def _write_shadow(self, target: GpuBuffer, offset: int, view: memoryview) -> None:
+        assert target.shadow is not None
+        end, dirty = offset + len(view), target.dirty
+        target.shadow[offset:end] = view
+        if dirty and dirty[-1][0] <= offset <= dirty[-1][1] + _GAP:
+            dirty[-1][1] = max(end, dirty[-1][1])
+        else:
+            dirty.append([offset, end])
+            self._dirty[id(target)] = target
+
+    def before_write(self, resource: object) -> None:
+        """Submit if the open encoder uses a buffer that the queue is about to write."""
+        if resource.serial == self._stream.serial:  # type: ignore[attr-defined]
+            self._stream.submit()
+
+    def upload(self) -> None:
+        """Upload the written ranges of STREAM buffers."""
+        with translate_errors("write_buffer"):
+            for target in self._dirty.values():
+                for start, stop in target.dirty:
+                    start, stop = start // 4 * 4, -(-stop // 4) * 4
+                    write_queue(self._device, target.handle, start, target.shadow, start, stop - start)
+                target.dirty.clear()
+        self._dirty.clear()
+
+    # -- reads -------------------------------------------------------------------------------------------
+
+    def stage(self, size: int) -> GpuObject:
+        """Return a buffer of at least this size that copies can go to and that is read by `collect`."""
+        rounded = max(256, 1 << (size - 1).bit_length())
+        free = self._staging.get(rounded)
+        return free.pop() if free else self.temporary(rounded, READ)
+
+    def collect(self, staging: GpuObject, size: int) -> bytes:
+        """Submit, wait, and return the first bytes of a buffer that `stage` has returned."""
+        whole = -(-size // 4) * 4
+        submission = self._stream.submit()
+        with translate_errors("read"):
+            data = self._map(staging, submission, 0, whole)
+        if staging.size <= _MAX_STAGING:
+            self._staging.setdefault(staging.size, []).append(staging)
+        return data[:size]
+
+    def _map(self, staging: GpuObject, submission: int, offset: int, size: int) -> bytes:
+        ticket = self._mappings.begin(staging, offset + size)
+        if submission:
+            self._stream.fence.finish(submission)
+        while not self._mappings.is_done(ticket):
+            self._stream.fence.finish_all()
+        return self._mappings.end(ticket, staging, offset, size)
+
+    def read(self, buffer: Id, offset: int, size: int) -> bytes:
+        source = self.objects[buffer]
+        if source.shadow is not None:  # only the CPU writes it
+            return bytes(source.shadow[offset : offset + size])
+        start, stop = offset // 8 * 8, -(-(offset + size) // 4) * 4
+        if source.descriptor.usage is BufferUsage.READBACK:
+            if source.serial == self._stream.serial:
+                self._stream.submit()
+            with translate_errors("read_buffer"):
+                data = self._map(source.object, 0, start, stop - start)
+            return data[offset - start : offset - start + size]
+        staging = self.stage(stop - start)
+        self._stream.outside().copy_buffer_to_buffer(source.object, start, staging, 0, stop - start)
+        return self.collect(staging, stop - start)[offset - start : offset - start + size]
+
+    # -- copies ------------------------------------------------------------------------------------------
+
+    def copy(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
+        encoder = self._stream.outside()
+        old, new = self.use(source), self.use(target)
+        new.version += 1
+        if old is new:
+            between = self.temporary(size)
+            encoder.copy_buffer_to_buffer(old.object, source_offset, between, 0, size)
+            encoder.copy_buffer_to_buffer(between, 0, new.object, target_offset, size)
+        else:
+            encoder.copy_buffer_to_buffer(old.object, source_offset, new.object, target_offset, size)
+
+    def clear(self, buffer: Id, offset: int, size: int, value: int) -> None:
+        if not size:
+            return
+        encoder, target = self._stream.outside(), self.use(buffer)
+        target.version += 1
+        if not value:
+            encoder.clear_buffer(target.object, offset, size)
+            return
+        pattern = self.filled(np.full(size // 4, value, np.uint32), wgpu.BufferUsage.COPY_SRC)
+        encoder.copy_buffer_to_buffer(pattern, 0, target.object, offset, size)

@@ -1,0 +1,485 @@
+"""Draws and dispatches.
+
+- A prepared draw is one call of wgpu-native if nothing has changed, two if only the offset of a uniform has, and a few
+  more for another mesh of the same layout.
+- A program that writes memory draws in a segment of its own: WebGPU makes writes visible between passes only.
+- Fans and quads are drawn as indexed triangles. Without indices, all share one index buffer for each kind. Indexed
+  quads are expanded on the device, once for each version of their buffer; indexed fans, which may restart, on the CPU,
+  which waits.
+- Draws without indices have records of 5 words in the contract and of 4 in WebGPU, so a compute stage rewrites
+  their arguments. It also rewrites arguments with other strides, or with counts that the device can't read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
+from typing import Final
+
+import numpy as np
+import wgpu
+from numpy.typing import NDArray
+
+from rhi.backends.wgpu.command_encoder import Stream
+from rhi.backends.wgpu.native import NULL, GpuObject, Handle, lib
+from rhi.backends.wgpu.tools import EXPAND_QUADS, LIST_DRAWS, Tools, expand_fan
+from rhi.backends.wgpu.wgpu_bindings import BoundResources
+from rhi.backends.wgpu.wgpu_buffers import Buffers, GpuBuffer
+from rhi.backends.wgpu.wgpu_pipelines import Pipelines, States, TargetFormats
+from rhi.backends.wgpu.wgpu_programs import GpuProgram, PipelineLayout
+from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
+from rhi.contract.formats import IndexFormat
+from rhi.contract.limits import count_elements, draw_faults
+from rhi.contract.states import StateChange
+
+_FAN: Final = Primitive.TRIANGLE_FAN
+_QUADS: Final = Primitive.QUADS
+_CONVERTED: Final = frozenset({_FAN, _QUADS})
+_INDEX_FORMATS: Final = {
+    IndexFormat.UINT16: lib.WGPUIndexFormat_Uint16,
+    IndexFormat.UINT32: lib.WGPUIndexFormat_Uint32,
+}
+_UINT32: Final = lib.WGPUIndexFormat_Uint32
+_RECORD: Final = 20
+"""Bytes of a draw's arguments in the contract."""
+_CORNERS: Final = np.array([0, 1, 2, 0, 2, 3], np.uint32)
+_SMALLEST: Final = 1024
+_set_pipeline: Final = lib.wgpuRenderPassEncoderSetPipeline
+_set_group: Final = lib.wgpuRenderPassEncoderSetBindGroup
+_set_vertices: Final = lib.wgpuRenderPassEncoderSetVertexBuffer
+_set_indices: Final = lib.wgpuRenderPassEncoderSetIndexBuffer
+_draw: Final = lib.wgpuRenderPassEncoderDraw
+_draw_indexed: Final = lib.wgpuRenderPassEncoderDrawIndexed
+
+
+class GpuVertexArray:
+    """A vertex array. `key` is the same object for all arrays of one layout, `restarts` the index format of its
+    strips' pipelines."""
+
+    __slots__ = ("descriptor", "expanded", "indexed", "key", "restarts")
+
+    def __init__(self, descriptor: VertexArrayDescriptor, key: object) -> None:
+        self.descriptor = descriptor
+        self.indexed = descriptor.index_buffer != 0
+        self.restarts = descriptor.index_format if self.indexed else None
+        self.key = key
+        self.expanded: tuple[tuple[int, int, int], GpuObject] | None = None  # quads: (first, quads, version), indices
+
+
+class Draws:
+    """Draws of a device.
+
+    Attributes:
+        program: the bound program.
+        targets: the formats of the open pass.
+    """
+
+    def __init__(
+        self,
+        device: GpuObject,
+        stream: Stream,
+        buffers: Buffers,
+        bindings: BoundResources,
+        states: States,
+        pipelines: Pipelines,
+        tools: Tools,
+        features: AbstractSet[str],
+    ) -> None:
+        self._device = device
+        self._stream = stream
+        self._buffers = buffers
+        self._bindings = bindings
+        self._states = states
+        self._pipelines = pipelines
+        self._tools = tools
+        self._counts_draws = "multi-draw-indirect-count" in features
+        self._has_base_instances = "indirect-first-instance" in features
+        self.program: GpuProgram | None = None
+        self.targets: TargetFormats = ((), None, 1)
+        self.arrays: dict[Id, GpuVertexArray] = {}
+        self._keys: dict[object, object] = {}
+        self._current: tuple[Id, Primitive] | None = None  # what the pass is ready to draw
+        self._alike: tuple[object, ...] | None = None  # the layout, primitive and restarts that its pipeline is for
+        self._layout: PipelineLayout | None = None
+        self._alone = False  # the last draw wrote memory, so the next one begins a segment
+        self._shared_indices: dict[Primitive, tuple[int, GpuObject]] = {}
+        stream.on_begin.append(self._lose)
+
+    # -- what is bound -----------------------------------------------------------------------------------
+
+    def create_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
+        key = tuple((s.stride, s.per_instance, s.attributes) for s in descriptor.streams)
+        self.arrays[vertex_array] = GpuVertexArray(descriptor, self._keys.setdefault(key, key))
+
+    def destroy_array(self, vertex_array: Id) -> None:
+        del self.arrays[vertex_array]
+
+    def begin_pass(self, targets: TargetFormats) -> None:
+        """Draw to targets of these formats from here on."""
+        self.targets = targets
+        self._current = self._alike = None
+        self._alone = False
+
+    def bind_program(self, program: GpuProgram) -> None:
+        self.program = program
+        self._current = self._alike = None
+        self._bindings.invalidate()
+        self._bindings.retextured = True
+
+    def _lose(self) -> None:
+        """Note that a segment begins, without any state set."""
+        self._current = self._alike = None
+        self._bindings.invalidate()
+        self._states.moved = True
+
+    def _select_layout(self, program: GpuProgram) -> PipelineLayout:
+        if self._bindings.retextured or self._layout is None:
+            layout = program.layout(self._bindings.unfiltered(program))
+            if layout is not self._layout:
+                self._layout = layout
+                self._current = self._alike = None
+                self._bindings.invalidate()
+            self._bindings.retextured = False
+        return self._layout
+
+    def ready(self, vertex_array: Id, primitive: Primitive) -> Handle:
+        """Return the handle of the render pass, ready for a draw."""
+        stream = self._stream
+        states = self._states
+        bindings = self._bindings
+        program = self.program
+        assert program is not None
+        writes = program.descriptor.writes_memory
+        if writes or self._alone:
+            if stream.render is not None:
+                stream.end_segment()
+            self._alone = writes
+        layout = self._select_layout(program)
+        copies = {}
+        if program.written_images and program.textures:
+            copies = bindings.copied(program)
+        if stream.render is None:
+            stream.begin_segment()
+        render = stream.render
+        array = self.arrays[vertex_array]
+        alike = (array.key, primitive, array.restarts)
+        if states.changed or alike != self._alike:
+            pipeline = self._pipelines.get_render_pipeline(
+                program, layout, array.descriptor, array.key, primitive, states, self.targets
+            )
+            _set_pipeline(render, pipeline._internal)
+            self._alike = alike
+            self._current = None
+        if states.moved:
+            states.apply(render, stream.pass_.size)  # type: ignore[union-attr]
+        if bindings.changed:
+            bindings.apply(program, layout, _set_group, render)
+        elif bindings.moved:
+            bindings.move(program, _set_group, render)
+        if copies:
+            _set_group(render, 2, bindings.sampling_copies(program, layout, copies)._internal, 0, NULL)
+            bindings.dirty[2] = bindings.changed = True
+        if self._current is None or self._current[0] != vertex_array:
+            self._bind_array(render, array)
+        self._current = (vertex_array, primitive)
+        return render
+
+    def _bind_array(self, render: Handle, array: GpuVertexArray) -> None:
+        descriptor, use = array.descriptor, self._buffers.use
+        for number, stream in enumerate(descriptor.streams):
+            buffer = use(stream.buffer)
+            _set_vertices(render, number, buffer.handle, stream.offset, buffer.size - stream.offset)
+        if array.indexed:
+            buffer = use(descriptor.index_buffer)
+            _set_indices(render, buffer.handle, _INDEX_FORMATS[descriptor.index_format], 0, buffer.size)
+
+    # -- draws -------------------------------------------------------------------------------------------
+
+    def draw(
+        self,
+        vertex_array: Id,
+        primitive: Primitive,
+        first: int,
+        count: int,
+        instances: int,
+        base_vertex: int,
+        base_instance: int,
+    ) -> None:
+        if primitive in _CONVERTED:
+            self._draw_converted(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+        elif self.arrays[vertex_array].indexed:
+            render = self.ready(vertex_array, primitive)
+            _draw_indexed(render, count, instances, first, base_vertex, base_instance)
+        else:
+            _draw(self.ready(vertex_array, primitive), count, instances, first, base_instance)
+
+    def prepare(
+        self,
+        program: GpuProgram,
+        vertex_array: Id,
+        primitive: Primitive,
+        first: int,
+        count: int,
+        base_vertex: int,
+        base_instance: int,
+    ) -> Callable[[int], object]:
+        """See `rhi.contract.backend.SupportsPreparedDraws`."""
+        array = self.arrays[vertex_array]
+        copies = bool(program.written_images and program.textures)
+        if primitive in _CONVERTED or program.descriptor.writes_memory or copies:
+            draw = self.draw
+            return lambda instances: draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+        stream = self._stream
+        states = self._states
+        bindings = self._bindings
+        indexed = array.indexed
+        key, alike = (vertex_array, primitive), (array.key, primitive, array.restarts)
+        move = bindings.move
+        bind_array = self._bind_array
+        ready = self.ready
+
+        def quick(instances: int) -> None:
+            render = stream.render
+            if render is None or states.changed or states.moved or bindings.changed or self._alone:
+                render = ready(vertex_array, primitive)
+            elif self._current != key:
+                if self._alike == alike and not bindings.retextured:
+                    bind_array(render, array)
+                    self._current = key
+                    if bindings.moved:
+                        move(program, _set_group, render)
+                else:
+                    render = ready(vertex_array, primitive)
+            elif bindings.moved:
+                move(program, _set_group, render)
+            if indexed:
+                _draw_indexed(render, count, instances, first, base_vertex, base_instance)
+            else:
+                _draw(render, count, instances, first, base_instance)
+
+        return quick
+
+    def prepare_pipeline(
+        self, program: GpuProgram, vertex_array: Id, targets: TargetFormats, changes: Sequence[StateChange]
+    ) -> None:
+        """Make the pipeline for triangles of a vertex array."""
+        states = States()
+        states.set([change for change in changes if change.type in states.values])
+        array, layout = self.arrays[vertex_array], program.layout(())
+        self._pipelines.get_render_pipeline(
+            program, layout, array.descriptor, array.key, Primitive.TRIANGLES, states, targets
+        )
+
+    def _draw_converted(
+        self,
+        vertex_array: Id,
+        primitive: Primitive,
+        first: int,
+        count: int,
+        instances: int,
+        base_vertex: int,
+        base_instance: int,
+    ) -> None:
+        """Draw fans or quads as triangles."""
+        array = self.arrays[vertex_array]
+        corners = count // 4 * 6 if primitive is _QUADS else max(0, count - 2) * 3
+        if not corners:
+            return
+        if not array.indexed:
+            indices, base = self._shared(primitive, corners), first
+        elif primitive is _QUADS:
+            indices, base = self._expand_quads(array, first, count // 4), base_vertex
+        else:
+            triangles = self._expand_fan(array.descriptor, first, count)
+            indices = self._indices(triangles)
+            base = base_vertex
+            corners = triangles.size
+            if not corners:
+                return
+        render = self.ready(vertex_array, primitive)
+        _set_indices(render, indices._internal, _UINT32, 0, 4 * corners)
+        _draw_indexed(render, corners, instances, 0, base, base_instance)
+        self._current = None
+
+    def _indices(self, values: NDArray[np.uint32]) -> GpuObject:
+        return self._buffers.filled(values.ravel(), wgpu.BufferUsage.INDEX)
+
+    def _shared(self, primitive: Primitive, corners: int) -> GpuObject:
+        """Return shared indices for fans or quads without indices, for at least this many vertices."""
+        capacity, index_buffer = self._shared_indices.get(primitive, (0, None))
+        if corners > capacity:
+            triangles = max(_SMALLEST, 1 << (corners // 3 - 1).bit_length())
+            if primitive is _QUADS:
+                indices = 4 * np.arange(triangles // 2, dtype=np.uint32)[:, None] + _CORNERS
+            else:
+                indices = expand_fan(np.arange(triangles + 2, dtype=np.uint32), None)
+            index_buffer = self._indices(indices)
+            self._shared_indices[primitive] = indices.size, index_buffer
+        return index_buffer
+
+    def _expand_quads(self, array: GpuVertexArray, first: int, quads: int) -> GpuObject:
+        """Return the triangles of indexed quads."""
+        descriptor = array.descriptor
+        buffer = self._buffers.use(descriptor.index_buffer)
+        key = (first, quads, buffer.version)
+        if array.expanded is not None and array.expanded[0] == key and buffer.shadow is None:
+            return array.expanded[1]
+        short = int(descriptor.index_format is IndexFormat.UINT16)
+        expanded = self._buffers.temporary(24 * quads)
+        encoder = self._stream.outside()
+        buffer = self._buffers.use(descriptor.index_buffer)
+        resources = [{"buffer": buffer.object}, {"buffer": expanded}, self._tools.constants([first, quads, short, 0])]
+        self._tools.compute(encoder, EXPAND_QUADS, resources, -(-quads // 64))
+        array.expanded = key, expanded
+        return expanded
+
+    def _expand_fan(self, descriptor: VertexArrayDescriptor, first: int, count: int) -> NDArray[np.uint32]:
+        """Return the triangles of an indexed fan, reading its indices back."""
+        form = descriptor.index_format
+        data = self._buffers.read(descriptor.index_buffer, first * form.size, count * form.size)
+        return expand_fan(np.frombuffer(data, form.dtype), (1 << 8 * form.size) - 1)
+
+    def draw_clipped(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[np.void], clips: NDArray[np.int64]
+    ) -> None:
+        """See `rhi.contract.backend.SupportsClippedDraws`."""
+        array = self.arrays[vertex_array]
+        indexed = array.indexed
+        base_vertices = draws["base_vertex"].tolist() if indexed else [0] * len(draws)
+        columns = [draws[name].tolist() for name in ("first", "count", "instances", "base_instance")]
+        rows = zip(*columns, base_vertices, clips.tolist(), strict=True)
+        for first, count, instances, base_instance, base_vertex, (x, y, clip_width, clip_height) in rows:
+            if primitive is _FAN or self._alone or self.program.descriptor.writes_memory:  # type: ignore[union-attr]
+                self._states.moved = True
+            render = self.ready(vertex_array, primitive)
+            width, height = self._stream.pass_.size  # type: ignore[union-attr]
+            left, top = min(width, max(0, x)), min(height, max(0, y))
+            right, bottom = min(width, max(left, x + clip_width)), min(height, max(top, y + clip_height))
+            lib.wgpuRenderPassEncoderSetScissorRect(render, left, top, right - left, bottom - top)
+            if indexed:
+                _draw_indexed(render, count, instances, first, base_vertex, base_instance)
+            else:
+                _draw(render, count, instances, first, base_instance)
+        self._states.moved = True
+
+    # -- indirect draws ----------------------------------------------------------------------------------
+
+    def draw_indirect(
+        self,
+        vertex_array: Id,
+        primitive: Primitive,
+        buffer: Id,
+        offset: int,
+        draws: int,
+        stride: int,
+        count_buffer: Id,
+        count_offset: int,
+    ) -> None:
+        if not draws:
+            return
+        stride = stride or _RECORD
+        if primitive is _FAN or not self._has_base_instances:
+            self._draw_each(vertex_array, primitive, buffer, offset, draws, stride, count_buffer, count_offset)
+            return
+        indexed = self.arrays[vertex_array].indexed
+        arguments = self._buffers.use(buffer)
+        program = self.program
+        assert program is not None
+        safe = not program.descriptor.writes_memory  # else the program may bind the same buffer
+        many = (
+            lib.wgpuRenderPassEncoderMultiDrawIndexedIndirect if indexed else lib.wgpuRenderPassEncoderMultiDrawIndirect
+        )
+        if indexed and safe and stride == _RECORD and not count_buffer:
+            many(self.ready(vertex_array, primitive), arguments.handle, offset, draws)
+        elif indexed and safe and stride == _RECORD and self._counts_draws:
+            counts = self._buffers.use(count_buffer)
+            lib.wgpuRenderPassEncoderMultiDrawIndexedIndirectCount(
+                self.ready(vertex_array, primitive), arguments.handle, offset, counts.handle, count_offset, draws
+            )
+            counts.serial = self._stream.serial
+        else:
+            listed = self._list_draws(arguments, offset, stride, draws, 5 if indexed else 4, count_buffer, count_offset)
+            many(self.ready(vertex_array, primitive), listed._internal, 0, draws)
+        arguments.serial = self._stream.serial
+
+    def _list_draws(
+        self,
+        arguments: GpuBuffer,
+        offset: int,
+        stride: int,
+        draws: int,
+        words: int,
+        count_buffer: Id,
+        count_offset: int,
+    ) -> GpuObject:
+        """Return the arguments of draws tightly, with no instances for those beyond the count."""
+        if arguments.shadow is not None and not count_buffer:
+            rows = np.ndarray((draws, words), np.uint32, arguments.shadow, offset, (stride, 4))
+            return self._buffers.filled(rows, wgpu.BufferUsage.INDIRECT)
+        encoder = self._stream.outside()
+        arguments.serial = self._stream.serial
+        counts = self._buffers.use(count_buffer) if count_buffer else arguments
+        listed = self._buffers.temporary(4 * words * draws)
+        constants = self._tools.constants(
+            [offset // 4, stride // 4, draws, words, count_offset // 4, int(count_buffer != 0), 0, 0]
+        )
+        resources = [{"buffer": arguments.object}, {"buffer": counts.object}, {"buffer": listed}, constants]
+        self._tools.compute(encoder, LIST_DRAWS, resources, -(-draws // 64))
+        return listed
+
+    def _draw_each(
+        self,
+        vertex_array: Id,
+        primitive: Primitive,
+        buffer: Id,
+        offset: int,
+        draws: int,
+        stride: int,
+        count_buffer: Id,
+        count_offset: int,
+    ) -> None:
+        """Draw each record of an indirect draw, after reading its arguments back."""
+        if count_buffer:
+            draws = min(draws, int.from_bytes(self._buffers.read(count_buffer, count_offset, 4), "little"))
+        array = self.arrays[vertex_array]
+        indexed = array.indexed
+        elements = count_elements(array.descriptor, lambda each: self._buffers[each].descriptor.size)
+        data = self._buffers.read(buffer, offset, (draws - 1) * stride + _RECORD) if draws else b""
+        for number in range(draws):
+            words = np.frombuffer(data, np.uint32, 5, number * stride)
+            count, instances, first, fourth, fifth = words.tolist()
+            base_vertex = int(words[3:4].view(np.int32)[0]) if indexed else 0
+            base_instance = fifth if indexed else fourth
+            faults = draw_faults(elements, indexed, first, count, instances, base_vertex, base_instance)
+            if next(faults, None) is None:  # WebGPU would refuse all commands because of a draw beyond the mesh
+                self.draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+
+    # -- dispatches --------------------------------------------------------------------------------------
+
+    def dispatch(self, x: int, y: int, z: int) -> None:
+        if x and y and z:
+            lib.wgpuComputePassEncoderDispatchWorkgroups(self._ready_compute(), x, y, z)
+
+    def dispatch_indirect(self, buffer: Id, offset: int) -> None:
+        # A dispatch can't write the buffer that its arguments are in, so they are copied.
+        arguments = self._buffers.temporary(16)
+        encoder = self._stream.outside()
+        encoder.copy_buffer_to_buffer(self._buffers.use(buffer).object, offset, arguments, 0, 12)
+        lib.wgpuComputePassEncoderDispatchWorkgroupsIndirect(self._ready_compute(), arguments._internal, 0)
+
+    def _ready_compute(self) -> Handle:
+        """Return the handle of a compute pass, ready for a dispatch of the bound program."""
+        program, bindings = self.program, self._bindings
+        assert program is not None
+        layout = self._select_layout(program)
+        copies = bindings.copied(program) if program.written_images and program.textures else {}
+        pipeline = self._pipelines.get_compute_pipeline(program, layout)
+        compute = self._stream.compute()
+        lib.wgpuComputePassEncoderSetPipeline(compute, pipeline._internal)
+        bindings.invalidate()
+        bindings.apply(program, layout, lib.wgpuComputePassEncoderSetBindGroup, compute)
+        if copies:
+            group = bindings.sampling_copies(program, layout, copies)
+            lib.wgpuComputePassEncoderSetBindGroup(compute, 2, group._internal, 0, NULL)
+        bindings.invalidate()
+        return compute

@@ -1,0 +1,60 @@
+"""Uniform blocks in transient memory, for the values that draws bind and for `transient.uniform`.
+
+A device has one `UniformRing`, over a `Ring`. Each command buffer has one of its own, over an `Arena`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from rhi.contract.descriptors import Id
+from rhi.device.core.arena import Arena
+from rhi.device.core.core import Core
+from rhi.device.core.ring import Ring
+from rhi.shading.language.bindings import UniformRange
+
+
+class TransientOwner:
+    """The owner of a range or mesh in transient memory; it stands in for a resource in the checks.
+
+    An owner with a `buffer` can bind uniform ranges of that buffer.
+    """
+
+    __slots__ = ("bind_uniform", "core", "destroyed", "label")
+
+    def __init__(self, core: Core, label: str, buffer: Id = 0) -> None:
+        self.core = core
+        if buffer:
+            self.bind_uniform = core.prepare_uniform(buffer)
+        self.destroyed = False
+        self.label = label
+
+
+class UniformRing:
+    """Writes uniform blocks to transient memory.
+
+    Attributes:
+        memory: the ring or arena that the blocks lie in.
+    """
+
+    __slots__ = ("_core", "_owner", "_owner_generation", "memory")
+
+    def __init__(self, core: Core, memory: Ring | Arena) -> None:
+        self.memory: Final = memory
+        self._core = core
+        self._owner: TransientOwner | None = None
+        self._owner_generation = 0
+
+    def push(self, data: bytes, type: Any) -> UniformRange[Any]:
+        """Write the bytes of a uniform block of this type; return its range, valid until the frame is presented."""
+        core, memory = self._core, self.memory
+        size = len(data)
+        core.upload_bytes += size
+        offset = memory.write(data, size, core.capabilities.uniform_alignment)
+        owner = self._owner
+        if owner is None or memory.generation != self._owner_generation:
+            # The ring has moved to a larger buffer. Ranges of the old buffer stay valid for this frame.
+            # The new owner makes draws bind the new buffer.
+            owner = self._owner = TransientOwner(core, "transient constants", memory.buffer)
+            self._owner_generation = memory.generation
+        return UniformRange(memory.buffer, offset, size, type, owner)

@@ -1,0 +1,588 @@
+"""WGSL from the typed tree: types, literals, declarations, built-ins.
+
+- Every matrix is written as its transpose, whose columns are our rows. So rows are indexed as they are, memory is laid
+  out as elsewhere, and only the operands of `@` are swapped.
+- `select` evaluates both sides, and takes no structs, arrays and matrices. Where that matters, a choice is a statement
+  before the one that contains it, and operands evaluated earlier are stored in variables. A compare-exchange
+  is such a
+  statement, too: a loop around WGSL's, which may fail spuriously.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from typing import Final, NoReturn
+
+from rhi.contract import layout
+from rhi.contract.descriptors import Stage, TextureKind
+from rhi.shading.ir import tree
+from rhi.shading.ir.tree import Expression, Operator
+from rhi.shading.language import rules
+from rhi.shading.language.builtins import BUILTINS, POLYFILL, Polyfill, Refused, SideEffect, check_polyfills
+from rhi.shading.language.shader import Declaration, StorageClass
+from rhi.shading.language.source import SourceSpan, refuse_at
+from rhi.shading.language.textures import METHOD_NAMES
+from rhi.shading.language.types import ImageType, StorageType, TextureType, Type, VoidType, scalar_of
+from rhi.shading.text.names import Names
+from rhi.shading.text.text_writer import TextWriter, int_text, is_constant, unknown_indices
+from rhi.shading.wgsl.wgsl_builtins import (
+    BARRIER,
+    CONVERSIONS,
+    INPUTS,
+    INVERSES,
+    OUTSIDE_FRAGMENTS,
+    TEXTURE_CALLS,
+)
+from rhi.shading.wgsl.wgsl_memory import UNIFORM, MemoryTypes
+
+SCALARS: Final = {layout.FLOAT: "f32", layout.INT: "i32", layout.UINT: "u32", layout.BOOL: "bool"}
+SHAPES: Final = {
+    TextureKind.D2: "2d",
+    TextureKind.D2_ARRAY: "2d_array",
+    TextureKind.D3: "3d",
+    TextureKind.CUBE: "cube",
+}
+_IN_MEMORY: Final = (StorageClass.UNIFORM, StorageClass.STORAGE, StorageClass.SHARED)
+_LARGEST: Final = 3.4028235677973366e38
+_STATEMENTS: Final = (SideEffect.BARRIER, SideEffect.DISCARD)
+_CHOICES: Final = (Operator.AND, Operator.OR)
+
+
+class WgslWriter(TextWriter):
+    """Writer of the functions of one stage."""
+
+    language = "wgsl"
+
+    def __init__(self, names: Names, stage: tree.StageTree) -> None:
+        super().__init__(names)
+        self.stage = stage.stage
+        self.entry = stage.entry
+        atomic_words = {
+            _word_of(node.arguments[0])
+            for function in stage.functions
+            for node in tree.walk(function.body)
+            if isinstance(node, tree.BuiltinCall) and node.builtin.name.startswith("atomic_")
+        }
+        self.memory = MemoryTypes(self.type, self.field, names.get, frozenset(atomic_words))
+
+    def refuse(self, node: Expression, construct: str, tip: str = "") -> NoReturn:
+        """Refuse an expression that WGSL can't express."""
+        refuse_at(rules.NATIVE, self.entry.name, self.file, node.span, f"{construct}, which WGSL lacks", tip=tip)
+
+    # -- types and literals
+
+    def type(self, type: Type) -> str:
+        """Return a type's WGSL name."""
+        match type:
+            case layout.ScalarType():
+                return SCALARS[type]
+            case layout.VectorType(scalar=scalar, size=size):
+                return f"vec{size}<{SCALARS[scalar]}>"
+            case layout.MatrixType(size=size):
+                return f"mat{size}x{size}<f32>"
+            case layout.StructType(name=name):
+                return self.globals.get(type, name)
+            case layout.ArrayType(element=element, length=length):
+                return f"array<{self.type(element)}, {length}>"
+            case TextureType(kind=kind, scalar=scalar, compare=compare, samples=samples):
+                shape = f"multisampled_{SHAPES[kind]}" if samples else SHAPES[kind]
+                return f"texture_depth_{shape}" if compare else f"texture_{shape}<{SCALARS[scalar]}>"
+        raise TypeError(f"no {self.language} for {type}")
+
+    def constant(self, node: tree.Constant) -> str:
+        """Return a scalar literal."""
+        value = node.value
+        if node.type is layout.BOOL:
+            return "true" if value else "false"
+        if node.type is layout.UINT:
+            return f"{int(value)}u"
+        if node.type is layout.INT:
+            return f"i32({int_text(int(value))})"
+        number = float(value)
+        if math.isfinite(number) and abs(number) <= _LARGEST:
+            text = f"{number!r}f"
+            return text if math.copysign(1.0, number) > 0 else f"({text})"
+        # Constants that aren't numbers are errors in WGSL, so the bits come from a variable.
+        bits = "0x7FC00000u" if math.isnan(number) else "0x7F800000u" if number > 0 else "0xFF800000u"
+        self.helpers["rhi_from_bits"] = "fn rhi_from_bits(x: u32) -> f32 { var y = x; return bitcast<f32>(y); }"
+        return f"rhi_from_bits({bits})"
+
+    def zero(self, type: layout.HostType) -> str:
+        return f"{self.type(type)}()"
+
+    # -- statements that expressions need
+
+    def needs_statements(self, node: Expression) -> bool:
+        """Return whether a part of an expression is written as statements before the one that contains it."""
+        match node:
+            case tree.Select(then=then, otherwise=otherwise):
+                if tree.has_effect(then) or tree.has_effect(otherwise) or not _is_selected(node.type):
+                    return True
+            case tree.BuiltinCall(builtin=builtin, arguments=arguments) if builtin.name.startswith("atomic_"):
+                if builtin.name == "atomic_compare_exchange" or unknown_indices(arguments[0]):
+                    return True
+            case tree.Binary():
+                chain = tree.left_chain(node)
+                return self.needs_statements(chain[0].left) or any(self.needs_statements(link.right) for link in chain)
+        return any(map(self.needs_statements, tree.parts_of(node)))
+
+    def hoist(self, node: Expression, text: str, what: str = "hoisted") -> str:
+        """Evaluate an expression here, and return the name of its value."""
+        name = self.names.get((node, what), what)
+        self.line(f"let {name} = {text};", node.span)
+        return name
+
+    def sequence(self, nodes: Sequence[Expression]) -> list[str]:
+        """Return the texts of expressions that are evaluated in this order."""
+        last = max((i for i, node in enumerate(nodes) if self.needs_statements(node)), default=0)
+        texts = []
+        for number, node in enumerate(nodes):
+            text = self.argument(node)
+            fixed = isinstance(node, tree.Constant) or isinstance(node.type, TextureType | ImageType)
+            texts.append(self.hoist(node, text) if number < last and not fixed else text)
+        return texts
+
+    def write_select(self, node: tree.Select) -> str:
+        """Write a choice as a statement, and return the name of its value."""
+        name = self.names.get((node, "selected"), "selected")
+        test = self.expression(node.condition)
+        self.line(f"{self.variable(self.type(node.type), name)};", node.span)
+        for value, header in ((node.then, f"if ({test})"), (node.otherwise, "else")):
+            with self.lines.braces(header, self.file, node.span.line):
+                self.line(f"{name} = {self.expression(value)};", value.span)
+        return name
+
+    # -- expressions
+
+    def expression(self, node: Expression) -> str:
+        match node:
+            case tree.Member() | tree.Index() | tree.Swizzle() | tree.BindingRead():
+                declaration = _declaration_of(node)
+                if declaration is not None and declaration.storage_class in _IN_MEMORY:
+                    if isinstance(node.type, StorageType):
+                        return self.path(node)
+                    return self.memory.load(
+                        node.type, _space_of(declaration), self.path(node), self.is_atomic(node)  # type: ignore[arg-type]
+                    )  # fmt: skip
+            case tree.Select() if self.needs_statements(node):
+                return self.write_select(node)
+            case tree.Call(function=function, arguments=arguments):
+                return f"{self.globals.get(function, function.name)}({', '.join(self.sequence(arguments))})"
+        return super().expression(node)
+
+    def path(self, node: Expression) -> str:
+        """Return the path to a part of a binding, a local or a value."""
+        match node:
+            case tree.Member(base=base, name=name):
+                return f"{self.path(base)}.{self.field(name)}"
+            case tree.Swizzle(base=base, components=components):
+                return f"{self.path(base)}.{''.join('xyzw'[index] for index in components)}"
+            case tree.Index(base=base):
+                declaration = _declaration_of(node)
+                space = _space_of(declaration) if declaration is not None else "local"
+                inner = self.memory.element(base.type, space)  # type: ignore[arg-type]
+                return f"{self.path(base)}[{self.index_text(node)}]{inner}"
+            case tree.BindingRead(declaration=declaration):
+                return self.globals.get(("binding", declaration.name), declaration.name)
+        return super().expression(node)
+
+    def is_atomic(self, node: Expression) -> bool:
+        """Return whether an access in memory is to atomic words."""
+        return isinstance(node.type, layout.ScalarType | layout.ArrayType) and _word_of(node) in self.memory.atomics
+
+    def argument(self, node: Expression) -> str:
+        if isinstance(node.type, TextureType):
+            return ", ".join(self.texture_and_sampler(node))
+        return self.expression(node)
+
+    def index(self, node: tree.Index) -> str:
+        base, index = self.sequence((node.base, node.index))
+        return f"{base}[{self.clamp_index(node, index)}]"
+
+    def construct(self, node: tree.Construct) -> str:
+        type, parts = node.type, self.sequence(node.parts)
+        if isinstance(type, layout.MatrixType) and len(parts) == 1:
+            size, source = type.size, node.parts[0].type
+            if isinstance(source, layout.ScalarType):
+                cells = [parts[0] if i == j else "0.0" for i in range(size) for j in range(size)]
+            else:
+                assert isinstance(source, layout.MatrixType)
+                source_size = source.size
+                cells = [
+                    f"{parts[0]}[{i}][{j}]" if max(i, j) < source_size else "1.0" if i == j else "0.0"
+                    for i in range(size) for j in range(size)
+                ]  # fmt: skip
+            return f"{self.type(type)}({', '.join(cells)})"
+        return f"{self.type(type)}({', '.join(parts)})"
+
+    def choice(self, condition: str, then: str, otherwise: str) -> str:
+        return f"select(({otherwise}), ({then}), ({condition}))"
+
+    def length(self, base: str) -> str:
+        return f"i32(arrayLength(&{base}))"
+
+    # -- operators
+
+    def operation(self, node: tree.Binary, left: str) -> str:
+        if self.needs_statements(node.right):
+            if node.operator in _CHOICES:
+                name = self.hoist(node, left, "first")
+                both = node.operator is Operator.AND
+                selected = self.names.get((node, "selected"), "selected")
+                self.line(f"{self.variable('bool', selected, name)};", node.span)
+                with self.lines.braces(f"if ({name if both else f'!{name}'})", self.file, node.span.line):
+                    self.line(f"{selected} = {self.expression(node.right)};", node.span)
+                return selected
+            left = self.hoist(node, left, "first")
+        op, types = node.operator, (node.left.type, node.right.type)
+        match op:
+            case Operator.POWER | Operator.FLOOR_DIVIDE | Operator.MODULO:
+                return super().operation(node, left)
+            case Operator.MATRIX_MULTIPLY:
+                return f"({self.expression(node.right)} * {left})"
+            case Operator.EQUAL | Operator.NOT_EQUAL if isinstance(types[0], layout.VectorType):
+                return f"{'all' if op is Operator.EQUAL else 'any'}{super().operation(node, left)}"
+            case Operator.SHIFT_LEFT | Operator.SHIFT_RIGHT:
+                form = "u32" if not isinstance(node.type, layout.VectorType) else f"vec{node.type.size}<u32>"
+                count = f"{form}({self.expression(node.right)})"
+                count = count if is_constant(node.right) else f"({count} & {form}(31u))"
+                return f"({self.widened(node, node.left, left)} {op.sign} {count})"
+            case Operator.BIT_AND | Operator.BIT_OR | Operator.BIT_XOR if types[0] != types[1]:
+                right = self.widened(node, node.right, self.expression(node.right))
+                return f"({self.widened(node, node.left, left)} {op.sign} {right})"
+            case Operator.MULTIPLY if isinstance(node.type, layout.MatrixType) and types[0] == types[1]:
+                body = f"return {self.type(node.type)}({', '.join(f'a[{i}] * b[{i}]' for i in range(node.type.size))});"
+                name = self.helper("rhi_multiply", self.type(node.type), "a b", body)
+                return f"{name}({left}, {self.expression(node.right)})"
+            case Operator.DIVIDE if isinstance(types[0], layout.MatrixType):
+                return f"({left} * (1.0 / {self.expression(node.right)}))"
+        return super().operation(node, left)
+
+    def power(self, node: tree.Binary, base: str) -> str:
+        exponent = node.right
+        if isinstance(exponent, tree.Constant) and exponent.type in (layout.INT, layout.UINT) and not exponent.value:
+            return f"{self.type(node.type)}({'1.0' if scalar_of(node.type) is layout.FLOAT else '1'})"
+        if isinstance(exponent, tree.Constant) and exponent.type in (layout.INT, layout.UINT) and exponent.value < 0:
+            # WGSL divides no scalar by an integer vector, so one is of the result's type.
+            inverse = tree.Constant(exponent.type, exponent.span, -exponent.value)
+            positive = tree.Binary(node.type, node.span, node.operator, node.left, inverse)
+            return f"({self.type(node.type)}(1) / {super().power(positive, base)})"
+        return super().power(node, base)
+
+    def floored(self, node: tree.Binary, left: str, right: str) -> str:
+        """Return `//` or `%`. WGSL shifts no vectors by scalars, so powers of two are divided by as others are."""
+        if isinstance(node.type, layout.VectorType) and scalar_of(node.type) is layout.INT:
+            left, right = self.widened(node, node.left, left), self.widened(node, node.right, right)
+            return f"{self.integer_helper(node, node.operator is Operator.FLOOR_DIVIDE)}({left}, {right})"
+        divisor, divides = node.right, node.operator is Operator.FLOOR_DIVIDE
+        if scalar_of(node.type) is layout.INT and divides and isinstance(divisor, tree.Constant):
+            value = int(divisor.value)
+            if value > 0 and value.bit_count() == 1:
+                return f"({left} >> {value.bit_length() - 1}u)"
+        if scalar_of(node.type) is layout.UINT and not is_constant(divisor):
+            sign, right = "/" if divides else "%", self.widened(node, divisor, right)
+            return f"({left} {sign} max({right}, {self.type(node.type)}(1)))"
+        return super().floored(node, left, right)
+
+    def integer_helper(self, node: tree.Binary, divide: bool) -> str:
+        type = self.type(node.type)
+        unit, zero = f"{type}(1)", f"{type}()"
+        wrong = f"(r != {zero}) & ((r < {zero}) != (b < {zero}))"
+        result = f"select(q, q - {unit}, {wrong})" if divide else f"select(r, r + b, {wrong})"
+        # A division by 0 is one by 1, and so is that of the least int by -1.
+        least = f"(b == {type}(-1)) & (a == {type}(-2147483647 - 1))"
+        body = (
+            f"let d = select(b, {unit}, (b == {zero}) | ({least})); let q = a / d; let r = a - q * d; return {result};"
+        )
+        return self.helper("rhi_floor_divide" if divide else "rhi_modulo", type, "a b", body)
+
+    def conversion(self, type: Type, source: Type) -> str:
+        scalar, form = scalar_of(type), self.type(type)
+        assert scalar is not None
+        name = f"rhi_to_{''.join(filter(str.isalnum, form))}"
+        bits = form.replace("i32", "u32")
+        body = CONVERSIONS[scalar].format(type=form, source=self.type(source), bits=bits)
+        self.helpers[name] = f"fn {name}(x: {self.type(source)}) -> {form} {{ {body} }}"
+        return name
+
+    def float_modulo(self, node: tree.Binary, left: str, right: str) -> str:
+        name = self.helper("rhi_mod", self.type(node.type), "a b", "return a - b * floor(a / b);")
+        return f"{name}({self.widened(node, node.left, left)}, {self.widened(node, node.right, right)})"
+
+    # -- built-ins
+
+    def builtin(self, node: tree.BuiltinCall) -> str:
+        """Return a call of a built-in."""
+        name, arguments, spelling = node.builtin.name, node.arguments, node.builtin.wgsl
+        if arguments and isinstance(arguments[0].type, TextureType | ImageType):
+            return self.texture_call(name, node)
+        if name.startswith("atomic_"):
+            return self.atomic(name, node)
+        match spelling:
+            case Refused(tip=tip):
+                self.refuse(node, f"{name}()", tip)
+            case Polyfill():
+                return f"rhi_{name}" if name in INPUTS else _POLYFILLS[name](self, node)
+        texts = self.sequence(arguments)
+        types = [argument.type for argument in arguments]
+        widest = next((type for type in types if isinstance(type, layout.VectorType)), None)
+        wide_texts = {
+            f"v{i}": text if widest is None or isinstance(type, layout.VectorType) else f"{self.type(widest)}({text})"
+            for i, (text, type) in enumerate(zip(texts, types, strict=True))
+        }
+        bits = f"vec{widest.size}<u32>" if widest is not None else "u32"
+        type = self.type(node.type) if texts else ""
+        return spelling.format(*texts, type=type, bits=bits, **wide_texts)
+
+    def barrier(self, node: tree.BuiltinCall) -> str:
+        self.helpers["rhi_barrier"] = BARRIER
+        return "rhi_barrier()"
+
+    def mix(self, node: tree.BuiltinCall) -> str:
+        texts = ", ".join(self.sequence(node.arguments))
+        return f"select({texts})" if scalar_of(node.arguments[2].type) is layout.BOOL else f"mix({texts})"
+
+    def inverse(self, node: tree.BuiltinCall) -> str:
+        (text,) = self.sequence(node.arguments)
+        assert isinstance(node.type, layout.MatrixType)
+        size = node.type.size
+        return f"{self.helper(f'rhi_inverse{size}', self.type(node.type), 'm', INVERSES[size])}({text})"
+
+    def atomic(self, name: str, node: tree.BuiltinCall) -> str:
+        """Return a call of an atomic, or write a compare-exchange and return its result."""
+        location, *values = node.arguments
+        texts = self.sequence(values)
+        unknown = unknown_indices(location)
+        if name != "atomic_compare_exchange" and not unknown:
+            return self.atomic_call(node, f"&{self.path(location)}", texts)
+        texts = [self.hoist(expression, text, "argument") for expression, text in zip(values, texts, strict=True)]
+        old = self.names.get((node, "old"), "old")
+        self.line(f"{self.variable(self.type(node.type), old)};", node.span)
+        conditions = " && ".join(self.hoist_index(expression, node.span) for expression in unknown)
+        guard = self.lines.braces(f"if ({conditions})", self.file, node.span.line) if unknown else nullcontext()
+        with guard:
+            pointer = f"&{self.path(location)}"
+            if name == "atomic_compare_exchange":
+                self.compare_exchange(node, old, pointer, *texts)
+            else:
+                self.line(f"{old} = {self.atomic_call(node, pointer, texts)};", node.span)
+        for expression in unknown:
+            del self.hoisted[expression]
+        return old
+
+    def atomic_call(self, node: tree.BuiltinCall, pointer: str, texts: list[str]) -> str:
+        spelling = node.builtin.wgsl
+        assert isinstance(spelling, str)
+        return spelling.format(pointer, *texts)
+
+    def compare_exchange(self, node: tree.BuiltinCall, old: str, pointer: str, expected: str, value: str) -> None:
+        """Write a loop around WGSL's compare-exchange, which may fail spuriously."""
+        with self.lines.braces("loop", self.file, node.span.line):
+            tried = self.names.get((node, "tried"), "tried")
+            self.line(f"let {tried} = atomicCompareExchangeWeak({pointer}, {expected}, {value});", node.span)
+            self.line(f"{old} = {tried}.old_value;", node.span)
+            self.line(f"if ({tried}.exchanged || {old} != {expected}) {{ break; }}", node.span)
+
+    def texture(self, node: tree.Read | tree.BindingRead) -> str:
+        return ", ".join(self.texture_and_sampler(node))
+
+    def texture_and_sampler(self, node: Expression) -> tuple[str, str]:
+        """Return the names of a texture and of its sampler."""
+        if isinstance(node, tree.BindingRead):
+            return self.texture_and_sampler_names(
+                node.declaration.name, ("binding", node.declaration.name), self.globals
+            )
+        assert isinstance(node, tree.Read)
+        return self.texture_and_sampler_names(node.local.name, node.local, self.names)
+
+    def texture_and_sampler_names(self, name: str, key: object, names: Names) -> tuple[str, str]:
+        """Return the names of the texture and the sampler that a texture consists of."""
+        return names.get((key, "texture"), f"{name}_texture"), names.get((key, "sampler"), f"{name}_sampler")
+
+    def texture_call(self, name: str, node: tree.BuiltinCall) -> str:
+        """Return a call of a texture's or an image's method."""
+        source, *rest = node.arguments
+        type, texts = source.type, ["", *self.sequence(rest)]
+        assert isinstance(type, TextureType | ImageType)
+        image = isinstance(type, ImageType)
+        whole_level = image or type.samples  # type: ignore[union-attr]
+        texture, sampler = (self.expression(source), "") if image else self.texture_and_sampler(source)
+        layered = type.kind is TextureKind.D2_ARRAY
+        if name == "size":
+            level = "" if whole_level else f", {texts[1]}" if len(texts) > 1 else ", 0"
+            size = f"textureDimensions({texture}{level})"
+            return (
+                f"vec3<i32>(vec3<u32>({size}, textureNumLayers({texture})))"
+                if layered
+                else f"{self.type(node.type)}({size})"
+            )
+        at = texts[1] if rest else ""
+        if layered and rest:
+            if tree.has_effect(rest[0]):
+                self.refuse(rest[0], "a position in an array with a side effect", "assign it to a variable first")
+            whole = isinstance(rest[0].type, layout.VectorType) and rest[0].type.scalar is layout.INT
+            at = f"{at}.xy, {f'{at}.z' if whole else f'i32(floor({at}.z + 0.5))'}"
+        if name == "load":
+            level = "" if image else f", {texts[2] if len(texts) > 2 else '0'}"
+            loaded = f"textureLoad({texture}, {at}{level})"
+            if len(rest) < 2 or isinstance(rest[1], tree.Constant) or whole_level:
+                return loaded
+            if tree.has_effect(rest[1]):
+                self.refuse(rest[1], "a level with a side effect", "assign it to a variable first")
+            # WebGPU lets a load from a level that doesn't exist return a texel of another one.
+            return f"select({self.type(node.type)}(), {loaded}, u32({texts[2]}) < textureNumLevels({texture}))"
+        if name == "store":
+            return f"textureStore({texture}, {at}, {texts[2]})"
+        assert isinstance(type, TextureType)
+        if type.scalar is not layout.FLOAT and name not in ("levels", "gather"):
+            self.refuse(node, "an integer texture that is sampled", "load its texels")
+        if name == "gather":
+            component = "0"
+            if len(rest) > 1:
+                if not isinstance(rest[1], tree.Constant):
+                    self.refuse(node, "a gathered component that isn't constant")
+                component = str(int(rest[1].value))
+            return f"textureGather({component}, {texture}, {sampler}, {at})"
+        if name == "sample_compare_lod" and not (isinstance(rest[2], tree.Constant) and not rest[2].value):
+            self.refuse(node, "a comparison at a mip level other than 0")
+        calls = TEXTURE_CALLS if self.stage is Stage.FRAGMENT else TEXTURE_CALLS | OUTSIDE_FRAGMENTS
+        return calls[name].format(*texts, texture_and_sampler=f"{texture}, {sampler}", texture=texture, at=at)
+
+    # -- statements and functions
+
+    def variable(self, type: str, name: str, value: str = "") -> str:
+        return f"var {name}: {type} = {value}" if value else f"var {name}: {type}"
+
+    def statement(self, node: tree.Statement) -> None:
+        match node:
+            case tree.Evaluate(value=tree.BuiltinCall(builtin=builtin) as call) if builtin.effect in _STATEMENTS:
+                self.line(f"{self.expression(call)};", node.span)
+            case tree.Evaluate(value=value):
+                text = self.expression(value)
+                is_call = isinstance(value, tree.Call | tree.BuiltinCall)
+                void = is_call and isinstance(value.type, VoidType)
+                self.line(f"{text};" if void else f"_ = {text};", node.span)
+            case tree.While(condition=condition, body=body) if self.needs_statements(condition):
+                with self.lines.braces("loop", self.file, node.span.line):
+                    self.line(f"if (!({self.expression(condition)})) {{ break; }}", node.span)
+                    self.loop_body(body)
+            case _:
+                super().statement(node)
+
+    def store(self, target: Expression, value: str, span: SourceSpan) -> None:
+        """Write the assignment of a value."""
+        if isinstance(target, tree.Swizzle) and len(target.components) > 1:
+            base, new = self.path(target.base), self.names.get((target, "new"), "new")
+            self.line(f"let {new} = {value};", span)
+            for number, component in enumerate(target.components):
+                self.line(f"{base}.{'xyzw'[component]} = {new}.{'xyzw'[number]};", span)
+            return
+        declaration, type = _declaration_of(target), target.type
+        path, space = self.path(target), "local" if declaration is None else _space_of(declaration)
+        if declaration is None or not self.memory.differs(type, space, self.is_atomic(target)):  # type: ignore[arg-type]
+            self.line(f"{path} = {value};", span)
+            return
+        name = self.names.get((target, "whole"), "whole")
+        self.line(f"let {name} = {value};", span)
+        for line in self.memory.store(type, space, path, name, self.is_atomic(target)):  # type: ignore[arg-type]
+            self.line(line, span)
+
+    def repeat(self, node: tree.For, start: str, test: str, advance: str) -> None:
+        more, _, step = advance.rpartition(", ")
+        if not more:
+            super().repeat(node, start, test, advance)
+            return
+        with self.lines.braces("", self.file, node.span.line):
+            self.line(f"{start};", node.span)
+            with self.lines.braces("loop", self.file, node.span.line):
+                self.line(f"if (!({test})) {{ break; }}", node.span)
+                self.loop_body(node.body)
+                self.line(f"continuing {{ {more}; {step}; }}", node.span)
+
+    def header(self, node: tree.Function) -> str:
+        parts = []
+        for local in node.parameters:
+            if isinstance(local.type, TextureType):
+                texture, sampler = self.texture_and_sampler_names(local.name, local, self.names)
+                parts += [f"{texture}: {self.type(local.type)}", f"{sampler}: {sampler_type(local.type)}"]
+            else:
+                parts.append(f"{self._parameter_name(local)}: {self.type(local.type)}")
+        result = "" if isinstance(node.result, VoidType) else f" -> {self.type(node.result)}"
+        return f"fn {self.globals.get(node, node.name)}({', '.join(parts)}){result}"
+
+    def _parameter_name(self, local: tree.Local) -> str:
+        """Return a parameter's name, which differs from the name of the variable that holds it."""
+        name = self.names.get(local, local.name)
+        return self.names.get((local, "parameter"), f"{name}_parameter") if _is_variable(local) else name
+
+    def begin(self, node: tree.Function) -> None:
+        for local in node.parameters:
+            if _is_variable(local) and not isinstance(local.type, TextureType):
+                variable = self.variable(
+                    self.type(local.type), self.names.get(local, local.name), self._parameter_name(local)
+                )
+                self.line(f"{variable};", node.span)
+
+    def end(self, node: tree.Function) -> None:
+        """Write a return after an endless loop, which WGSL requires although it is never reached."""
+        if not isinstance(node.result, VoidType) and node.body and isinstance(node.body[-1], tree.While | tree.For):
+            self.line(f"return {self.type(node.result)}();", node.span)
+
+    def helper(self, name: str, type: str, parameters: str, body: str) -> str:
+        name = f"{name}_{''.join(filter(str.isalnum, type))}"
+        declarations = ", ".join(f"{parameter}: {type}" for parameter in parameters.split())
+        self.helpers[name] = f"fn {name}({declarations}) -> {type} {{ {body} }}"
+        return name
+
+
+_POLYFILLS: Final[dict[str, Callable[[WgslWriter, tree.BuiltinCall], str]]] = {
+    "barrier": WgslWriter.barrier,
+    "inverse": WgslWriter.inverse,
+    "mix": WgslWriter.mix,
+}
+_WRITTEN: Final = {
+    *_POLYFILLS,
+    *INPUTS,
+    "discard",  # a statement of its own: `tree.Discard`
+    "atomic_compare_exchange",  # `WgslWriter.compare_exchange`
+}
+check_polyfills("WGSL", (row.name for row in BUILTINS.values() if row.wgsl is POLYFILL), _WRITTEN)
+check_polyfills("WGSL", METHOD_NAMES, {"size", "load", "store", "gather", *TEXTURE_CALLS})
+
+
+def sampler_type(type: TextureType) -> str:
+    """Return the type of a texture's sampler."""
+    return "sampler_comparison" if type.compare else "sampler"
+
+
+def _is_variable(local: tree.Local) -> bool:
+    """Return whether a parameter needs a variable: the function assigns it, or indexes it."""
+    return bool(local.writes) or isinstance(local.type, layout.ArrayType)
+
+
+def _is_selected(type: Type) -> bool:
+    return isinstance(type, layout.ScalarType | layout.VectorType)
+
+
+def _declaration_of(node: Expression) -> Declaration | None:
+    """Return the binding or shared memory that an lvalue is a part of."""
+    root = tree.root_of(node)
+    return root.declaration if isinstance(root, tree.BindingRead) else None
+
+
+def _space_of(declaration: Declaration) -> str:
+    return UNIFORM if declaration.storage_class is StorageClass.UNIFORM else declaration.name
+
+
+def _word_of(node: Expression) -> tuple[str, layout.StructType | None, str]:
+    """Return the declaration of the words of an lvalue: the binding, the struct and its field."""
+    declaration = _declaration_of(node)
+    name = declaration.name if declaration is not None else ""
+    while isinstance(node, tree.Index):
+        node = node.base
+    if isinstance(node, tree.Member):
+        assert isinstance(node.base.type, layout.StructType)
+        return name, node.base.type, node.name
+    return name, None, ""

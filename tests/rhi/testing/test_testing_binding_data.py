@@ -1,0 +1,207 @@
+"""Assertions on the contents of uniforms and storage, tracked through the stream."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from testing_kit import Corner, Light, SampleFrame
+
+import rhi
+from rhi import Device, Format
+from rhi.shading import Array, Shader, Storage, StorageRW, Struct, Uniform, array, global_id, mat3, vec3, vec4
+from rhi.testing import UnknownDataError, binding_data, expect
+from rhi.trace import load, save
+
+
+class PointLight(Struct):
+    color: vec3
+    power: float
+
+
+class Everything(Struct):
+    number: int
+    rotation: mat3
+    point_lights: Array[PointLight] = array(PointLight, 2)
+
+
+class Reading(Shader):
+    all: Uniform[Everything]
+    point_lights: Storage[PointLight]
+
+    def vertex(self, v: Corner) -> vec4:
+        power = self.all.point_lights[0].power + self.point_lights[0].power
+        return vec4(v.position, power, 1.0)
+
+
+class Copying(Shader):
+    point_lights: Storage[PointLight]
+    power: StorageRW[float]
+
+    def compute(self) -> None:
+        self.power[global_id().x] = self.point_lights[global_id().x].power
+
+
+class Writing(Shader):
+    point_lights: StorageRW[PointLight]
+
+    def compute(self) -> None:
+        self.point_lights[global_id().x].power = 2.0
+
+
+@pytest.fixture
+def sample_frame(null_device: Device) -> SampleFrame:
+    return SampleFrame(null_device)
+
+
+def test_a_draw_holds_what_was_written_last(sample_frame: SampleFrame) -> None:
+    device = sample_frame.device
+    with device.render_pass(depth=sample_frame.map):
+        for x in (1.0, 2.0):
+            sample_frame.light.write(Light(offset=(x, 0, 0, 0)))
+            device.draw(sample_frame.shadow, sample_frame.walls, light=sample_frame.light)
+    sample_frame.light.write(Light(offset=(9, 0, 0, 0)))
+    draws = expect(device).draws(program="Shadow")
+    draws.with_data("light", {"offset": (1, 0, 0, 0)}).exactly(1)
+    draws.with_data("light", Light(offset=(2, 0, 0, 0))).exactly(1)
+    draws.with_data("light", {"offset": (9, 0, 0, 0)}).exactly(0)
+    (first, second) = draws.exactly(2)
+    assert binding_data(second, "light")["offset"].tolist() == [2, 0, 0, 0]
+    assert binding_data(first, "light")["offset"].tolist() == [1, 0, 0, 0]
+
+
+@pytest.mark.parametrize(("tolerance", "matches"), [(0.0, 0), (0.009, 0), (0.011, 1)])
+def test_numbers_match_within_a_tolerance(sample_frame: SampleFrame, tolerance: float, matches: int) -> None:
+    sample_frame.render()
+    draws = expect(sample_frame.device).draws(program="Lit")
+    draws.with_data("tint", {"color": (1, 0.51, 0, 1)}, tolerance=tolerance).exactly(matches)
+
+
+def test_a_failure_says_what_is_there_instead(sample_frame: SampleFrame) -> None:
+    sample_frame.render()
+    with pytest.raises(AssertionError) as caught:
+        expect(sample_frame.device).draws().with_data("tint", {"color": (1, 0, 0, 1)}, tolerance=0.1).exactly(1)
+    message = str(caught.value)
+    assert "with color=(1, 0, 0, 1) in tint within 0.1" in message
+    assert "of tint, color is [1. , 0.5, 0. , 1. ]" in message
+    assert "the program has no uniform or storage 'tint' (it has: light)" in message
+
+
+def draw_all(device: Device, value: Everything, point_lights: np.ndarray) -> rhi.Command:
+    image = device.texture((4, 4), Format.RGBA8)
+    mesh = device.mesh({"position": np.zeros((3, 2), np.float32)})
+    uniform, storage = device.uniform(value), device.storage(PointLight, point_lights)
+    with device.render_pass(image):
+        device.draw(device.program(Reading), mesh, all=uniform, point_lights=storage)
+    return device.stream.draws()[-1]
+
+
+def test_parts_of_arrays_and_structs_are_named_by_paths(null_device: Device) -> None:
+    point_lights = np.zeros(3, PointLight.dtype)
+    point_lights["power"] = [1, 2, 3]
+    rotation = np.arange(9.0).reshape(3, 3)
+    value = Everything(
+        number=-7,
+        rotation=rotation,
+        point_lights=(PointLight(color=(1, 2, 3), power=4), PointLight(color=(5, 6, 7), power=8)),
+    )
+    draw_all(null_device, value, point_lights)
+    draws = expect(null_device).draws()
+    draws.with_data("all", {"number": -7, "rotation": rotation, "point_lights.1.color": (5, 6, 7)}).exactly(1)
+    draws.with_data("point_lights", {"2.power": 3.0}).exactly(1)
+    draws.with_data("point_lights", {"2.power": 2.0}).exactly(0)
+    for path in ("nothing", "point_lights.2.power", "number.x"):
+        with pytest.raises(AssertionError, match="there is no"):
+            draws.with_data("all", {path: 0}).exactly(1)
+
+
+def test_transient_constants_and_copies_are_followed(sample_frame: SampleFrame) -> None:
+    device = sample_frame.device
+    source = device.uniform(Light(offset=(3, 0, 0, 0)))
+    with device.render_pass(depth=sample_frame.map):
+        device.draw(sample_frame.shadow, sample_frame.walls, light=device.transient.uniform(Light(offset=(5, 0, 0, 0))))
+        source.owner.copy_to(sample_frame.light.owner)
+        device.draw(sample_frame.shadow, sample_frame.walls, light=sample_frame.light)
+        sample_frame.light.owner.clear(0x40000000)  # 2.0
+        device.draw(sample_frame.shadow, sample_frame.walls, light=sample_frame.light)
+    values = [binding_data(draw, "light")["offset"][0] for draw in device.stream.draws()]
+    assert values == [5, 3, 2]
+
+
+def test_what_the_device_wrote_is_not_known(null_device: Device) -> None:
+    point_lights = null_device.storage(PointLight, 2)
+    program = null_device.program(Writing)
+    null_device.dispatch(program, 1, point_lights=point_lights)
+    null_device.dispatch(program, 1, point_lights=point_lights)
+    first, second = null_device.stream.filter(rhi.Op.DISPATCH)
+    assert binding_data(first, "point_lights")["power"].tolist() == [0, 0]  # as they were made
+    with pytest.raises(UnknownDataError, match="written on the device"):
+        binding_data(second, "point_lights")
+    expect(null_device).dispatches().with_data("point_lights", {"0.power": 0}).exactly(1)
+
+
+@pytest.mark.parametrize("point_light", range(3))
+def test_texels_that_were_copied_to_a_buffer_are_not_known(null_device: Device, point_light: int) -> None:
+    storage = null_device.storage(PointLight, np.ones(3, PointLight.dtype))
+    program, texture = null_device.program(Writing), null_device.texture((4, 1), Format.RGBA8)  # as large as a light
+    null_device.dispatch(program, 1, point_lights=storage)
+    storage.write(np.ones(3, PointLight.dtype))
+    texture.copy_to_buffer(storage.owner, offset=16 * point_light)
+    null_device.dispatch(program, 1, point_lights=storage)
+    first, second = null_device.stream.filter(rhi.Op.DISPATCH)
+    assert binding_data(first, "point_lights")["power"].tolist() == [1, 1, 1]
+    with pytest.raises(UnknownDataError, match=f"byte {16 * point_light} of 'point_lights' was written on the device"):
+        binding_data(second, "point_lights")
+
+
+def test_all_rows_of_texels_that_were_copied_are_unknown_until_they_are_written(null_device: Device) -> None:
+    point_lights, power = null_device.storage(PointLight, 4), null_device.storage(float, 4)
+    program, texture = null_device.program(Copying), null_device.texture((4, 2), Format.RGBA8)
+    texture.copy_to_buffer(point_lights.owner, offset=16)
+    for unknown in (1, 2, None):
+        null_device.dispatch(program, 1, point_lights=point_lights, power=power)
+        dispatch = null_device.stream.filter(rhi.Op.DISPATCH)[-1]
+        if unknown is None:
+            assert binding_data(dispatch, "point_lights")["power"].tolist() == [0, 0, 0, 0]
+        else:
+            with pytest.raises(UnknownDataError, match=f"byte {16 * unknown} of 'point_lights'"):
+                binding_data(dispatch, "point_lights")
+            point_lights.write(np.zeros(1, PointLight.dtype), first=unknown)
+
+
+def test_what_is_older_than_the_stream_is_not_known(sample_frame: SampleFrame) -> None:
+    sample_frame.device.stream.clear()
+    sample_frame.render()
+    with pytest.raises(AssertionError, match="older than the stream"):
+        expect(sample_frame.device).draws().with_data("tint", {"color": (1, 0.5, 0, 1)}).exactly(1)
+
+
+def test_a_loaded_trace_says_that_it_has_no_layouts(sample_frame: SampleFrame, tmp_path: object) -> None:
+    sample_frame.render()
+    file = f"{tmp_path}/t.zip"
+    save(sample_frame.device, file)
+    with pytest.raises(UnknownDataError, match="layout of Tint"):
+        binding_data(load(file).stream.draws()[-1], "tint")
+
+
+@settings(max_examples=40)
+@given(st.lists(st.tuples(st.sampled_from(["write", "copy", "clear", "draw"]), st.integers(0, 2), st.integers(0, 9))))
+def test_what_is_followed_is_what_the_device_has(steps: list[tuple[str, int, int]]) -> None:
+    with rhi.create_device("null") as device:
+        sample_frame = SampleFrame(device)
+        lights = [device.uniform(Light(offset=(i, 0, 0, 0))) for i in range(3)]
+        expected = []
+        with device.render_pass(depth=sample_frame.map):
+            for kind, which, number in steps:
+                if kind == "write":
+                    lights[which].write(Light(offset=(number, 1, 2, 3)))
+                elif kind == "copy":
+                    lights[which].owner.copy_to(lights[(which + 1) % 3].owner, size=8, offset=4, target_offset=0)
+                elif kind == "clear":
+                    lights[which].owner.clear(number)
+                else:
+                    device.draw(sample_frame.shadow, sample_frame.walls, light=lights[which])
+                    expected.append(lights[which].owner.read()["offset"][0].tolist())
+        offsets = [binding_data(draw, "light")["offset"].tolist() for draw in device.stream.draws()]
+        assert offsets == expected
