@@ -38,7 +38,7 @@ echo "[test] ruff"
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
 echo "[test] clang-format"
-git ls-files -z '*.cl' | xargs -0 .venv/bin/clang-format --dry-run -Werror
+find rhi -name '*.cl' -print0 | xargs -0 .venv/bin/clang-format --dry-run -Werror
 echo "[test] mypy --strict"
 .venv/bin/python scripts/check_types.py -n "$workers"
 echo "[test] import order"
