@@ -178,7 +178,7 @@ def assert_free(
     """
     __tracebackhide__ = True
     if not effect.parts:
-        fail(f"the pattern of {effect.effect} names nothing, so it is in no stream")
+        fail(f"the pattern of {effect.effect} declares nothing, so it is in no stream")
     selected = _select(commands)
     if not len(selected):
         fail(f"there are no commands, so this shows nothing about {effect.effect}")
@@ -189,7 +189,7 @@ def assert_free(
         matched = {part for command in _select(control) for part, _ in effect.match_parts(command)}
         missing = [f"  {kind} {name!r}" for kind, name in effect.parts if (kind, name) not in matched]
         if missing:
-            fail(f"the pattern of {effect.effect} names what its control hasn't:", *missing)
+            fail(f"the pattern of {effect.effect} declares what its control hasn't:", *missing)
 
 
 def assert_same(commands: Commands | Device, expected: Commands | Device, *, description: str = "the streams") -> None:

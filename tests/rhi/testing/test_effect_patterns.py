@@ -35,9 +35,9 @@ def draw_view(sample_frame: SampleFrame) -> None:
 @pytest.fixture
 def sample_frame(null_device: rhi.Device) -> SampleFrame:
     """A house whose resources are made, and forgotten by the stream."""
-    sample_frame_object = SampleFrame(null_device)
+    sample = SampleFrame(null_device)
     null_device.stream.clear()
-    return sample_frame_object
+    return sample
 
 
 PARTS: dict[str, tuple[EffectPattern, set[Op]]] = {
@@ -99,8 +99,8 @@ def test_what_makes_and_writes_and_destroys_a_resource_belongs_to_it(null_device
     effect = EffectPattern("it", resources=("bloom",))
     bloom, other = (null_device.uniform(Light(offset=(0, 0, 0, 0)), label=label) for label in ("bloom", "other"))
     bloom.write(Light(offset=(1, 0, 0, 0)))
-    for command in (bloom, other):
-        command.destroy()
+    for resource in (bloom, other):
+        resource.destroy()
     null_device.finish()
     expectation = expect(null_device).of(effect).exactly(4)
     assert [command.op for command in expectation] == [Op.CREATE_BUFFER, Op.WRITE_BUFFER, Op.WRITE_BUFFER, Op.DESTROY]
@@ -156,8 +156,8 @@ def test_frames_of_two_devices_are_the_same_whatever_their_ids(sample_frame: Sam
         more = other.buffer(4, label="more")
         second = SampleFrame(other)
         other.stream.clear()
-        for command in (sample_frame, second):
-            draw_view(command)
+        for frame in (sample_frame, second):
+            draw_view(frame)
         assert sample_frame.lit.id != second.lit.id
         assert_same(sample_frame.device, other)
         assert_same(frames(sample_frame.device)[0], frames(other)[0])

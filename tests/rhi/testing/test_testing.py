@@ -163,7 +163,7 @@ def test_a_failure_with_too_many_matches_shows_them(frame) -> None:
 
 
 @pytest.mark.parametrize(
-    ("narrow", "told"),
+    ("narrow", "message"),
     [
         (lambda e: e.with_states(CullMode.NONE), "CullMode is CullMode.FRONT"),
         (lambda e: e.with_bindings(light="tint"), "light is 'light' (id"),
