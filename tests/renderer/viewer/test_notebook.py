@@ -48,9 +48,9 @@ def take(widget):
     def note(event):
         if event["event_type"] not in ("pointer_up", "key_down"):
             return
-        told = dict(kind=event["event_type"], forward=session.camera.forward.tolist(), told=session.hit_lines)
+        report = dict(kind=event["event_type"], forward=session.camera.forward.tolist(), hit_lines=session.hit_lines)
         with open("seen.jsonl", "a") as file:
-            print(json.dumps(told | dict(technique=session.display.technique)), file=file)
+            print(json.dumps(report | dict(technique=session.display.technique)), file=file)
 
     widget.add_event_handler(note, "*", order=9)  # after the viewer
 """
@@ -154,7 +154,7 @@ def test_the_widget_is_controlled_by_drags_clicks_and_keys(browser: Any, noteboo
     clicked = wait_for(lambda: seen("pointer_up")[1:], "the click")[-1]
     wait_for(lambda: (look(widget) != after).any(), "the outline of what was picked")
     assert clicked["forward"] == dragged["forward"]
-    assert "m away" in clicked["told"][0]
+    assert "m away" in clicked["hit_lines"][0]
 
     webdriver.ActionChains(browser).send_keys("t").perform()
     wait_for(lambda: [event for event in seen("key_down") if event["technique"] != "forward"], "the key")
